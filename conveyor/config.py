@@ -1,0 +1,238 @@
+"""One TOML file describes one line. Every setting has a default, a unit in its name and a bound.
+
+A config is refused, never corrected: unknown keys with the nearest known one, values with what is allowed.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from conveyor.errors import ConfigError, TuberlineError
+from conveyor.topics import check_name
+
+Metres = Annotated[float, Field(gt=0, le=10)]
+
+
+class Section(BaseModel):
+    """Base of all sections: frozen, no unknown keys, every default checked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+
+class LinkConfig(Section):
+    """How this line's processes reach each other."""
+
+    router: str = Field("tcp/127.0.0.1:7447", description="endpoint of the router, e.g. tcp/10.0.0.1:7447")
+    listen: tuple[str, ...] = Field((), description="what the router listens on; default: the endpoint above")
+    lease_ms: int = Field(2000, ge=200, le=60000, description="a frozen host is noticed after this")
+    connect_timeout_s: float = Field(20.0, ge=0.1, le=3600, description="give up when the router is not there by then")
+    root_ca: Path | None = Field(None, description="TLS: certificate authority of this site (PEM)")
+    certificate: Path | None = Field(None, description="TLS: this node's certificate (PEM)")
+    private_key: Path | None = Field(None, description="TLS: this node's key (PEM)")
+
+
+class CameraConfig(Section):
+    """One camera: where its frames come from."""
+
+    source: Literal["recording", "realsense"] = "recording"
+    path: Path | None = Field(None, description="recording to replay (folder, .mcap, 3DPotatoTwin)")
+    camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
+    speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
+    waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
+    window: int = Field(4, ge=1, le=64, description="frames in flight while waiting")
+    compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
+    serial: str | None = Field(None, description="realsense: serial number of the device")
+    belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
+    depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
+
+    @field_validator("path")
+    @classmethod
+    def _absolute(cls, path: Path | None) -> Path | None:
+        return path.expanduser() if path else None
+
+
+class SegmenterConfig(Section):
+    """From a depth frame to tubers on the belt and views worth weighing."""
+
+    pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
+    min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")
+    min_area_mm2: float = Field(350.0, ge=50, le=5000, description="smaller blobs are no tubers")
+    gate_mm: float = Field(22.0, ge=5, le=100, description="how far a tuber may be from where it is expected")
+    min_frames: int = Field(3, ge=1, le=30, description="a track seen in fewer frames is not counted")
+    views_per_tuber: int = Field(3, ge=1, le=16, description="views weighed per tuber")
+    max_age_ms: float = Field(500.0, ge=50, le=60000, description="live: frames older than this are dropped, counted")
+    ring: int = Field(3, ge=1, le=64, description="live: newest frames kept while busy")
+    credits: int = Field(2, ge=1, le=16, description="views in flight per regressor")
+    job_deadline_s: float = Field(5.0, ge=0.2, le=120, description="a view not answered by then goes to another one")
+    max_attempts: int = Field(5, ge=1, le=50, description="then the view is lost, with its reason")
+    max_pending_views: int = Field(256, ge=8, le=4096, description="views waiting for a regressor")
+    weigh_deadline_s: float = Field(60.0, ge=1, le=3600, description="then a tuber is logged with its volume alone")
+    state_dir: Path | None = Field(None, description="where the log not yet committed is kept across restarts")
+
+
+class RegressorConfig(Section):
+    """PointRAFT workers on this machine."""
+
+    processes: int = Field(2, ge=0, le=64, description="workers started by `tuberline run`")
+    weights: Path | None = Field(None, description="safetensors or upstream .pth; default: the shipped ones")
+    threads: int = Field(1, ge=1, le=64, description="threads inside one worker; one worker per core beats threads")
+    device: Literal["cpu", "cuda"] = "cpu"
+
+
+class AggregatorConfig(Section):
+    """From tracks to a ledger and totals."""
+
+    out: Path = Field(Path("runs/latest"), description="folder of ledger.db, summary.json and tubers.csv")
+    merge_gate_mm: float = Field(30.0, ge=2, le=200, description="tracks of two cameras closer than this are one tuber")
+    camera_stall_s: float = Field(10.0, ge=0.5, le=3600, description="a silent camera holds the ledger no longer")
+    commit_interval_s: float = Field(0.2, ge=0.01, le=10, description="entries are committed together this often")
+    histogram_step_g: float = Field(50.0, gt=0, le=1000)
+    exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
+
+
+class ViewerConfig(Section):
+    """What goes to Rerun. Never in the hot path."""
+
+    rrd: Path | None = Field(None, description="file to write")
+    connect: str | None = Field(None, description="live hub, e.g. rerun+http://127.0.0.1:9876/proxy")
+    profile: Literal["light", "remote", "full"] = "remote"
+
+
+class LineConfig(Section):
+    """One line: its name, its link, its cameras and its nodes."""
+
+    name: str = "line"
+    link: LinkConfig = LinkConfig()
+    cameras: dict[str, CameraConfig] = Field(default_factory=dict)
+    segmenter: SegmenterConfig = SegmenterConfig()
+    regressor: RegressorConfig = RegressorConfig()
+    aggregator: AggregatorConfig = AggregatorConfig()
+    viewer: ViewerConfig | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, name: str) -> str:
+        return _checked_name(name, "line")
+
+    @field_validator("cameras")
+    @classmethod
+    def _camera_names(cls, cameras: dict[str, CameraConfig]) -> dict[str, CameraConfig]:
+        for name in cameras:
+            _checked_name(name, "camera")
+        return cameras
+
+    def camera(self, name: str) -> CameraConfig:
+        """The named camera, or an error that lists the known ones."""
+        if name not in self.cameras:
+            raise ConfigError(
+                f"camera '{name}' is not in the config; known: {', '.join(sorted(self.cameras)) or 'none'}"
+            )
+        return self.cameras[name]
+
+
+def _checked_name(name: str, what: str) -> str:
+    try:
+        return check_name(name, what=what)
+    except TuberlineError as error:
+        raise ValueError(str(error)) from error
+
+
+def load_config(path: Path) -> LineConfig:
+    """The line described by the TOML file at `path`; relative paths inside are relative to that file.
+
+    Raises:
+        ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"config {path} cannot be read: {error.strerror or error}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"config {path} is not TOML: {error}") from error
+    return parse_config(raw, where=str(path), base=path.resolve().parent)
+
+
+def parse_config(raw: dict[str, Any], *, where: str, base: Path | None = None) -> LineConfig:
+    """Check a config given as a plain mapping; `base` is the folder that relative paths start from."""
+    try:
+        config = LineConfig.model_validate(raw)
+    except ValidationError as error:
+        faults = [_fault(fault) for fault in error.errors()]
+        raise ConfigError(f"config {where} is refused:\n" + "\n".join(f"  {fault}" for fault in faults)) from error
+    return _with_base(config, base) if base else config
+
+
+def _fault(fault: Any) -> str:
+    where = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] != "extra_forbidden":
+        return f"{where}: {fault['msg']} (got {fault.get('input')!r})"
+    known = _known_keys(fault["loc"][:-1])
+    near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
+    hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
+    return f"{where}: unknown key; {hint}"
+
+
+def _known_keys(path: tuple[Any, ...]) -> list[str]:
+    """Field names of the section at `path`, e.g. ('cameras', 'front') -> those of CameraConfig."""
+    if not path:
+        return sorted(LineConfig.model_fields)
+    if path[0] == "cameras":
+        return sorted(CameraConfig.model_fields)
+    sections: dict[str, type[Section]] = {
+        "link": LinkConfig,
+        "segmenter": SegmenterConfig,
+        "regressor": RegressorConfig,
+        "aggregator": AggregatorConfig,
+        "viewer": ViewerConfig,
+    }
+    return sorted(sections[path[0]].model_fields) if path[0] in sections else []
+
+
+def _with_base(section: Any, base: Path) -> Any:
+    """The same section with its relative paths resolved against `base`."""
+    changes: dict[str, Any] = {}
+    for name in type(section).model_fields:
+        value = getattr(section, name)
+        if isinstance(value, Path) and not value.is_absolute():
+            changes[name] = base / value
+        elif isinstance(value, Section):
+            changes[name] = _with_base(value, base)
+        elif isinstance(value, dict):
+            changes[name] = {k: _with_base(v, base) if isinstance(v, Section) else v for k, v in value.items()}
+    return section.model_copy(update=changes)
+
+
+def dump_toml(config: LineConfig) -> str:
+    """The effective config as TOML, to stand beside the results; `load_config` reads it back to an equal one."""
+    lines: list[str] = []
+    _dump_table(config.model_dump(mode="json", exclude_none=True), (), lines)
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _dump_table(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
+    if path:
+        lines += ["", f"[{'.'.join(path)}]"]
+    lines += [f"{key} = {_toml(value)}" for key, value in table.items() if not isinstance(value, dict)]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            _dump_table(
+                value,
+                (*path, key if key.replace("_", "a").replace("-", "a").isalnum() else f'"{key}"'),
+                lines,
+            )
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+        return f'"{escaped}"'
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value)

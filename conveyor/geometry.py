@@ -1,0 +1,90 @@
+"""Camera and belt geometry: intrinsics, the belt frame, deprojection.
+
+Frames: *camera* x right (image u), y down (image v), z forward, metres. *Belt* x along the travel, y across,
+z up from the belt surface, metres. Transforms are named `a_from_b` and map points of b into a.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """Pinhole intrinsics in pixels for an undistorted image of `width` x `height`."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.width <= 16384 and 0 < self.height <= 16384):
+            raise InputError(f"image size {self.width}x{self.height} is outside 1..16384 pixels a side")
+        if not (self.fx > 0 and self.fy > 0):
+            raise InputError(f"focal lengths must be positive pixels, got fx={self.fx}, fy={self.fy}")
+
+
+def straight_down_belt_from_camera(belt_distance_m: float) -> NDArray[np.float64]:
+    """(4, 4) transform of a camera that looks straight down from `belt_distance_m` above the belt.
+
+    Belt x runs along the image's +v (rows), belt y along +u (columns), belt z up; the origin lies on the belt
+    under the optical centre.
+    """
+    return np.array(
+        [
+            [0.0, 1.0, 0.0, 0.0],
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 0.0, -1.0, belt_distance_m],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+
+
+def belt_distance_m(belt_from_camera: NDArray[np.float64]) -> float:
+    """Distance from the optical centre to the belt along the optical axis, metres (the paper's H_cam)."""
+    down = -float(belt_from_camera[2, 2])
+    if down <= 0.1:
+        raise InputError(
+            f"belt_from_camera points the optical axis away from the belt (z row {belt_from_camera[2].tolist()}); "
+            "the camera must look down on it"
+        )
+    return float(belt_from_camera[2, 3]) / down
+
+
+def deproject(
+    depth: NDArray[np.uint16],
+    *,
+    depth_scale_m: float,
+    intrinsics: Intrinsics,
+    u0: int = 0,
+    v0: int = 0,
+) -> NDArray[np.float32]:
+    """Points of all non-zero pixels, raster order.
+
+    Args:
+        depth: (h, w) uint16, units of `depth_scale_m` metres, 0 = no depth; may be a crop.
+        depth_scale_m: metres per unit.
+        intrinsics: of the full image.
+        u0, v0: column and row of the crop's first pixel in the full image.
+
+    Returns:
+        (N, 3) float32, camera frame, metres.
+    """
+    v, u = np.nonzero(depth)
+    z = depth[v, u].astype(np.float64) * depth_scale_m
+    x = (u + u0 - intrinsics.cx) * z / intrinsics.fx
+    y = (v + v0 - intrinsics.cy) * z / intrinsics.fy
+    return np.stack([x, y, z], axis=1).astype(np.float32)
+
+
+def transform_points(a_from_b: NDArray[np.float64], points_in_b: NDArray[np.floating]) -> NDArray[np.float64]:
+    """(N, 3) points of frame b in frame a, for a rigid (4, 4) transform."""
+    return points_in_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]

@@ -1,0 +1,25 @@
+"""Every message that crosses a process boundary. `conveyor.topics` says which topic carries which."""
+
+from conveyor.messages.base import Message
+from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.reports import Counters, Totals, Tuber
+from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, WeighedView
+from conveyor.messages.views import View, Weight
+
+__all__ = [
+    "CameraInfo",
+    "Committed",
+    "Counters",
+    "Frame",
+    "FrameProgress",
+    "Mark",
+    "Message",
+    "Totals",
+    "Track",
+    "TrackEntry",
+    "Travel",
+    "Tuber",
+    "View",
+    "WeighedView",
+    "Weight",
+]

@@ -1,0 +1,93 @@
+"""A tuber in one frame, on its way to a regressor and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import MessageError
+from conveyor.geometry import Intrinsics, belt_distance_m, deproject, transform_points
+from conveyor.messages.base import ArraySpec, Message
+
+
+@dataclass(frozen=True, slots=True)
+class View(Message):
+    """One tuber in one frame: the depth crop inside its mask, so lossless and about 30 kB.
+
+    Attributes:
+        view_id: unique and the same in every replay: `<track_id>/<seq>`. A second answer to it changes nothing.
+        depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber's mask.
+        u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
+        belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
+        rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
+        reply_to: camera whose `weight/<camera>` topic takes the answer.
+    """
+
+    view_id: str
+    track_id: str
+    camera: str
+    run: str
+    seq: int
+    captured_ns: int
+    rank: int
+    depth_scale_m: float
+    intrinsics: Intrinsics
+    u0: int
+    v0: int
+    depth: NDArray[np.uint16]
+    belt_from_camera: NDArray[np.float64]
+
+    ARRAYS: ClassVar[dict[str, ArraySpec]] = {
+        "depth": ArraySpec("u2", 2),
+        "belt_from_camera": ArraySpec("f8", 2),
+    }
+
+    def __post_init__(self) -> None:
+        if self.belt_from_camera.shape != (4, 4):
+            raise MessageError(f"View.belt_from_camera is {self.belt_from_camera.shape}, not (4, 4)")
+
+    @property
+    def belt_distance_m(self) -> float:
+        """Camera to belt along the optical axis, metres (H_cam)."""
+        return belt_distance_m(self.belt_from_camera)
+
+    def points_in_camera_m(self) -> NDArray[np.float32]:
+        """(N, 3) float32, camera frame, metres, raster order."""
+        return deproject(
+            self.depth, depth_scale_m=self.depth_scale_m, intrinsics=self.intrinsics, u0=self.u0, v0=self.v0
+        )
+
+    def points_in_belt_m(self) -> NDArray[np.float64]:
+        """(N, 3) float64, belt frame, metres, raster order."""
+        return transform_points(self.belt_from_camera, self.points_in_camera_m())
+
+
+@dataclass(frozen=True, slots=True)
+class Weight(Message):
+    """The answer to a view: a weight with its 90 % interval, or a refusal with its reason.
+
+    Attributes:
+        status: 'weighed', or 'refused' with `reason` (an empty cloud, say); grams are None then.
+        low_g, high_g: bounds of the 90 % interval of this view alone.
+        method: 'pointraft', or 'volume' where the network could not be used.
+        model: name and hash of the weights that weighed it.
+        flags: what was out of the model's range, e.g. 'belt_distance', 'few_points', 'extent'.
+    """
+
+    view_id: str
+    track_id: str
+    camera: str
+    run: str
+    seq: int
+    status: Literal["weighed", "refused"]
+    weight_g: float | None
+    low_g: float | None
+    high_g: float | None
+    method: Literal["pointraft", "volume"]
+    model: str
+    flags: tuple[str, ...]
+    regressor: str
+    reason: str = ""

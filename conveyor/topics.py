@@ -1,0 +1,240 @@
+"""The table of topics: the only place that knows them.
+
+Publishers, subscribers, the recorder, health, access control and `docs/topics.md` are all made from it. A key is
+`tuberline/<line>/<path>`; `<...>` parts of a path are filled by name.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+
+from conveyor.errors import ConfigError
+
+ROOT = "tuberline"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+class Delivery(StrEnum):
+    """What a topic promises. Each class is implemented once, in `conveyor.delivery`."""
+
+    LATEST = "latest wins"
+    KEPT = "kept"
+    NEVER_LOST = "never lost"
+    DISPATCHED = "dispatched"
+    TOKEN = "liveliness token"
+    QUERY = "query"
+
+
+class Priority(StrEnum):
+    """Which message goes first on a full link. Names follow Zenoh's own priorities."""
+
+    REAL_TIME = "real_time"
+    INTERACTIVE_HIGH = "interactive_high"
+    DATA_HIGH = "data_high"
+    DATA = "data"
+    DATA_LOW = "data_low"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row: where it lives, who sends, who listens, what is promised."""
+
+    name: str
+    path: str
+    senders: tuple[str, ...]
+    receivers: tuple[str, ...]
+    delivery: Delivery
+    priority: Priority
+    message: str
+    """Name of the message class in `conveyor.messages`; empty for tokens and queries."""
+    about: str
+
+    def key(self, line: str, **parts: str) -> str:
+        """Key expression of this topic on `line`; each `<part>` of the path must be given (or be '*')."""
+        path = self.path
+        for part, value in parts.items():
+            if value != "*":
+                check_name(value, what=part)
+            path = path.replace(f"<{part}>", value)
+        if "<" in path:
+            raise ConfigError(f"topic '{self.name}' needs {re.findall('<(.*?)>', path)}, got {sorted(parts)}")
+        return f"{ROOT}/{check_name(line, what='line')}/{path}"
+
+    def parts(self, key: str) -> dict[str, str]:
+        """The named parts of a concrete key, e.g. {'camera': 'front'}."""
+        pattern = re.sub(r"<(\w+)>", r"(?P<\1>[^/]+)", self.path)
+        match = re.fullmatch(rf"{ROOT}/[^/]+/{pattern}", key)
+        if match is None:
+            raise ConfigError(f"key '{key}' is not of topic '{self.name}' ({self.path})")
+        return match.groupdict()
+
+
+def check_name(name: str, *, what: str) -> str:
+    """Names become parts of keys, file names and unit names: letters, digits, '.', '_' and '-', at most 64."""
+    if not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{what} name '{name}' cannot be used: 1 to 64 letters, digits, '.', '_' or '-', starting with a "
+            "letter or digit"
+        )
+    return name
+
+
+FRAME = Topic(
+    "frame",
+    "camera/<camera>/frame",
+    ("camera",),
+    ("segmenter", "viewer", "recorder"),
+    Delivery.LATEST,
+    Priority.DATA_LOW,
+    "Frame",
+    "one depth image with everything needed to read it",
+)
+CAMERA_INFO = Topic(
+    "camera_info",
+    "camera/<camera>/info",
+    ("camera",),
+    ("segmenter", "aggregator", "viewer", "recorder"),
+    Delivery.KEPT,
+    Priority.DATA_HIGH,
+    "CameraInfo",
+    "what the camera is, how far it got, whether it ended",
+)
+FRAME_PROGRESS = Topic(
+    "frame_progress",
+    "camera/<camera>/progress",
+    ("segmenter",),
+    ("camera",),
+    Delivery.KEPT,
+    Priority.INTERACTIVE_HIGH,
+    "FrameProgress",
+    "how far the segmenter got; a replay that must not lose frames waits for it",
+)
+TRAVEL = Topic(
+    "travel",
+    "belt/travel/<source>",
+    ("encoder", "segmenter"),
+    ("segmenter", "aggregator", "viewer"),
+    Delivery.LATEST,
+    Priority.DATA_HIGH,
+    "Travel",
+    "how far the belt has moved",
+)
+VIEW = Topic(
+    "view",
+    "work/<regressor>/view",
+    ("segmenter",),
+    ("regressor", "viewer"),
+    Delivery.DISPATCHED,
+    Priority.DATA,
+    "View",
+    "one tuber in one frame, to be weighed",
+)
+WEIGHT = Topic(
+    "weight",
+    "weight/<camera>",
+    ("regressor",),
+    ("segmenter", "viewer"),
+    Delivery.NEVER_LOST,
+    Priority.DATA_HIGH,
+    "Weight",
+    "the answer to a view, and its receipt",
+)
+TRACK = Topic(
+    "track",
+    "track/<camera>",
+    ("segmenter",),
+    ("aggregator", "viewer"),
+    Delivery.NEVER_LOST,
+    Priority.DATA_HIGH,
+    "TrackEntry",
+    "the camera's log: finished tracks with their weighed views, and marks of how far it has seen",
+)
+COMMITTED = Topic(
+    "committed",
+    "committed/<camera>",
+    ("aggregator",),
+    ("segmenter",),
+    Delivery.KEPT,
+    Priority.INTERACTIVE_HIGH,
+    "Committed",
+    "up to which entry the camera's log is durable in the ledger",
+)
+TUBER = Topic(
+    "tuber",
+    "tuber",
+    ("aggregator",),
+    ("viewer",),
+    Delivery.NEVER_LOST,
+    Priority.DATA_HIGH,
+    "Tuber",
+    "one counted tuber, published after its commit",
+)
+TOTALS = Topic(
+    "totals",
+    "totals",
+    ("aggregator",),
+    ("viewer", "operator"),
+    Delivery.KEPT,
+    Priority.DATA_HIGH,
+    "Totals",
+    "what the load weighs so far, and how much of the belt was seen",
+)
+COUNTERS = Topic(
+    "counters",
+    "counters/<role>/<name>",
+    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder"),
+    ("aggregator", "viewer", "operator"),
+    Delivery.KEPT,
+    Priority.DATA_HIGH,
+    "Counters",
+    "what a node received, did and dropped, once a second",
+)
+ALIVE = Topic(
+    "alive",
+    "alive/<role>/<name>",
+    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder"),
+    ("segmenter", "aggregator", "viewer", "operator"),
+    Delivery.TOKEN,
+    Priority.REAL_TIME,
+    "",
+    "the node's process and link are alive",
+)
+QUERY_TOTALS = Topic(
+    "query_totals",
+    "query/totals",
+    ("aggregator",),
+    ("operator", "viewer"),
+    Delivery.QUERY,
+    Priority.DATA_HIGH,
+    "",
+    "answers the totals as JSON",
+)
+QUERY_TUBERS = Topic(
+    "query_tubers",
+    "query/tubers",
+    ("aggregator",),
+    ("operator", "viewer"),
+    Delivery.QUERY,
+    Priority.DATA_HIGH,
+    "",
+    "answers committed tubers as JSON; parameters: since, limit",
+)
+
+TOPICS: tuple[Topic, ...] = (
+    FRAME,
+    CAMERA_INFO,
+    FRAME_PROGRESS,
+    TRAVEL,
+    VIEW,
+    WEIGHT,
+    TRACK,
+    COMMITTED,
+    TUBER,
+    TOTALS,
+    COUNTERS,
+    ALIVE,
+    QUERY_TOTALS,
+    QUERY_TUBERS,
+)
