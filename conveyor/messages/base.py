@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -64,7 +63,7 @@ class Message:
                 )
             checked[name] = array
         try:
-            return _adapter(cls).validate_python({**header, **checked})
+            message: Self = _adapter(cls).validate_python({**header, **checked})
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(str(part) for part in first["loc"])
@@ -75,11 +74,17 @@ class Message:
             raise
         except TuberlineError as error:
             raise MessageError(f"{kind}: {error}") from error
+        return message
 
 
-@cache
+_ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
+
+
 def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
-    return TypeAdapter(cls)
+    """The validator of a message class; building one costs milliseconds, so each is built once."""
+    if cls not in _ADAPTERS:
+        _ADAPTERS[cls] = TypeAdapter(cls)
+    return _ADAPTERS[cls]
 
 
 def plain(value: Any) -> Any:

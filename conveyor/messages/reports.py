@@ -11,9 +11,9 @@ from conveyor.messages.base import Message
 class Tuber(Message):
     """One counted tuber, as committed.
 
-    `place_x_m`, `place_y_m` are its place on the belt (x - travel, y). `low_g`, `high_g` bound the 90 % interval of its
-    fused weight. `cameras` saw it, `tracks` are their track ids. `method` is 'pointraft', or 'volume' where no view could
-    be weighed.
+    `place_x_m`, `place_y_m` are its place on the belt (x - travel, y). `low_g`, `high_g` bound the 90 % interval of
+    its fused weight. `cameras` saw it, `tracks` are their track ids. `method` is 'pointraft', or 'volume' where no
+    view could be weighed.
     """
 
     tuber_id: int

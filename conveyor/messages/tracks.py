@@ -70,6 +70,7 @@ class Mark:
     Attributes:
         captured_ns, travel_m: of the newest frame processed.
         complete_ns: every tuber that crossed the centre row at or before this camera time is in the log.
+        complete_place_x_m: the same said in belt terms: every tuber at this place or further along is in the log.
         final: the camera ended; nothing follows.
         looked_at_m, travelled_m: belt length that passed the centre row, and how much of it was really looked at.
         frames: published (as far as known), received, processed, gaps, and drops by reason ('dropped_<reason>'):
@@ -82,6 +83,7 @@ class Mark:
     travel_m: float
     travel_estimated: bool
     complete_ns: int
+    complete_place_x_m: float
     final: bool
     looked_at_m: float
     travelled_m: float

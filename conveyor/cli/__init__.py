@@ -1,0 +1,91 @@
+"""`tuberline`: one command per job. Commands live in their packages and are imported when they run: help stays quick.
+
+This package is the composition root, the only place that knows the other packages.
+"""
+
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App, Group
+
+from conveyor import __version__
+from conveyor.errors import TuberlineError
+
+_GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "Main jobs": {
+        "demo": ("conveyor.cli.demo:demo", "Simulate a belt, run the whole line on it, compare with the truth."),
+        "replay": ("conveyor.cli.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
+        "run": ("conveyor.cli.run:run", "Run all processes of a line on this machine, supervised."),
+        "weigh": ("regressor.commands:weigh", "Weigh single clouds or depth and mask pairs; no network."),
+        "score": ("aggregator.commands:score", "Compare a run with the truth: count, weights, total."),
+        "simulate": ("camera_sim.commands:simulate", "Make a recording of a belt with known truth."),
+    },
+    "Watch a line": {
+        "status": ("conveyor.cli.status:status", "Totals and nodes of a running line, once."),
+        "top": ("conveyor.cli.top:top", "The same, live."),
+        "audit": ("aggregator.commands:audit", "The balance sheet of a run: nothing lost silently."),
+        "ledger": ("aggregator.commands:ledger", "Check, repair or export a ledger."),
+    },
+    "Nodes of a line": {
+        "router": ("conveyor.cli.router:router", "The Zenoh router of a line."),
+        "camera": ("camera_sim.commands:camera", "Publish the frames of one camera."),
+        "segmenter": ("segmenter.commands:segmenter", "Find and follow tubers in one camera's frames."),
+        "regressor": ("regressor.commands:regressor", "Weigh views; any number, anywhere."),
+        "aggregator": ("aggregator.commands:aggregator", "Count tubers once and keep the ledger."),
+        "viewer": ("viewer.commands:viewer", "Show the line in Rerun: a file or a live hub."),
+        "recorder": ("camera_sim.commands:recorder", "Record a line's frames to MCAP."),
+    },
+    "Recordings": {
+        "info": ("camera_sim.commands:info", "Describe a recording and warn of its traps."),
+        "convert": ("camera_sim.commands:convert", "Convert a recording, lossless."),
+        "recover": ("camera_sim.commands:recover", "Mend an MCAP file whose writer was killed."),
+        "simulate-views": ("camera_sim.commands:simulate_views", "Make single views with known weights, for training."),
+        "segment": ("segmenter.commands:segment", "Segment a recording and draw what was found."),
+        "evaluate-segmentation": ("segmenter.commands:evaluate_segmentation", "Score masks against a recording's own."),
+    },
+    "Model": {
+        "train": ("regressor.commands:train", "Train PointRAFT."),
+        "evaluate": ("regressor.commands:evaluate", "Evaluate weights and baselines on views with known weights."),
+        "import-checkpoint": ("regressor.commands:import_checkpoint", "Take over the authors' checkpoint."),
+    },
+    "Set up": {
+        "config": ("conveyor.cli.config:config", "Check, show or explain a line's configuration."),
+        "topics": ("conveyor.cli.topics:topics", "The table of topics."),
+    },
+}
+
+
+def build_app() -> App:
+    """The command tree, with nothing imported yet."""
+    app = App(
+        name="tuberline",
+        help="Counts and weighs every potato on a harvester's conveyor, from depth cameras.",
+        version=__version__,
+        help_on_error=False,
+    )
+    for order, (title, commands) in enumerate(_GROUPS.items()):
+        group = Group(title, sort_key=order)
+        for name, (target, about) in commands.items():
+            app.command(target, name=name, help=about, group=group)
+    return app
+
+
+def main() -> None:
+    """Entry point: a TuberlineError's text goes to stderr, its exit code to the shell; bugs keep their traceback."""
+    from conveyor.logs import setup_logs
+
+    setup_logs()
+    try:
+        build_app()()
+    except TuberlineError as error:
+        sys.stderr.write(f"tuberline: {error}\n")
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

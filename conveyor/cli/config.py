@@ -1,0 +1,48 @@
+"""`tuberline config`: check, show, schema."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+
+from cyclopts import App
+
+from conveyor.config import LineConfig, dump_toml, load_config
+
+config = App(name="config", help="Check, show or explain a line's configuration.")
+
+
+@config.command
+def check(path: Path, /) -> None:
+    """Say whether a line's TOML file is accepted; every fault is named.
+
+    Parameters
+    ----------
+    path
+        The line's TOML file.
+    """
+    line = load_config(path)
+    cameras = ", ".join(sorted(line.cameras)) or "none"
+    sys.stdout.write(f"{path} is fine: line '{line.name}', cameras {cameras}\n")
+
+
+@config.command
+def show(path: Path | None = None, /, *, json: bool = False) -> None:
+    """Print the effective configuration: the file's settings and every default.
+
+    Parameters
+    ----------
+    path
+        The line's TOML file; without it the defaults alone.
+    json
+        JSON instead of TOML.
+    """
+    line = load_config(path) if path else LineConfig()
+    sys.stdout.write(line.model_dump_json(indent=2) + "\n" if json else dump_toml(line))
+
+
+@config.command
+def schema() -> None:
+    """Print the JSON schema of the configuration, for editors."""
+    sys.stdout.write(json_module.dumps(LineConfig.model_json_schema(), indent=2) + "\n")

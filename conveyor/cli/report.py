@@ -1,0 +1,39 @@
+"""How a finished run is told to a person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from conveyor.cli.live import histogram_lines
+
+
+def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> None:
+    """The load, its histogram, what was lost, and where the files are."""
+    totals = summary["totals"]
+    coverage = totals["coverage"]
+    seen = "unknown" if coverage is None else f"{100 * coverage:.1f} %"
+    table = Table(show_header=False, box=None, padding=(0, 2))
+    table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
+    table.add_row("tubers", f"[bold]{totals['count']}[/]")
+    table.add_row("belt seen", seen)
+    if coverage is not None and coverage < 1:
+        table.add_row(
+            "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
+        )
+    table.add_row(
+        "balance sheet", "[green]balanced[/]" if summary["balanced"] else "[red]DOES NOT BALANCE[/] (tuberline audit)"
+    )
+    console.print(table)
+    for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
+        console.print(line, highlight=False)
+    for name, n in summary.get("restarts", {}).items():
+        console.print(f"[yellow]{name} was restarted {n} times[/]")
+    console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
+
+
+def _range(totals: dict[str, Any], prefix: str) -> str:
+    return f"{totals[f'{prefix}low_g'] / 1000:.3f} to {totals[f'{prefix}high_g'] / 1000:.3f} kg"

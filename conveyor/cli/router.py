@@ -1,0 +1,35 @@
+"""The router of a line."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from pathlib import Path
+
+from conveyor.config import LinkConfig, load_config
+from conveyor.notify import notify
+from conveyor.session import open_router
+
+
+def router(*, config: Path | None = None, listen: str | None = None) -> None:
+    """Route a line's messages until stopped.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file; its link section is used.
+    listen
+        Endpoint to listen on, e.g. tcp/0.0.0.0:7447; instead of a config.
+    """
+    link = load_config(config).link if config else LinkConfig()
+    if listen:
+        link = link.model_copy(update={"listen": (listen,)})
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    with open_router(link):
+        logging.getLogger("router").info("listening on %s", ", ".join(link.listen or (link.router,)))
+        notify("READY=1")
+        while not stop.wait(1.0):
+            notify("WATCHDOG=1")

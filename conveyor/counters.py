@@ -1,0 +1,34 @@
+"""Counts that only grow and levels that move, shared by the threads of one process."""
+
+from __future__ import annotations
+
+import threading
+
+
+class CounterSet:
+    """Thread-safe named counters (monotonic) and gauges (levels)."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._values: dict[str, int] = {}
+        self._gauges: dict[str, float] = {}
+
+    def add(self, name: str, n: int = 1) -> None:
+        """Count `n` more of `name`; n = 0 makes the counter visible before anything happened."""
+        with self._lock:
+            self._values[name] = self._values.get(name, 0) + n
+
+    def gauge(self, name: str, value: float) -> None:
+        """Set the level `name`."""
+        with self._lock:
+            self._gauges[name] = float(value)
+
+    def get(self, name: str) -> int:
+        """The count of `name`, 0 where it never happened."""
+        with self._lock:
+            return self._values.get(name, 0)
+
+    def snapshot(self) -> tuple[dict[str, int], dict[str, float]]:
+        """(counts, levels) at one moment."""
+        with self._lock:
+            return dict(self._values), dict(self._gauges)

@@ -1,0 +1,77 @@
+"""A bounded queue between Zenoh's receiving thread and the thread that works.
+
+Zenoh's own FIFO handler starves every other subscriber of the session once it is full, and its ring does not count what
+it overwrites; this one never blocks the receiving thread and counts every loss.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from conveyor.errors import MessageError
+from conveyor.messages import Message
+
+if TYPE_CHECKING:
+    import zenoh
+
+    from conveyor.counters import CounterSet
+
+M = TypeVar("M", bound=Message)
+
+
+class Inbox(Generic[M]):
+    """Newest `capacity` messages, oldest first. What does not fit pushes the oldest out and is counted."""
+
+    def __init__(
+        self, message_type: type[M], *, name: str, capacity: int, counters: CounterSet, log: logging.Logger
+    ) -> None:
+        self._type = message_type
+        self._name = name
+        self._counters = counters
+        self._log = log
+        self._capacity = capacity
+        self._queue: deque[tuple[str, bytes]] = deque()
+        self._arrived = threading.Condition()
+        for outcome in ("received", "dropped_overwritten", "refused"):
+            counters.add(f"{name}_{outcome}", 0)
+
+    def push(self, sample: zenoh.Sample) -> None:
+        """Zenoh's callback; runs on its receiving thread, so it only copies and queues."""
+        item = (str(sample.key_expr), sample.payload.to_bytes())
+        with self._arrived:
+            overwritten = len(self._queue) >= self._capacity
+            if overwritten:
+                self._queue.popleft()
+            self._queue.append(item)
+            self._arrived.notify()
+        self._counters.add(f"{self._name}_received")
+        if overwritten:
+            self._counters.add(f"{self._name}_dropped_overwritten")
+
+    def get(self, timeout_s: float) -> M | None:
+        """The oldest message, waiting up to `timeout_s`; None if none came. Undecodable ones are counted and logged."""
+        item = self.get_with_key(timeout_s)
+        return item[1] if item else None
+
+    def get_with_key(self, timeout_s: float) -> tuple[str, M] | None:
+        """Like `get`, with the key the message came on."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            with self._arrived:
+                while not self._queue:
+                    left = deadline - time.monotonic()
+                    if left <= 0 or not self._arrived.wait(left):
+                        return None
+                key, data = self._queue.popleft()
+            try:
+                return key, self._type.decode(data)
+            except MessageError as error:
+                self._counters.add(f"{self._name}_refused")
+                self._log.error("refused a message on %s: %s", key, error)
+
+    def __len__(self) -> int:
+        return len(self._queue)

@@ -1,0 +1,84 @@
+"""Kept: the newest value of each key, which late joiners get too."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+import zenoh
+from zenoh import ext
+
+from conveyor.delivery.priorities import zenoh_priority
+from conveyor.errors import MessageError
+from conveyor.messages import Message
+from conveyor.topics import Topic
+
+if TYPE_CHECKING:
+    from conveyor.delivery.endpoint import Endpoint
+
+M = TypeVar("M", bound=Message)
+HEARTBEAT_S = 0.5
+
+
+class KeptPublisher:
+    """Publishes a state; its newest value stays available while this process lives."""
+
+    def __init__(self, node: Endpoint, topic: Topic, **parts: str) -> None:
+        self._publisher = ext.declare_advanced_publisher(
+            node.session,
+            topic.key(node.line, **parts),
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh_priority(topic),
+            cache=ext.CacheConfig(1),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None),
+            publisher_detection=True,
+        )
+
+    def put(self, message: Message) -> None:
+        """Replace the value."""
+        self._publisher.put(message.encode())
+
+
+class KeptSubscriber(Generic[M]):
+    """The newest value of every key that matches; parts may be '*'."""
+
+    def __init__(self, node: Endpoint, topic: Topic, message_type: type[M], **parts: str) -> None:
+        self._type = message_type
+        self._name = topic.name
+        self._counters = node.counters
+        self._log = node.log
+        self._values: dict[str, M] = {}
+        self._changed = threading.Condition()
+        self._version = 0
+        self._seen = 0
+        self._subscriber = ext.declare_advanced_subscriber(
+            node.session,
+            topic.key(node.line, **parts),
+            zenoh.handlers.Callback(self._on_sample, indirect=False),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        )
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        try:
+            message = self._type.decode(sample.payload.to_bytes())
+        except MessageError as error:
+            self._counters.add(f"{self._name}_refused")
+            self._log.error("refused a message on %s: %s", key, error)
+            return
+        with self._changed:
+            self._values[key] = message
+            self._version += 1
+            self._changed.notify_all()
+
+    def latest(self) -> dict[str, M]:
+        """Newest value by key."""
+        with self._changed:
+            self._seen = self._version
+            return dict(self._values)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until something changed since the last `latest()`; False when nothing did."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._version != self._seen, timeout_s)

@@ -1,0 +1,134 @@
+"""The life of a process: session, liveliness token, counters once a second, stop on a signal, stall detection.
+
+with Node("segmenter", "front", config=config, run=run) as node:
+    while not node.stop.is_set():
+        ...
+        node.progress()
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import threading
+import time
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from conveyor import __version__, topics
+from conveyor.config import LineConfig
+from conveyor.counters import CounterSet
+from conveyor.delivery.kept import KeptPublisher
+from conveyor.messages import Counters
+from conveyor.notify import notify
+from conveyor.session import open_client
+from conveyor.topics import check_name
+
+STOP_WITHIN_S = 2.0
+STALL_AFTER_S = 5.0
+
+
+class Node:
+    """One process of a line. Enter it in the main thread: it takes over SIGTERM and SIGINT."""
+
+    def __init__(self, role: str, name: str, *, config: LineConfig, run: str, announce: bool = True) -> None:
+        self.role = role
+        self.name = check_name(name, what=role)
+        self.config = config
+        self.line = config.name
+        self.run = check_name(run, what="run")
+        self.stop = threading.Event()
+        self.counters = CounterSet()
+        self.log = logging.getLogger(f"{role}/{name}")
+        self._announce_now = announce
+        self._token: Any = None
+        self._started = time.monotonic()
+        self._progressed = time.monotonic()
+        self._stalled = False
+        self._reporter: threading.Thread | None = None
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._on_signal)
+        self.session = open_client(self.config.link, name=f"{self.role}/{self.name}")
+        self._counters_out = KeptPublisher(self, topics.COUNTERS, role=self.role, name=self.name)
+        self._reporter = threading.Thread(target=self._report, name="counters", daemon=True)
+        self._reporter.start()
+        if self._announce_now:
+            self.announce()
+        self.log.info("started run=%s pid=%d router=%s", self.run, os.getpid(), self.config.link.router)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop.set()
+        if self._reporter is not None:
+            self._reporter.join()
+        if self._token is not None:
+            self._token.undeclare()
+        self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
+        self.log.info("stopped after %.1f s", time.monotonic() - self._started)
+
+    def announce(self) -> None:
+        """Show the liveliness token: this node is ready for work."""
+        if self._token is None:
+            key = topics.ALIVE.key(self.line, role=self.role, name=self.name)
+            self._token = self.session.liveliness().declare_token(key)
+            notify("READY=1")
+
+    def progress(self) -> None:
+        """Say that the node's loop turns; a loop that does not for 5 s is reported as stalled."""
+        self._progressed = time.monotonic()
+
+    @property
+    def uptime_s(self) -> float:
+        """Seconds since the node was made."""
+        return time.monotonic() - self._started
+
+    def _report(self) -> None:
+        while not self.stop.wait(1.0):
+            self._watch_progress()
+            self._publish_counters()
+        self._publish_counters()
+
+    def _watch_progress(self) -> None:
+        still_s = time.monotonic() - self._progressed
+        if still_s < STALL_AFTER_S:
+            notify("WATCHDOG=1")
+        if (still_s >= STALL_AFTER_S) != self._stalled:
+            self._stalled = not self._stalled
+            if self._stalled:
+                self.counters.add("stalls")
+                self.log.error("no progress for %.1f s", still_s)
+            else:
+                self.log.warning("makes progress again")
+
+    def _publish_counters(self) -> None:
+        values, gauges = self.counters.snapshot()
+        self._counters_out.put(
+            Counters(
+                role=self.role,
+                name=self.name,
+                run=self.run,
+                pid=os.getpid(),
+                host=socket.gethostname(),
+                version=__version__,
+                uptime_s=self.uptime_s,
+                values=values,
+                gauges=gauges,
+                status="stalled" if self._stalled else "ok",
+            )
+        )
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        self.stop.set()
+        guard = threading.Timer(STOP_WITHIN_S, self._give_up, args=(number,))
+        guard.daemon = True
+        guard.start()
+
+    def _give_up(self, number: int) -> None:
+        self.log.error("did not stop within %.0f s of signal %d: leaving without goodbye", STOP_WITHIN_S, number)
+        os._exit(70)

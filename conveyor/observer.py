@@ -1,0 +1,72 @@
+"""Looks at a line without being part of it: no token, no counters of its own, no signal handling."""
+
+from __future__ import annotations
+
+import json
+import logging
+from typing import Any, Self
+
+import zenoh
+
+from conveyor import topics
+from conveyor.config import LinkConfig
+from conveyor.counters import CounterSet
+from conveyor.delivery.kept import KeptSubscriber
+from conveyor.delivery.presence import Presence
+from conveyor.errors import LinkError
+from conveyor.messages import Counters, Totals
+from conveyor.session import open_client
+from conveyor.topics import Topic
+
+
+class Observer:
+    """A session that reads totals, counters and presence of `line`. Use as a context manager."""
+
+    def __init__(self, link: LinkConfig, *, line: str) -> None:
+        self.line = line
+        self.counters = CounterSet()
+        self.log = logging.getLogger("observer")
+        self._link = link
+
+    def __enter__(self) -> Self:
+        self.session = open_client(self._link, name="observer")
+        self._totals = KeptSubscriber(self, topics.TOTALS, Totals)
+        self._counters = KeptSubscriber(self, topics.COUNTERS, Counters, role="*", name="*")
+        self._alive = {role: Presence(self, role) for role in topics.ALIVE.senders}
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
+
+    def totals(self) -> Totals | None:
+        """The line's newest totals."""
+        return next(iter(self._totals.latest().values()), None)
+
+    def wait_totals(self, timeout_s: float) -> bool:
+        """Wait for totals newer than those last read."""
+        return self._totals.wait(timeout_s)
+
+    def nodes(self) -> dict[str, Counters]:
+        """Newest counters by 'role/name'."""
+        return {f"{c.role}/{c.name}": c for c in self._counters.latest().values()}
+
+    def alive(self) -> set[str]:
+        """'role/name' of every node whose token is there."""
+        return {f"{role}/{name}" for role, presence in self._alive.items() for name in presence.names()}
+
+    def query(self, topic: Topic, *, parameters: str = "", timeout_s: float = 3.0) -> Any:
+        """The JSON answer of a queryable of this line.
+
+        Raises:
+            LinkError: nobody answered in time, or the answer is an error.
+        """
+        selector = topic.key(self.line) + (f"?{parameters}" if parameters else "")
+        replies = self.session.get(selector, timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE)
+        for reply in replies:
+            if reply.ok is not None:
+                return json.loads(reply.ok.payload.to_string())
+            if reply.err is not None:
+                raise LinkError(f"{selector}: {reply.err.payload.to_string()}")
+        raise LinkError(
+            f"nobody answered {selector} within {timeout_s:g} s: is the aggregator of line '{self.line}' up?"
+        )

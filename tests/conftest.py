@@ -1,0 +1,75 @@
+"""Fixtures shared by all tests: a real router process, the optional shared data, seeds that are printed."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conveyor.config import LinkConfig
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of shared fixtures and real data; tests that need it are skipped loudly where it is absent."""
+    path = Path(os.environ.get("TUBERLINE_SHARED", ROOT.parent / "shared"))
+    if not (path / "fixtures").is_dir():
+        pytest.skip(f"shared data are not at {path}; set TUBERLINE_SHARED to run this test")
+    return path
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """A seeded generator; the seed is printed so that a failure can be repeated."""
+    seed = int(os.environ.get("TUBERLINE_SEED", "20260106"))
+    sys.stdout.write(f"seed {seed} ({request.node.nodeid}; TUBERLINE_SEED repeats it)\n")
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def free_port() -> int:
+    """A TCP port that was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def link(free_port: int) -> Iterator[LinkConfig]:
+    """The link to a real router process of this test's own."""
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    process = start_router(endpoint)
+    yield LinkConfig(router=endpoint)
+    process.terminate()
+    process.wait(10)
+
+
+def start_router(endpoint: str) -> subprocess.Popen[bytes]:
+    """`tuberline router` as its own process, listening when this returns."""
+    process = subprocess.Popen([sys.executable, "-m", "conveyor", "router", "--listen", endpoint])
+    host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
+
+    def listening() -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex((host, int(port))) == 0
+
+    wait_until(listening, what=f"router at {endpoint}")
+    return process
+
+
+def wait_until(true: Callable[[], object], *, what: str, timeout_s: float = 20.0) -> None:
+    """Poll until `true()`; fails with `what` after the deadline."""
+    deadline = time.monotonic() + timeout_s
+    while not true():
+        if time.monotonic() > deadline:
+            pytest.fail(f"waited {timeout_s:g} s in vain for: {what}")
+        time.sleep(0.02)

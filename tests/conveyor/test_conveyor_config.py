@@ -1,0 +1,79 @@
+"""A config is refused, never corrected, and every fault is named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from conveyor.config import LineConfig, dump_toml, load_config, parse_config
+from conveyor.errors import ConfigError
+
+
+def write(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "line.toml"
+    path.write_text(text)
+    return path
+
+
+def test_defaults_need_no_file() -> None:
+    assert LineConfig().segmenter.views_per_tuber == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[segmenter]\nview_per_tuber = 3", "did you mean 'views_per_tuber'"),
+        ("[segmentor]\nring = 3", "did you mean 'segmenter'"),
+        ("[cameras.front]\nbelt_distance = 0.4", "did you mean 'belt_distance_m'"),
+        ("[segmenter]\nring = 0", "greater than or equal to 1 .got 0"),
+        ('name = "two words"', "two words"),
+        ("[cameras.front]\nbelt_distance_m = 345", "less than or equal to 10 .got 345"),
+        ("name = ", "is not TOML"),
+    ],
+)
+def test_a_fault_is_named_with_its_mend(tmp_path: Path, text: str, said: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+
+
+def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(write(tmp_path, "[segmenter]\nring = 0\ncredit = 1\n[viewers]\n"))
+    assert {"segmenter.ring", "segmenter.credit", "viewers"} <= {
+        line.strip().split(":")[0] for line in str(caught.value).splitlines()[1:]
+    }
+
+
+def test_relative_paths_start_at_the_file(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, '[cameras.front]\npath = "rec"\n[aggregator]\nout = "/abs"'))
+    assert config.camera("front").path == tmp_path / "rec"
+    assert config.aggregator.out == Path("/abs")
+
+
+def test_effective_config_reads_back_equal() -> None:
+    config = parse_config(
+        {"name": "x", "cameras": {"front": {"path": '/a "b"\\c', "speed": 0}}, "viewer": {"rrd": "/x.rrd"}}, where="t"
+    )
+    assert parse_config(tomllib.loads(dump_toml(config)), where="t") == config
+
+
+def test_unknown_camera_lists_the_known() -> None:
+    config = parse_config({"cameras": {"front": {}, "rear": {}}}, where="t")
+    with pytest.raises(ConfigError, match=r"'left'.*front, rear"):
+        config.camera("left")
+
+
+def test_the_command_exits_2_with_one_clear_text(tmp_path: Path) -> None:
+    path = write(tmp_path, "[segmenter]\nview_per_tuber = 3")
+    done = subprocess.run(
+        [sys.executable, "-m", "conveyor", "config", "check", str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "did you mean 'views_per_tuber'" in done.stderr
+    assert "Traceback" not in done.stderr

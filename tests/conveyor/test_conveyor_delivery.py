@@ -1,0 +1,133 @@
+"""The delivery classes over a real router: what is promised holds, what is lost is counted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from conveyor import topics
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.delivery import (
+    KeptPublisher,
+    KeptSubscriber,
+    LatestPublisher,
+    LatestSubscriber,
+    Presence,
+    ReliablePublisher,
+    ReliableSubscriber,
+)
+from conveyor.errors import LinkError
+from conveyor.messages import Committed, FrameProgress, Travel
+from conveyor.node import Node
+from tests.conftest import start_router, wait_until
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.fixture
+def node(link: LinkConfig) -> Iterator[Node]:
+    with Node("segmenter", "front", config=LineConfig(link=link), run="r1") as node:
+        yield node
+
+
+def travel(n: int) -> Travel:
+    return Travel(source="front", run="r1", captured_ns=n, travel_m=n / 10, estimated=False)
+
+
+def test_latest_wins_counts_what_it_overwrites(node: Node) -> None:
+    publisher = LatestPublisher(node, topics.TRAVEL, source="front")
+    subscriber = LatestSubscriber(node, topics.TRAVEL, Travel, capacity=2, source="*")
+    wait_until(lambda: publisher.has_listener, what="matching")
+    for n in range(10):
+        publisher.put(travel(n))
+    wait_until(lambda: node.counters.get("travel_received") == 10, what="ten messages")
+    got = [subscriber.get(1.0), subscriber.get(1.0), subscriber.get(0.01)]
+    assert got == [travel(8), travel(9), None]
+    assert node.counters.get("travel_dropped_overwritten") == 8
+
+
+def test_a_foreign_message_is_refused_and_counted_and_the_next_one_taken(node: Node) -> None:
+    subscriber = LatestSubscriber(node, topics.TRAVEL, Travel, source="*")
+    publisher = LatestPublisher(node, topics.TRAVEL, source="front")
+    wait_until(lambda: publisher.has_listener, what="matching")
+    node.session.put(topics.TRAVEL.key(node.line, source="other"), b"TBL\x07junk")
+    publisher.put(travel(1))
+    assert subscriber.get(5.0) == travel(1)
+    assert node.counters.get("travel_refused") == 1
+
+
+def test_kept_reaches_late_joiners(node: Node) -> None:
+    publisher = KeptPublisher(node, topics.FRAME_PROGRESS, camera="front")
+    for done in range(5):
+        publisher.put(FrameProgress("front", "r1", done, 4))
+    late = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera="*")
+    wait_until(lambda: bool(late.latest()), what="the kept value")
+    assert list(late.latest().values()) == [FrameProgress("front", "r1", 4, 4)]
+
+
+def test_never_lost_survives_a_killed_router(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    router = start_router(endpoint)
+    config = LineConfig(link=LinkConfig(router=endpoint))
+    with (
+        Node("segmenter", "a", config=config, run="r1") as sender,
+        Node("aggregator", "b", config=config, run="r1") as receiver,
+    ):
+        out = ReliablePublisher(sender, topics.COMMITTED, camera="front")
+        into = ReliableSubscriber(receiver, topics.COMMITTED, Committed, camera="*")
+        got: list[int] = []
+        for n in range(60):
+            if n == 20:
+                os.kill(router.pid, signal.SIGKILL)
+                router.wait()
+            if n == 40:
+                router = start_router(endpoint)
+            out.put(Committed("front", "r1", n))
+            time.sleep(0.005)
+        deadline = time.monotonic() + 20
+        while len(got) < 60 and time.monotonic() < deadline:
+            message = into.get(0.2)
+            if message:
+                got.append(message.n)
+        assert got == list(range(60))
+    router.terminate()
+    router.wait(10)
+
+
+def test_presence_follows_tokens(node: Node) -> None:
+    presence = Presence(node, "regressor")
+    with Node("regressor", "r1", config=node.config, run="r1", announce=False) as worker:
+        assert presence.names() == set()
+        worker.announce()
+        wait_until(lambda: presence.names() == {"r1"}, what="the token")
+    wait_until(lambda: presence.names() == set(), what="the token to go")
+
+
+def test_no_router_is_one_clear_error(free_port: int) -> None:
+    config = LineConfig(link=LinkConfig(router=f"tcp/127.0.0.1:{free_port}", connect_timeout_s=0.3))
+    with (
+        pytest.raises(LinkError, match=rf"no router answered at tcp/127.0.0.1:{free_port}.*tuberline router"),
+        Node("camera", "front", config=config, run="r1"),
+    ):
+        pass
+
+
+def test_a_taken_port_is_one_clear_error(link: LinkConfig, tmp_path: Path) -> None:
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-m", "conveyor", "router", "--listen", link.router],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 2
+    assert link.router in done.stderr
+    assert "Traceback" not in done.stderr
