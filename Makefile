@@ -29,7 +29,7 @@ install: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,bags,export,train,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,bags,deploy,export,train,dev]'
 	touch $@
 
 clean:

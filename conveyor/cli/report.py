@@ -37,3 +37,21 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
 
 def _range(totals: dict[str, Any], prefix: str) -> str:
     return f"{totals[f'{prefix}low_g'] / 1000:.3f} to {totals[f'{prefix}high_g'] / 1000:.3f} kg"
+
+
+def print_score(console: Console, score: dict[str, Any]) -> None:
+    """How far a run was from the truth."""
+    table = Table("against the truth", "truth", "counted", "off by")
+    table.add_row("tubers", str(score["true_count"]), str(score["count"]), f"{score['count_error_percent']:+.1f} %")
+    table.add_row(
+        "load",
+        f"{score['true_weight_g'] / 1000:.3f} kg",
+        f"{score['weight_g'] / 1000:.3f} kg",
+        f"{score['weight_error_percent']:+.1f} %",
+    )
+    console.print(table)
+    console.print(
+        f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; "
+        f"per tuber MAE {score['mae_g']:.1f} g, RMSE {score['rmse_g']:.1f} g, bias {score['bias_g']:+.1f} g",
+        highlight=False,
+    )

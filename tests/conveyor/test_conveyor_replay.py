@@ -1,0 +1,71 @@
+"""The parts of `tuberline replay` that need no processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from conveyor.cli.replay import fingerprint, parse_speed, prepare_out, replay_config
+from conveyor.config import LineConfig
+from conveyor.errors import InputError
+from conveyor.processes import line_processes
+
+
+@pytest.mark.parametrize(("text", "factor"), [("max", 0.0), ("real", 1.0), ("2.5", 2.5)])
+def test_speeds(text: str, factor: float) -> None:
+    assert parse_speed(text) == factor
+
+
+@pytest.mark.parametrize("text", ["fast", "0", "-1", "nan", "1e9"])
+def test_other_speeds_are_refused(text: str) -> None:
+    with pytest.raises(InputError, match="real, max or a factor"):
+        parse_speed(text)
+
+
+def test_a_folder_with_a_ledger_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "ledger.db").touch()
+    with pytest.raises(InputError, match="already holds a run"):
+        prepare_out(tmp_path)
+
+
+def test_the_fingerprint_is_the_recordings_and_not_the_truths(tmp_path: Path) -> None:
+    recording = tmp_path / "rec"
+    (recording / "front").mkdir(parents=True)
+    (recording / "front" / "frames.csv").write_text("seq,captured_ns,travel_m\n")
+    before = fingerprint(recording)
+    (recording / "front" / "frames.csv").write_text("seq,captured_ns,travel_n\n")
+    assert fingerprint(recording) != before
+
+
+def test_who_listens_is_started_before_who_speaks(tmp_path: Path) -> None:
+    config = replay_config(
+        tmp_path, ["a", "b"], out=tmp_path, speed=0, weights=None, regressors=2, rrd=tmp_path / "x.rrd", settings=None
+    )
+    names = [spec.name for spec in line_processes(config, config_path=tmp_path / "line.toml", run="r")]
+    assert names == [
+        "router",
+        "aggregator",
+        "viewer",
+        "regressor-r1",
+        "regressor-r2",
+        "segmenter-a",
+        "segmenter-b",
+        "camera-a",
+        "camera-b",
+    ]
+
+
+def test_further_settings_join_the_defaults(tmp_path: Path) -> None:
+    config: LineConfig = replay_config(
+        tmp_path,
+        ["a"],
+        out=tmp_path,
+        speed=1,
+        weights=None,
+        regressors=1,
+        rrd=None,
+        settings={"segmenter": {"views_per_tuber": 5}},
+    )
+    assert config.segmenter.views_per_tuber == 5
+    assert config.segmenter.state_dir == tmp_path / "state"

@@ -1,0 +1,84 @@
+"""The whole graph on recorded frames: real router, cameras, segmenters, two regressors, aggregator, each a process."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.integration.conftest import replay, tuberline
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
+
+
+def summary_of(run_dir: Path) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((run_dir / "summary.json").read_text())
+    return loaded
+
+
+def score_of(run_dir: Path, recording: Path) -> dict[str, Any]:
+    scored: dict[str, Any] = json.loads(
+        tuberline("score", run_dir, "--truth", recording / "truth.json", "--json").stdout
+    )
+    return scored
+
+
+def export_of(run_dir: Path) -> str:
+    return tuberline("ledger", "export", run_dir / "ledger.db", "--canonical").stdout
+
+
+def test_every_tuber_is_counted_once(run_dir: Path, recording: Path) -> None:
+    score = score_of(run_dir, recording)
+    assert (score["missed"], score["double_counted"], score["false"]) == (0, 0, 0)
+    assert score["count"] == score["true_count"] > 10
+
+
+def test_weights_are_near_the_truth(run_dir: Path, recording: Path) -> None:
+    score = score_of(run_dir, recording)
+    assert score["mae_g"] < 20.0
+    assert score["rmse_g"] < 30.0
+    assert abs(score["weight_error_percent"]) < 8.0
+
+
+def test_nothing_is_lost_silently_at_any_hop(run_dir: Path, recording: Path) -> None:
+    summary = summary_of(run_dir)
+    assert summary["balanced"] is True
+    frames_on_disk = {
+        camera: len((recording / camera / "frames.csv").read_text().splitlines()) - 1
+        for camera in ("left", "right")
+        if (recording / camera).is_dir()
+    } or {p.parent.name: len(p.read_text().splitlines()) - 1 for p in recording.glob("*/frames.csv")}
+    for camera, frames in frames_on_disk.items():
+        sheet = summary["cameras"][camera]
+        assert sheet["frames"]["published"] == frames
+        assert sheet["frames"]["received"] == sheet["frames"]["processed"] == frames
+        assert sheet["frames"]["gaps"] == 0
+        views = sheet["views"]
+        assert views["sent"] == views["weighed"] + sum(n for key, n in views.items() if key.startswith("lost_"))
+        assert views["sent"] > 0
+    assert tuberline("audit", run_dir).returncode == 0
+
+
+def test_the_table_of_tubers_is_the_ledger(run_dir: Path) -> None:
+    with (run_dir / "tubers.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    totals = summary_of(run_dir)["totals"]
+    assert len(rows) == totals["count"]
+    assert sum(float(row["weight_g"]) for row in rows) == pytest.approx(totals["weight_g"], rel=1e-4)
+
+
+@pytest.mark.parametrize("options", [("--regressors", "1"), ("--regressors", "3", "--speed", "2")])
+def test_same_recording_same_ledger(run_dir: Path, recording: Path, tmp_path: Path, options: tuple[str, ...]) -> None:
+    replay(recording, tmp_path / "again", *options)
+    assert export_of(tmp_path / "again") == export_of(run_dir)
+
+
+def test_a_second_run_into_the_same_folder_is_refused(run_dir: Path, recording: Path) -> None:
+    before = (run_dir / "summary.json").read_bytes()
+    done = tuberline("replay", recording, "--out", run_dir, check=False)
+    assert done.returncode == 2
+    assert "already holds a run" in done.stderr
+    assert (run_dir / "summary.json").read_bytes() == before
