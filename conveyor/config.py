@@ -34,6 +34,9 @@ class LinkConfig(Section):
     root_ca: Path | None = Field(None, description="TLS: certificate authority of this site (PEM)")
     certificate: Path | None = Field(None, description="TLS: this node's certificate (PEM)")
     private_key: Path | None = Field(None, description="TLS: this node's key (PEM)")
+    certs: Path | None = Field(
+        None, description="TLS: folder from `tuberline certs`, where every process finds its own three files"
+    )
 
 
 class CameraConfig(Section):
@@ -44,7 +47,7 @@ class CameraConfig(Section):
     camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
     speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
     waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
-    window: int = Field(4, ge=1, le=64, description="frames in flight while waiting")
+    window: int = Field(1, ge=1, le=64, description="frames in flight while waiting; more than 1 may lose frames")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
     serial: str | None = Field(None, description="realsense: serial number of the device")
     belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
@@ -103,11 +106,35 @@ class ViewerConfig(Section):
     profile: Literal["light", "remote", "full"] = "remote"
 
 
+class AccessConfig(Section):
+    """Who may connect to this line's router besides its own cameras, segmenters, r1..rN and aggregator.
+
+    Names are those in the certificates; '*' is the certificate that all of a role share. A name taken off the list is
+    locked out when the router starts again.
+    """
+
+    enabled: bool = Field(False, description="each node may do what the topic table says, and nothing else; needs TLS")
+    regressors: tuple[str, ...] = Field((), description="regressors on other machines")
+    viewers: tuple[str, ...] = ("*",)
+    recorders: tuple[str, ...] = ("*",)
+    operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
+    encoders: tuple[str, ...] = ()
+
+    @field_validator("regressors", "viewers", "recorders", "operators", "encoders")
+    @classmethod
+    def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name != "*":
+                _checked_name(name, "node")
+        return names
+
+
 class LineConfig(Section):
     """One line: its name, its link, its cameras and its nodes."""
 
     name: str = "line"
     link: LinkConfig = LinkConfig()
+    access: AccessConfig = AccessConfig()
     cameras: dict[str, CameraConfig] = Field(default_factory=dict)
     segmenter: SegmenterConfig = SegmenterConfig()
     regressor: RegressorConfig = RegressorConfig()
@@ -185,6 +212,7 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
         return sorted(CameraConfig.model_fields)
     sections: dict[str, type[Section]] = {
         "link": LinkConfig,
+        "access": AccessConfig,
         "segmenter": SegmenterConfig,
         "regressor": RegressorConfig,
         "aggregator": AggregatorConfig,

@@ -8,12 +8,19 @@ from __future__ import annotations
 
 import json
 import socket
+from pathlib import Path
 from typing import Any
 
 import zenoh
 
 from conveyor.config import LinkConfig
 from conveyor.errors import LinkError
+from conveyor.identity import own_files
+
+TlsFiles = tuple[Path, Path, Path]
+"""Authority, certificate, key."""
+ENCRYPTED = ("tls/", "quic/")
+"""Endpoints that prove who is at the other end."""
 
 
 def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
@@ -31,15 +38,19 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
         ) from error
 
 
-def open_router(link: LinkConfig) -> zenoh.Session:
+def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = None) -> zenoh.Session:
     """A router session listening on the line's endpoints: the same Rust core as zenohd.
+
+    Args:
+        link: where to listen, and its certificate.
+        access_control: rules as `conveyor.access.access_control` makes them; None lets everybody do everything.
 
     Raises:
         LinkError: the endpoint is taken or cannot be bound.
     """
     endpoints = link.listen or (link.router,)
     try:
-        return zenoh.open(_config(router_settings(link)))
+        return zenoh.open(_config(router_settings(link, access_control=access_control)))
     except zenoh.ZError as error:
         raise LinkError(
             f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is a router running there?"
@@ -57,22 +68,31 @@ def client_settings(link: LinkConfig, *, name: str) -> dict[str, Any]:
         },
         "listen": {"endpoints": []},
         "metadata": {"name": name, "host": socket.gethostname()},
-        **_common(link),
+        **_common(link, _tls_files(link, name)),
     }
 
 
-def router_settings(link: LinkConfig) -> dict[str, Any]:
-    """Zenoh settings of the line's router."""
+def router_settings(
+    link: LinkConfig, *, access_control: dict[str, Any] | None = None, files: TlsFiles | None = None
+) -> dict[str, Any]:
+    """Zenoh settings of the line's router.
+
+    Args:
+        link: where to listen.
+        access_control: rules as `conveyor.access` makes them.
+        files: where the router's certificates will be, unchecked; default: those of `link`, which must exist.
+    """
     return {
         "mode": "router",
         "listen": {"endpoints": list(link.listen or (link.router,))},
         "adminspace": {"enabled": True},
         "metadata": {"name": "router", "host": socket.gethostname()},
-        **_common(link),
+        **({"access_control": access_control} if access_control else {}),
+        **_common(link, files or _tls_files(link, "router")),
     }
 
 
-def _common(link: LinkConfig) -> dict[str, Any]:
+def _common(link: LinkConfig, files: TlsFiles | None) -> dict[str, Any]:
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
         "link": {
@@ -80,8 +100,8 @@ def _common(link: LinkConfig) -> dict[str, Any]:
             "rx": {"buffer_size": 4 << 20, "max_message_size": 128 << 20},
         },
     }
-    if link.root_ca or link.certificate or link.private_key:
-        transport["link"]["tls"] = _tls(link)
+    if files:
+        transport["link"]["tls"] = _tls(files)
     return {
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
@@ -89,17 +109,33 @@ def _common(link: LinkConfig) -> dict[str, Any]:
     }
 
 
-def _tls(link: LinkConfig) -> dict[str, Any]:
-    if not (link.root_ca and link.certificate and link.private_key):
+def _tls_files(link: LinkConfig, name: str) -> TlsFiles | None:
+    """The certificates of the process `name`; None where the link is plain."""
+    endpoints = (link.router, *link.listen)
+    encrypted = any(endpoint.startswith(ENCRYPTED) for endpoint in endpoints)
+    if not (link.certs or link.root_ca or link.certificate or link.private_key):
+        if encrypted:
+            raise LinkError(f"link uses {', '.join(endpoints)}: set link.certs (`tuberline certs make` fills a folder)")
+        return None
+    if not encrypted:
+        raise LinkError(f"link has certificates but link.router is {link.router}, not encrypted: make it tls/HOST:PORT")
+    files = own_files(link.certs, name) if link.certs else (link.root_ca, link.certificate, link.private_key)
+    root_ca, certificate, key = files
+    if not (root_ca and certificate and key):
         raise LinkError(
-            "TLS needs all of link.root_ca, link.certificate and link.private_key; `tuberline certs` makes them"
+            "TLS needs link.certs, or all of link.root_ca, link.certificate and link.private_key; "
+            "`tuberline certs` makes them"
         )
-    for path in (link.root_ca, link.certificate, link.private_key):
+    for path in (root_ca, certificate, key):
         if not path.is_file():
             raise LinkError(f"TLS file {path} does not exist; `tuberline certs` makes one set per node")
-    certificate, key = str(link.certificate), str(link.private_key)
+    return root_ca, certificate, key
+
+
+def _tls(files: TlsFiles) -> dict[str, Any]:
+    root_ca, certificate, key = (str(path) for path in files)
     return {
-        "root_ca_certificate": str(link.root_ca),
+        "root_ca_certificate": root_ca,
         "enable_mtls": True,
         "listen_certificate": certificate,
         "listen_private_key": key,

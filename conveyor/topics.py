@@ -51,6 +51,11 @@ class Topic:
     """Name of the message class in `conveyor.messages`; empty for tokens and queries."""
     about: str
 
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the `<...>` parts of its path."""
+        return tuple(re.findall("<(.*?)>", self.path))
+
     def key(self, line: str, **parts: str) -> str:
         """Key expression of this topic on `line`; each `<part>` of the path must be given (or be '*')."""
         path = self.path

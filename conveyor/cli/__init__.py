@@ -5,7 +5,9 @@ This package is the composition root, the only place that knows the other packag
 
 from __future__ import annotations
 
+import os
 import sys
+import traceback
 
 from cyclopts import App, Group
 
@@ -76,15 +78,32 @@ def main() -> None:
     from conveyor.logs import setup_logs
 
     setup_logs()
+    code = _run()
+    if "zenoh" in sys.modules:
+        # The interpreter's goodbye can wait for ever for a Zenoh thread that wants to call back into it.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def _run() -> int:
+    """Run the command line; returns the exit code."""
     try:
         build_app()()
+    except SystemExit as done:
+        return done.code if isinstance(done.code, int) else int(done.code is not None)
     except TuberlineError as error:
         sys.stderr.write(f"tuberline: {error}\n")
-        sys.exit(error.exit_code)
+        return error.exit_code
     except BrokenPipeError:
-        sys.exit(1)
+        return 1
     except KeyboardInterrupt:
-        sys.exit(130)
+        return 130
+    except Exception:
+        traceback.print_exc()
+        return 1
+    return 0
 
 
 if __name__ == "__main__":

@@ -46,12 +46,13 @@ def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str]) -> Table:
         state = counters.status if name in alive else "gone"
         colour = "green" if state == "ok" else "red"
         did = "  ".join(
-            f"{key.split('_', 1)[-1]} {counters.values[key]}"
+            f"{key.split('_', 1)[-1]} {counters.count(key)}"
             for key in _SHOWN.get(counters.role, ())
-            if key in counters.values
+            if counters.count(key)
         )
+        counted = {**counters.gauges, **counters.values}
         lost = "  ".join(
-            f"{key} {value}" for key, value in sorted(counters.values.items()) if value and any(w in key for w in _LOST)
+            f"{key} {value:g}" for key, value in sorted(counted.items()) if value and any(word in key for word in _LOST)
         )
         table.add_row(
             name, f"[{colour}]{state}[/]", f"{counters.uptime_s:.0f} s", did, f"[yellow]{lost}[/]" if lost else ""

@@ -119,9 +119,9 @@ def replay_recording(
 
 def recording_cameras(recording: Path) -> list[str]:
     """Names of the cameras in a recording of any known format."""
-    from camera_sim.sources import describe_recording
+    from camera_sim.sources import camera_names
 
-    return sorted(camera.name for camera in describe_recording(recording).cameras)
+    return list(camera_names(recording))
 
 
 def prepare_out(out: Path) -> None:
@@ -153,7 +153,8 @@ def replay_config(
         "cameras": {name: {"path": str(recording.resolve()), "speed": speed} for name in cameras},
         "segmenter": {"state_dir": str(out.resolve() / "state")},
         "regressor": {"processes": regressors},
-        "aggregator": {"out": str(out.resolve()), "exit_when_final": True},
+        # A replay waits for everybody, so a silent camera is one that is being restarted: nobody goes on without it.
+        "aggregator": {"out": str(out.resolve()), "exit_when_final": True, "camera_stall_s": 600.0},
     }
     if weights is not None:
         if not weights.is_file():
@@ -200,7 +201,7 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
             supervisor.poll()
             _raise_failures(supervisor)
             nodes = observer.nodes()
-            done = sum(n.values.get("frames_processed", 0) + n.values.get("entries_applied", 0) for n in nodes.values())
+            done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
             if done != last:
                 limit_s = QUIET_LIMIT_S if last >= 0 and done else START_LIMIT_S
                 moved, last = time.monotonic(), done

@@ -7,7 +7,8 @@ import signal
 import threading
 from pathlib import Path
 
-from conveyor.config import LinkConfig, load_config
+from conveyor.access import router_access
+from conveyor.config import LineConfig, load_config
 from conveyor.notify import notify
 from conveyor.session import open_router
 
@@ -18,17 +19,18 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
     Parameters
     ----------
     config
-        The line's TOML file; its link section is used.
+        The line's TOML file; its link section is used, and its access section where that is enabled.
     listen
         Endpoint to listen on, e.g. tcp/0.0.0.0:7447; instead of a config.
     """
-    link = load_config(config).link if config else LinkConfig()
+    line = load_config(config) if config else LineConfig()
+    link = line.link
     if listen:
         link = link.model_copy(update={"listen": (listen,)})
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    with open_router(link):
+    with open_router(link, access_control=router_access(line)):
         logging.getLogger("router").info("listening on %s", ", ".join(link.listen or (link.router,)))
         notify("READY=1")
         while not stop.wait(1.0):

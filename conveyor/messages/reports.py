@@ -61,7 +61,8 @@ class Totals(Message):
 
 @dataclass(frozen=True, slots=True)
 class Counters(Message):
-    """What a node received, did and dropped since it started. `values` are monotonic counts, `gauges` are levels."""
+    """What a node received, did and dropped. `values` only grow while it lives; `gauges` are levels, among them the
+    balance sheet of the run it works on, which starts anew with another run."""
 
     role: str
     name: str
@@ -73,3 +74,7 @@ class Counters(Message):
     values: dict[str, int]
     gauges: dict[str, float]
     status: str = "ok"
+
+    def count(self, name: str) -> int:
+        """The count `name`, wherever it is kept; 0 where it never happened."""
+        return self.values.get(name, int(self.gauges.get(name, 0)))

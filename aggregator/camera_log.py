@@ -1,0 +1,72 @@
+"""One camera's log as the aggregator takes it: entry n only after n - 1, each once, gaps waited for and counted."""
+
+from __future__ import annotations
+
+import zlib
+from array import array
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from conveyor.messages import TrackEntry
+
+WAITING_ENTRIES = 4096
+"""Entries held while an earlier one is missing; what comes beyond is dropped, and sent again by the segmenter."""
+
+
+class Taken(StrEnum):
+    """What became of an entry; the names are the counters'."""
+
+    APPLIED = "entries_applied"
+    DUPLICATE = "entries_duplicate"
+    CONFLICTING = "entries_conflicting"
+    WAITING = "entries_waited"
+    WAITING_FULL = "entries_dropped_waiting_full"
+    OTHER_RUN = "entries_refused_other_run"
+    UNKNOWN_CAMERA = "entries_refused_unknown_camera"
+    MALFORMED = "entries_refused_malformed"
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedEntry:
+    """An entry with its bytes, as it goes into the ledger."""
+
+    entry: TrackEntry
+    payload: bytes
+
+
+@dataclass(slots=True)
+class CameraLog:
+    """The state of one camera's log: `checksums[n - 1]` is entry n's, so its length is how far the log is applied."""
+
+    checksums: array[int] = field(default_factory=lambda: array("I"))
+    waiting: dict[int, LoggedEntry] = field(default_factory=dict)
+
+    @property
+    def applied(self) -> int:
+        """Entries 1 to this number are applied."""
+        return len(self.checksums)
+
+    def take(self, entry: TrackEntry) -> tuple[Taken, list[LoggedEntry]]:
+        """What became of `entry`, and the entries that can be applied now, in order.
+
+        An entry that came before with other contents is a fault of the sender (its log was lost and begun anew); the
+        first one stays.
+        """
+        if entry.n < 1 or (entry.track is None) == (entry.mark is None):
+            return Taken.MALFORMED, []
+        payload = entry.encode()
+        if entry.n <= self.applied:
+            same = self.checksums[entry.n - 1] == zlib.crc32(payload)
+            return (Taken.DUPLICATE if same else Taken.CONFLICTING), []
+        if entry.n in self.waiting:
+            return (Taken.DUPLICATE if self.waiting[entry.n].payload == payload else Taken.CONFLICTING), []
+        if entry.n > self.applied + 1:
+            if len(self.waiting) >= WAITING_ENTRIES:
+                return Taken.WAITING_FULL, []
+            self.waiting[entry.n] = LoggedEntry(entry, payload)
+            return Taken.WAITING, []
+        ready = [LoggedEntry(entry, payload)]
+        while (following := self.waiting.pop(entry.n + len(ready), None)) is not None:
+            ready.append(following)
+        self.checksums.extend(zlib.crc32(logged.payload) for logged in ready)
+        return Taken.APPLIED, ready

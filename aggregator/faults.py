@@ -1,0 +1,38 @@
+"""What SQLite and the machine complain about, as one error that names the ledger, the cause and the mend."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from conveyor.errors import LedgerError
+
+_MENDS = (
+    ("disk is full", "the disk is full; free some space and start again, nothing acknowledged is lost"),
+    ("readonly", "it is read-only; give the user write access to the file and to its folder"),
+    ("unable to open", "it cannot be opened; does its folder exist, and may this user read and write there?"),
+    ("locked", "another process is writing to it; stop that one first"),
+    ("not a database", "it is not an SQLite file, or its header is damaged; `tuberline ledger check` says more"),
+    ("malformed", "its pages are damaged; `tuberline ledger check` lists the damage, `repair` saves what is intact"),
+    ("I/O error", "the disk reports errors; copy the folder to another disk, then `tuberline ledger check`"),
+    ("never changed", "something tried to change a committed row"),
+    ("UNIQUE constraint", "a fact was to be written twice; this is a fault of the program"),
+)
+
+
+DAMAGE = (sqlite3.Error, UnicodeDecodeError)
+"""What SQLite raises on damaged pages: damaged text breaks even its error messages."""
+
+
+@contextmanager
+def explained(path: Path, doing: str) -> Iterator[None]:
+    """Turn an SQLite error inside the block into a LedgerError that says what was being done to `path`."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        mend = next((text for sign, text in _MENDS if sign in str(error)), "see `tuberline ledger check`")
+        raise LedgerError(f"ledger {path} ({doing}): {error}: {mend}") from error
+    except UnicodeDecodeError as error:
+        raise LedgerError(f"ledger {path} ({doing}): its text is damaged; see `tuberline ledger check`") from error

@@ -1,0 +1,81 @@
+"""What a run leaves beside its ledger: summary.json and tubers.csv, each written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from conveyor.errors import LedgerError
+from conveyor.messages import Tuber
+
+COLUMNS = (
+    "id",
+    "place_x_m",
+    "place_y_m",
+    "weight_g",
+    "low_g",
+    "high_g",
+    "length_mm",
+    "width_mm",
+    "height_mm",
+    "cameras",
+    "views",
+    "method",
+    "model",
+    "flags",
+    "crossed_ns",
+)
+
+
+def tubers_csv(tubers: Iterable[Tuber]) -> str:
+    """One row per tuber; lists are joined with blanks."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for tuber in tubers:
+        writer.writerow(
+            (
+                tuber.tuber_id,
+                f"{tuber.place_x_m:.4f}",
+                f"{tuber.place_y_m:.4f}",
+                f"{tuber.weight_g:.2f}",
+                f"{tuber.low_g:.2f}",
+                f"{tuber.high_g:.2f}",
+                f"{tuber.length_mm:.1f}",
+                f"{tuber.width_mm:.1f}",
+                f"{tuber.height_mm:.1f}",
+                " ".join(tuber.cameras),
+                tuber.views,
+                tuber.method,
+                tuber.model,
+                " ".join(tuber.flags),
+                tuber.crossed_ns,
+            )
+        )
+    return text.getvalue()
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Replace `path` with `text`, durably: readers see the old file or the new one, never a part.
+
+    Raises:
+        LedgerError: the disk is full or the folder cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise LedgerError(f"{path} cannot be written: {error.strerror}; free space or mend the rights") from error

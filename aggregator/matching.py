@@ -1,0 +1,20 @@
+"""One-to-one matching of points within a gate."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+
+def one_to_one(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Pairs (row, column) of the cheapest one-to-one matching, rows ascending.
+
+    Args:
+        cost: (n, m) float64; a pair is allowed below 1, and leaving a row and a column alone costs 1.
+    """
+    if cost.size == 0:
+        return []
+    capped = np.minimum(cost, 1.0)
+    rows, columns = linear_sum_assignment(capped)
+    return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < 1.0]

@@ -1,0 +1,211 @@
+"""The aggregator's process: track logs in, acknowledgements, tubers and totals out, around the core and the ledger."""
+
+from __future__ import annotations
+
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from aggregator.camera_log import Taken
+from aggregator.core import Aggregation, Batch
+from aggregator.ledger import Ledger
+from aggregator.queries import Queries
+from aggregator.report import Reporter
+from conveyor import __version__, topics
+from conveyor.config import LineConfig
+from conveyor.delivery.kept import KeptPublisher
+from conveyor.delivery.presence import Presence
+from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
+from conveyor.messages import Committed, TrackEntry
+from conveyor.node import Node
+
+BATCH_ENTRIES = 2000
+"""A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
+
+TOTALS_EVERY_S = 0.5
+COMMITTED_EVERY_S = 1.0
+GOODBYE_S = 2.0
+"""How long the final acknowledgements stay available before the process leaves."""
+
+COUNTED = (
+    *Taken,
+    "tubers_committed",
+    "tubers_merged",
+    "tracks_late",
+    "tracks_late_duplicate",
+    "tracks_repeated",
+    "batches",
+)
+
+
+class AggregatorNode:
+    """One run of a line from its first entry to its summary. Use as a context manager, then `work`."""
+
+    def __init__(self, config: LineConfig, *, run: str, fingerprint: str = "") -> None:
+        self._config = config
+        self._settings = config.aggregator
+        self._run = run
+        self._fingerprint = fingerprint
+        self._stack = ExitStack()
+        self._alive: set[str] = set()
+        self._refused_runs: set[str] = set()
+
+    @property
+    def ledger_path(self) -> Path:
+        """Where the ledger lies."""
+        return self._settings.out / "ledger.db"
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._ledger = stack.enter_context(Ledger(self.ledger_path))
+            restored = self._ledger.open_run(
+                self._run,
+                line=self._config.name,
+                cameras=list(self._config.cameras),
+                version=__version__,
+                started_ns=time.time_ns(),
+                fingerprint=self._fingerprint,
+                may_be_finished=not self._settings.exit_when_final,
+            )
+            self._node = stack.enter_context(
+                Node("aggregator", "aggregator", config=self._config, run=self._run, announce=False)
+            )
+            for name in COUNTED:
+                self._node.counters.add(name, 0)
+            self._core = Aggregation(
+                self._run,
+                cameras=list(self._config.cameras),
+                merge_gate_mm=self._settings.merge_gate_mm,
+                camera_stall_s=self._settings.camera_stall_s,
+                committed=self._ledger.committed(self._run),
+                now_s=time.monotonic(),
+                restored=restored,
+                count=self._node.counters.add,
+            )
+            self._reporter = Reporter(self._ledger, self._core, config=self._config, counters=self._node.counters)
+            self._open_topics()
+            self._stack = stack.pop_all()
+        self._node.announce()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def _open_topics(self) -> None:
+        node = self._node
+        self._totals_out = KeptPublisher(node, topics.TOTALS)
+        self._tubers_out = ReliablePublisher(node, topics.TUBER)
+        self._committed_out = {
+            camera: KeptPublisher(node, topics.COMMITTED, camera=camera) for camera in self._config.cameras
+        }
+        self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
+        self._segmenters = Presence(node, "segmenter")
+        self._acknowledge()
+        self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, camera="*")
+
+    def work(self) -> None:
+        """Until the run is final and may be left, or the process is told to stop; the summary is written either way.
+
+        Raises:
+            LedgerError: the ledger cannot be written; what was not acknowledged is sent again to the next process.
+        """
+        totals_due_s = committed_due_s = 0.0
+        reported = False
+        while not self._node.stop.is_set():
+            self._gather(self._settings.commit_interval_s)
+            self._commit()
+            now_s = time.monotonic()
+            if now_s >= committed_due_s:
+                self._acknowledge()
+                committed_due_s = now_s + COMMITTED_EVERY_S
+            if now_s >= totals_due_s:
+                self._publish_totals(now_s)
+                totals_due_s = now_s + TOTALS_EVERY_S
+            self._node.progress()
+            if self._core.finished and not reported:
+                reported = True
+                self._report(now_s)
+                if self._settings.exit_when_final:
+                    self._leave()
+                    return
+                self._ledger.finish(self._run, self._reporter.summary_text(now_s))
+        if not reported:
+            self._commit()
+            self._report(time.monotonic(), in_haste=True)
+
+    def _gather(self, for_s: float) -> None:
+        """Receive entries for one commit interval."""
+        deadline_s = time.monotonic() + for_s
+        for _ in range(BATCH_ENTRIES):
+            left_s = deadline_s - time.monotonic()
+            entry = self._entries.get(max(left_s, 0.0)) if left_s > 0 else None
+            if entry is None:
+                return
+            self._take(entry)
+
+    def _take(self, entry: TrackEntry) -> None:
+        taken = self._core.receive(entry, now_s=time.monotonic())
+        if taken is Taken.OTHER_RUN and entry.run not in self._refused_runs and len(self._refused_runs) < 100:
+            self._refused_runs.add(entry.run)
+            self._node.log.error("refused entries of run %s from %s: this is %s", entry.run, entry.camera, self._run)
+        elif taken in (Taken.CONFLICTING, Taken.MALFORMED, Taken.UNKNOWN_CAMERA, Taken.WAITING_FULL):
+            self._node.log.error("entry %d of %s: %s", entry.n, entry.camera, taken)
+
+    def _commit(self) -> None:
+        """Make durable what has become certain, then say so."""
+        now_s = time.monotonic()
+        self._watch_presence(now_s)
+        batch = self._core.commit(now_s=now_s)
+        if batch.empty:
+            return
+        self._ledger.write(self._run, batch)
+        self._node.counters.add("batches")
+        self._tell(batch)
+        self._node.counters.gauge("tracks_pending", self._core.pending)
+        self._node.counters.gauge("entries_waiting", self._core.waiting)
+
+    def _tell(self, batch: Batch) -> None:
+        self._acknowledge()
+        for tuber in batch.tubers:
+            self._reporter.add(tuber)
+            self._tubers_out.put(tuber)
+
+    def _acknowledge(self) -> None:
+        for camera, n in self._core.applied().items():
+            self._committed_out[camera].put(Committed(camera=camera, run=self._run, n=n))
+
+    def _watch_presence(self, now_s: float) -> None:
+        alive = self._segmenters.names()
+        for camera in self._core.cameras.names:
+            self._core.cameras.presence(camera, alive=camera in alive, now_s=now_s)
+
+    def _publish_totals(self, now_s: float) -> None:
+        totals = self._reporter.totals(now_s)
+        self._totals_out.put(totals)
+        self._queries.show(totals)
+
+    def _report(self, now_s: float, *, in_haste: bool = False) -> None:
+        """Write summary.json and tubers.csv, and publish the totals as they are now."""
+        if not self._reporter.write(self._settings.out, now_s, in_haste=in_haste):
+            self._node.log.warning("stopped early: tubers.csv left out, `tuberline ledger export` gives every tuber")
+        self._publish_totals(now_s)
+        self._node.log.info("%s", self._reporter.headline(now_s))
+
+    def _leave(self) -> None:
+        """Stay until the segmenters have their last acknowledgement, then mark the run as finished."""
+        deadline_s = time.monotonic() + GOODBYE_S
+        while time.monotonic() < deadline_s and self._segmenters.names() and not self._node.stop.is_set():
+            self._acknowledge()
+            self._node.stop.wait(0.2)
+        self._node.stop.wait(0.3)
+        self._ledger.finish(self._run, self._reporter.summary_text(time.monotonic()))
+
+
+def run_aggregator(config: LineConfig, *, run: str, fingerprint: str = "") -> None:
+    """The aggregator's whole life."""
+    with AggregatorNode(config, run=run, fingerprint=fingerprint) as node:
+        node.work()

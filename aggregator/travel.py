@@ -1,0 +1,64 @@
+"""One travel for all cameras of a line whose belt has no encoder.
+
+Each camera then estimates travel by itself, from its own zero and with its own drift; only the belt is shared. The
+first camera's travel is taken as the line's: a track of another camera gets its place from the moment it crossed, not
+from that camera's estimate. With an encoder every camera reads the same travel and nothing is done.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class TravelCurve:
+    """Samples (time, travel) of one camera, from its marks; `closed` when no further ones are waited for."""
+
+    times_ns: list[int] = field(default_factory=list)
+    travels_m: list[float] = field(default_factory=list)
+    closed: bool = False
+
+    def add(self, captured_ns: int, travel_m: float) -> None:
+        """Append a sample; marks come in order, an equal or older time changes nothing."""
+        if not self.times_ns or captured_ns > self.times_ns[-1]:
+            self.times_ns.append(captured_ns)
+            self.travels_m.append(travel_m)
+
+    def at(self, t_ns: int) -> float:
+        """Travel at `t_ns`, metres, linear between samples and beyond them; there must be one."""
+        if len(self.times_ns) == 1:
+            return self.travels_m[0]
+        right = min(max(bisect_right(self.times_ns, t_ns), 1), len(self.times_ns) - 1)
+        t0, t1 = self.times_ns[right - 1], self.times_ns[right]
+        x0, x1 = self.travels_m[right - 1], self.travels_m[right]
+        return x0 + (x1 - x0) * ((t_ns - t0) / (t1 - t0))
+
+    def reaches(self, t_ns: int) -> bool:
+        """`t_ns` lies within the samples, or nothing more will come."""
+        return bool(self.times_ns) and (self.closed or t_ns <= self.times_ns[-1])
+
+
+def common_travel_m(
+    curves: Mapping[str, TravelCurve], *, reference: str, camera: str, t_ns: int, own_travel_m: float
+) -> float | None:
+    """The line's travel at `t_ns`, metres, or None while the reference has not come that far.
+
+    Outside the reference's samples (it started later or ended earlier) the camera's own travel goes on from there.
+    """
+    if camera == reference:
+        return own_travel_m
+    line = curves[reference]
+    if not line.times_ns:
+        return own_travel_m if line.closed else None
+    first_ns, last_ns = line.times_ns[0], line.times_ns[-1]
+    if first_ns <= t_ns <= last_ns:
+        return line.at(t_ns)
+    if t_ns > last_ns and not line.closed:
+        return None
+    anchor_ns = first_ns if t_ns < first_ns else last_ns
+    own = curves[camera]
+    if not own.times_ns or not own.reaches(anchor_ns):
+        return None if not own.closed else line.at(t_ns)
+    return line.at(anchor_ns) + own_travel_m - own.at(anchor_ns)

@@ -1,0 +1,68 @@
+"""truth.json: what really passed. Only `tuberline score` ever reads it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from conveyor.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class TrueTuber:
+    """One tuber that passed: its place on the belt (metres), weight and longest axis."""
+
+    name: str
+    place_x_m: float
+    place_y_m: float
+    weight_g: float
+    length_mm: float
+
+
+def read_truth(path: Path) -> list[TrueTuber]:
+    """The tubers of `path`, in its order; further keys are allowed.
+
+    Raises:
+        InputError: no such file, not JSON, or a key is missing or of the wrong kind; the text names it.
+    """
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"truth {path} cannot be read: {error.strerror or error}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"truth {path} is not JSON: {error}") from error
+    if not isinstance(raw, dict) or not isinstance(raw.get("tubers"), list):
+        raise InputError(f"truth {path} has no list 'tubers'; see docs/formats.md")
+    tubers = [_tuber(item, path, at) for at, item in enumerate(raw["tubers"])]
+    names = {tuber.name for tuber in tubers}
+    if len(names) < len(tubers):
+        raise InputError(f"truth {path} has {len(tubers)} tubers, but only {len(names)} different 'id'")
+    return tubers
+
+
+def _tuber(item: Any, path: Path, at: int) -> TrueTuber:
+    where = f"truth {path}, tubers[{at}]"
+    if not isinstance(item, dict):
+        raise InputError(f"{where} is {type(item).__name__}, not an object")
+    if not isinstance(item.get("id"), str | int):
+        raise InputError(f"{where} needs 'id', a text or a whole number; got {item.get('id')!r}")
+    return TrueTuber(
+        name=str(item["id"]),
+        place_x_m=_number(item, "place_x_m", where),
+        place_y_m=_number(item, "place_y_m", where),
+        weight_g=_number(item, "weight_g", where, least=0.0),
+        length_mm=_number(item, "length_mm", where, least=0.0, default=0.0),
+    )
+
+
+def _number(
+    item: dict[str, Any], key: str, where: str, *, least: float = -math.inf, default: float | None = None
+) -> float:
+    value = item.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < least:
+        bound = f" of at least {least:g}" if math.isfinite(least) else ""
+        raise InputError(f"{where} needs '{key}', a number{bound}; got {value!r}")
+    return float(value)

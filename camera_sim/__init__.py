@@ -1,0 +1,1 @@
+"""Sources of frames: recordings, live cameras and a simulator with truth; and the recorder."""

@@ -1,0 +1,37 @@
+"""The source that a line's config names for a camera."""
+
+from __future__ import annotations
+
+from camera_sim.sources import Source, camera_names, open_source
+from conveyor.config import LineConfig
+from conveyor.errors import ConfigError
+
+
+def configured_source(config: LineConfig, camera: str) -> Source:
+    """The source of `camera`, named as the line names it.
+
+    Raises:
+        ConfigError: the camera's section contradicts itself.
+        InputError: the recording or device cannot be used.
+    """
+    settings = config.camera(camera)
+    if settings.source == "realsense":
+        if settings.path is not None:
+            raise ConfigError(
+                f"cameras.{camera}: source 'realsense' takes no path ({settings.path}); remove one of both"
+            )
+        from camera_sim.sources.realsense import RealSenseSource
+
+        return RealSenseSource.connect(camera, settings)
+    if settings.path is None:
+        raise ConfigError(f"cameras.{camera}: a recording needs its path, e.g. path = 'recordings/monday.mcap'")
+    wanted = settings.camera
+    if wanted is None and camera in camera_names(settings.path):
+        wanted = camera
+    return open_source(
+        settings.path,
+        camera=wanted,
+        name=camera,
+        belt_distance_m=settings.belt_distance_m,
+        depth_scale_m=settings.depth_scale_m,
+    )

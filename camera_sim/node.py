@@ -1,0 +1,210 @@
+"""The camera's process: frames of one source onto the line, at their pace and, for a replay, without losing any."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from typing import Literal
+
+from camera_sim.flow import Pace, SendWindow
+from camera_sim.sources import Refused, Source
+from conveyor import topics
+from conveyor.config import CameraConfig, LineConfig
+from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestPublisher
+from conveyor.errors import TuberlineError
+from conveyor.messages import CameraInfo, Frame, FrameProgress
+from conveyor.node import Node
+
+INFO_EVERY_S = 0.5
+STALL_AFTER_S = 10.0
+POLL_S = 0.05
+
+
+class CameraNode:
+    """The shell: sockets and clocks around a source.
+
+    With `waits` it starts when a segmenter is there, keeps at most `window` frames in flight, sends them again when
+    nothing moves, and never gives up. Only a window of 1 loses nothing whatever the link drops: a segmenter cannot tell
+    a frame that was lost before its successor from a gap in the recording. Without it nobody is waited for.
+    """
+
+    def __init__(self, config: LineConfig, camera: str, run: str, source: Source) -> None:
+        self._settings: CameraConfig = config.camera(camera)
+        self._source = source
+        self._waits = self._settings.waits and not source.description.live
+        self._node = Node("camera", camera, config=config, run=run)
+        self._window = SendWindow(self._settings.window)
+        self._pace = Pace(0.0 if source.description.live else self._settings.speed)
+        self._refused: Counter[str] = Counter()
+        self._first: int | None = None
+        self._last: int | None = None
+        self._published = 0
+        self._info_s = -INFO_EVERY_S
+        self._stalled = False
+        self._done_seq = -1
+        self._back_to: int | None = None
+
+    def run(self) -> None:
+        """Publish everything, say that it ended, stay until stopped."""
+        with self._node as node:
+            self._frames = LatestPublisher(node, topics.FRAME, camera=node.name)
+            self._infos = KeptPublisher(node, topics.CAMERA_INFO, camera=node.name)
+            self._progress = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera=node.name)
+            for counter in ("frames_published", "frames_resent", "frames_refused", "segmenter_stalls", "went_back"):
+                node.counters.add(counter, 0)
+            self._tell("starting")
+            try:
+                self._publish_all()
+            except TuberlineError as error:
+                self._tell("failed", error=str(error))
+                raise
+
+    def _publish_all(self) -> None:
+        """Publish everything, say that it ended, stay until stopped; go back where the segmenter has to start again."""
+        after = self._done_before()
+        while not self._node.stop.is_set():
+            self._publish_after(after)
+            if self._back_to is None:
+                self._tell("ended")
+                self._node.log.info("ended after frame %s: %d published", self._last, self._published)
+                self._stay()
+            if self._back_to is not None:
+                after, self._back_to = self._back_to, None
+                self._go_back(after)
+
+    def _publish_after(self, after: int) -> None:
+        """All frames above `after`, until none is in flight any more or the segmenter starts again."""
+        for item in self._source.frames(run=self._node.run, after=after):
+            if isinstance(item, Refused):
+                self._refuse(item)
+            else:
+                self._wait_for_turn(item)
+                if self._interrupted:
+                    return
+                self._publish(item)
+        while self._waits and self._window.in_flight and not self._interrupted:
+            self._wait_for_progress()
+
+    @property
+    def _interrupted(self) -> bool:
+        return self._node.stop.is_set() or self._back_to is not None
+
+    def _stay(self) -> None:
+        """Late joiners get the info while this process lives; a segmenter that starts again gets the frames again."""
+        while not self._interrupted:
+            if self._waits:
+                self._wait_for_progress()
+            else:
+                self._node.stop.wait(0.5)
+                self._node.progress()
+
+    def _go_back(self, after: int) -> None:
+        self._window = SendWindow(self._settings.window)
+        self._pace = Pace(self._settings.speed)
+        self._done_seq = after
+        self._node.counters.add("went_back")
+        self._node.log.warning("the segmenter started again: going back to frame %d", after + 1)
+
+    def _done_before(self) -> int:
+        """Wait for the segmenter; the newest frame it has done already where this process was restarted, else -1."""
+        while self._waits and not self._node.stop.is_set():
+            for progress in self._progress.latest().values():
+                self._done_seq = progress.done_seq if progress.run == self._node.run else -1
+                return self._done_seq
+            self._progress.wait(POLL_S)
+            self._node.progress()
+        return -1
+
+    def _wait_for_turn(self, frame: Frame) -> None:
+        due_s = self._pace.due_s(frame.captured_ns, time.monotonic())
+        while not self._interrupted:
+            left_s = due_s - time.monotonic()
+            if left_s > 0:
+                self._node.stop.wait(min(left_s, POLL_S))
+                self._node.progress()
+            elif self._waits and not self._window.has_room:
+                self._wait_for_progress()
+            else:
+                return
+
+    def _wait_for_progress(self) -> None:
+        """Wait a little for the segmenter's word, take it, and send again what seems lost."""
+        self._progress.wait(POLL_S)
+        now_s = time.monotonic()
+        for progress in self._progress.latest().values():
+            if progress.run == self._node.run:
+                if progress.done_seq < self._done_seq:
+                    self._back_to = progress.done_seq
+                    return
+                self._done_seq = progress.done_seq
+                self._window.done(progress.done_seq, now_s)
+        for frame in self._window.to_resend(now_s):
+            self._frames.put(frame, codec=self._settings.compress)
+            self._node.counters.add("frames_resent")
+        self._watch_stall(now_s)
+        self._node.progress()
+
+    def _watch_stall(self, now_s: float) -> None:
+        still_s = self._window.still_s(now_s)
+        self._node.counters.gauge("waiting_for_segmenter_s", still_s)
+        if (still_s >= STALL_AFTER_S) != self._stalled:
+            self._stalled = not self._stalled
+            if self._stalled:
+                self._node.counters.add("segmenter_stalls")
+                self._node.log.warning("no progress from the segmenter for %.0f s; frames wait, none is lost", still_s)
+
+    def _publish(self, frame: Frame) -> None:
+        self._frames.put(frame, codec=self._settings.compress)
+        now_s = time.monotonic()
+        if self._waits:
+            self._window.sent(frame, now_s)
+        if self._last is None or frame.seq > self._last:
+            self._published += 1
+            self._node.counters.add("frames_published")
+        else:
+            self._node.counters.add("frames_resent")
+        self._note(frame.seq)
+        self._node.progress()
+        if now_s - self._info_s >= INFO_EVERY_S:
+            self._tell("streaming")
+
+    def _refuse(self, refused: Refused) -> None:
+        if self._last is not None and refused.seq <= self._last:
+            return
+        self._note(refused.seq)
+        self._node.log.error("refused %s", refused.text)
+        self._refused[refused.reason] += 1
+        self._node.counters.add("frames_refused")
+        self._node.counters.add(f"frames_refused_{refused.reason}")
+
+    def _note(self, seq: int) -> None:
+        self._first = seq if self._first is None else min(self._first, seq)
+        self._last = seq if self._last is None else max(self._last, seq)
+
+    def _tell(self, state: Literal["starting", "streaming", "ended", "failed"], *, error: str = "") -> None:
+        self._info_s = time.monotonic()
+        d = self._source.description
+        self._infos.put(
+            CameraInfo(
+                camera=self._node.name,
+                run=self._node.run,
+                state=state,
+                source=d.origin,
+                fps=d.fps,
+                waits=self._waits,
+                intrinsics=d.intrinsics,
+                depth_scale_m=d.depth_scale_m,
+                first_seq=self._first,
+                last_seq=self._last,
+                published=self._published,
+                refused=dict(self._refused),
+                error=error,
+            )
+        )
+
+
+def run_camera(config: LineConfig, camera: str, run: str) -> None:
+    """The `camera` command's work: open the configured source and publish it."""
+    from camera_sim.configured import configured_source
+
+    CameraNode(config, camera, run, configured_source(config, camera)).run()

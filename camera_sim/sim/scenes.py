@@ -1,0 +1,160 @@
+"""Scenes by name, from a few settings to a world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+
+from camera_sim.sim.belt import draw_belt
+from camera_sim.sim.distractors import draw_distractor
+from camera_sim.sim.meshes import Vertices
+from camera_sim.sim.motion import Profile, plan_motion
+from camera_sim.sim.optics import D405_848, Optics
+from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING, Lane, Packing
+from camera_sim.sim.poses import free_rotation, rest_on_belt
+from camera_sim.sim.presets import Preset, initial_rotation
+from camera_sim.sim.tubers import Tuber, draw_tuber
+from camera_sim.sim.world import Body, CameraPose, World, mount
+from conveyor.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a named scene is made of.
+
+    Attributes:
+        lanes_m: stretches across the belt that carry tubers, as (low, high) in units of a camera's view across.
+        distractors: per tuber.
+        cameras: (name, x, y) of each, x in metres along the belt, y in units of a camera's view across.
+        tilt_deg: of every camera about its u and v axes.
+        dropped: share of frames that are missing, singly and in bursts.
+    """
+
+    packing: Packing
+    lanes_m: tuple[tuple[float, float], ...] = ((-0.36, 0.36),)
+    distractors: float = 0.0
+    cameras: tuple[tuple[str, float, float], ...] = (("front", 0.0, 0.0),)
+    profile: Profile = "constant"
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    dropped: float = 0.0
+
+
+SCENES: dict[str, Layout] = {
+    "singulated": Layout(SINGULATED),
+    "touching": Layout(TOUCHING),
+    "crowded": Layout(CROWDED),
+    "distractors": Layout(TOUCHING, distractors=0.5),
+    "two-cameras": Layout(TOUCHING, lanes_m=((-0.68, 0.68),), cameras=(("left", 0.0, -0.33), ("right", 0.06, 0.33))),
+    "two-lane": Layout(SINGULATED, lanes_m=((-0.38, -0.06), (0.06, 0.38))),
+    "dropped-frames": Layout(TOUCHING, dropped=0.12),
+    "stop-and-go": Layout(TOUCHING, profile="stop-and-go"),
+    "changing-speed": Layout(TOUCHING, profile="changing"),
+    "tilted": Layout(TOUCHING, tilt_deg=(3.0, -2.0)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSettings:
+    """What the user chooses."""
+
+    scene: str
+    seed: int
+    tubers: int
+    preset: Preset
+    optics: Optics = D405_848
+    fps: float = 30.0
+    speed_mps: float = 0.31
+    belt_distance_m: float = 0.46
+    unit_m: float = 0.001
+    given_travel: bool = True
+
+
+def layout_named(name: str) -> Layout:
+    """The layout of the scene `name`, or an error that lists them."""
+    if name not in SCENES:
+        raise InputError(f"scene '{name}' is unknown; known: {', '.join(SCENES)}")
+    return SCENES[name]
+
+
+def build_world(settings: SceneSettings, layout: Layout) -> World:
+    """The world of `settings`: the first tuber enters the view after the start, the last one leaves before the end."""
+    rng = np.random.default_rng([settings.seed, 10])
+    cameras = _cameras(settings, layout, rng)
+    k = settings.optics.intrinsics
+    lead_m = 0.5 * settings.belt_distance_m * k.height / k.fy + 0.03
+    bodies, rear_m = _bodies(settings, layout, rng, start_m=-lead_m)
+    last_x = max(x for _, x, _ in layout.cameras)
+    motion = plan_motion(
+        rng, travel_m=lead_m + last_x - rear_m + 0.02, speed_mps=settings.speed_mps, profile=layout.profile
+    )
+    belt = draw_belt(rng, soil_m=0.0012 if settings.preset.name == "easy" else 0.002)
+    return World(bodies, belt, motion, cameras)
+
+
+def _across_m(settings: SceneSettings) -> float:
+    k = settings.optics.intrinsics
+    return settings.belt_distance_m * k.width / k.fx
+
+
+def _cameras(settings: SceneSettings, layout: Layout, rng: Generator) -> tuple[CameraPose, ...]:
+    across = _across_m(settings)
+    poses = []
+    for n, (name, x_m, y) in enumerate(layout.cameras):
+        error_m = settings.preset.belt_error_session_m * float(np.clip(rng.standard_normal(), -2, 2))
+        true = mount(settings.belt_distance_m, x_m=x_m, y_m=y * across, tilt_deg=layout.tilt_deg)
+        believed = true.copy()
+        believed[:3, 3] -= true[:3, 2] * error_m
+        poses.append(CameraPose(name, settings.optics, settings.fps, true, believed, n * 0.37 / settings.fps))
+    return tuple(poses)
+
+
+def _bodies(
+    settings: SceneSettings, layout: Layout, rng: Generator, *, start_m: float
+) -> tuple[tuple[Body, ...], float]:
+    across = _across_m(settings)
+    lanes = [Lane(low * across, high * across, packing=layout.packing, start_m=start_m) for low, high in layout.lanes_m]
+    tubers: list[Body] = []
+    others: list[Body] = []
+    extra = 0.0
+    while len(tubers) < settings.tubers:
+        tuber = draw_tuber(rng, level=3)
+        points = rest_on_belt(tuber.vertices, initial_rotation(tuber.vertices, settings.preset, rng))
+        placed = _put(points, lanes, rng)
+        if placed is None:
+            raise InputError(
+                f"a tuber {tuber.axes_mm[0]:.0f} mm long does not fit on the belt: raise --belt-distance-m"
+            )
+        tubers.append(Body(len(tubers) + 1, "tuber", placed, tuber.faces, tuber))
+        extra += layout.distractors
+        while extra >= 1:
+            extra -= 1
+            kind, (vertices, faces) = draw_distractor(rng)
+            placed = _put(_lie(kind, vertices, rng), lanes, rng)
+            if placed is not None:
+                others.append(Body(0, kind, placed, faces, None))
+    numbered = [replace(body, body_id=len(tubers) + n + 1) for n, body in enumerate(others)]
+    return tuple(tubers + numbered), min(lane.rear_m for lane in lanes)
+
+
+def _put(points: Vertices, lanes: list[Lane], rng: Generator) -> Vertices | None:
+    """The body moved to its place in the lane that is filled least."""
+    moved = max(lanes, key=lambda lane: lane.rear_m).add(points, rng)
+    return None if moved is None else points + np.array([moved[0], moved[1], 0.0])
+
+
+def _lie(kind: str, vertices: Vertices, rng: Generator) -> Vertices:
+    """Clods and stones lie anyhow, stalks and leaves flat."""
+    if kind in ("clod", "stone"):
+        return rest_on_belt(vertices, free_rotation(rng))
+    angle = rng.uniform(0, 2 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    return rest_on_belt(vertices, turn)
+
+
+def tuber_of(body: Body) -> Tuber:
+    """The tuber that `body` is."""
+    if body.tuber is None:
+        raise ValueError(f"body {body.body_id} is a {body.kind}")
+    return body.tuber

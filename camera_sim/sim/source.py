@@ -1,0 +1,180 @@
+"""A simulated camera as a source of frames, and the recording of a whole simulated line with its truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camera_sim.sim.paint import paint_jpeg
+from camera_sim.sim.raster import Canvas
+from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
+from camera_sim.sim.stereo import NoiseBank, measure
+from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
+from camera_sim.sources.base import CameraDescription, Refused
+from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
+from conveyor.messages import Frame
+
+EPOCH_NS = 1_760_000_000_000_000_000
+"""Capture time of every simulated belt's start: recordings of one seed are equal, whenever they are made."""
+
+
+class SimulatedSource:
+    """One camera over a simulated world. Frame n is the same whatever was rendered before it."""
+
+    def __init__(
+        self,
+        world: World,
+        camera: CameraPose,
+        settings: SceneSettings,
+        *,
+        layout: Layout,
+        index: int = 0,
+        masks: bool = False,
+        color: bool = False,
+    ) -> None:
+        self._world = world
+        self._camera = camera
+        self._settings = settings
+        self._masks = masks
+        self._color = color
+        self._key = (settings.seed, 20 + index)
+        count = int((world.motion.duration_s - camera.phase_s) * camera.fps)
+        self._missing = _missing_frames(np.random.default_rng([*self._key, 0]), count, layout.dropped)
+        self._count = count
+        self._bank: NoiseBank | None = None
+
+    @property
+    def description(self) -> CameraDescription:
+        """As the system believes the camera to be: its belt distance has the preset's error."""
+        believed = self._camera.believed_belt_from_camera
+        distance_m = round(belt_distance_m(believed), 6)
+        plain = np.allclose(believed, straight_down_belt_from_camera(distance_m), atol=1e-6)
+        return CameraDescription(
+            name=self._camera.name,
+            origin=f"simulated scene '{self._settings.scene}', seed {self._settings.seed}",
+            intrinsics=self._camera.optics.intrinsics,
+            depth_scale_m=self._settings.unit_m,
+            belt_distance_m=distance_m,
+            belt_from_camera=None if plain else believed,
+            fps=self._camera.fps,
+            frames=self._count - len(self._missing),
+        )
+
+    def time_s(self, seq: int) -> float:
+        """Capture time of frame `seq` after the belt's start, seconds."""
+        return self._camera.phase_s + seq / self._camera.fps
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """All frames but the dropped ones, in order."""
+        for seq in range(after + 1, self._count):
+            if seq not in self._missing:
+                yield self.frame(seq, run=run)
+
+    def frame(self, seq: int, *, run: str) -> Frame:
+        """Frame `seq`."""
+        settings, k = self._settings, self._camera.optics.intrinsics
+        if self._bank is None:
+            self._bank = NoiseBank(np.random.default_rng([*self._key, 1]), height=k.height, width=k.width)
+        travel = self._world.motion.travel_at(self.time_s(seq))
+        canvas = render(self._world, self._camera, travel)
+        rng = np.random.default_rng([*self._key, 2, seq])
+        depth = measure(
+            (1 / canvas.inverse_depth).astype(np.float32),
+            focal_px=k.fx,
+            unit_m=settings.unit_m,
+            noise=settings.preset.noise,
+            bank=self._bank,
+            rng=rng,
+        )
+        d = self.description
+        return Frame(
+            camera=d.name,
+            run=run,
+            seq=seq,
+            captured_ns=EPOCH_NS + round(self.time_s(seq) * 1e9),
+            travel_m=round(travel, 5) if settings.given_travel else None,
+            depth_scale_m=settings.unit_m,
+            intrinsics=k,
+            belt_distance_m=d.belt_distance_m,
+            depth=depth,
+            belt_from_camera=d.belt_from_camera,
+            mask=self._tuber_labels(canvas) if self._masks else None,
+            color_jpeg=paint_jpeg(canvas, self._world, rng) if self._color else None,
+        )
+
+    def _tuber_labels(self, canvas: Canvas) -> NDArray[np.uint16]:
+        """(h, w) ids of the tubers seen; distractors and belt are 0."""
+        tubers = sum(body.kind == "tuber" for body in self._world.bodies)
+        return np.where(canvas.ids <= tubers, canvas.ids, 0).astype(np.uint16)
+
+
+def simulated_sources(
+    world: World, settings: SceneSettings, layout: Layout, *, masks: bool = False, color: bool = False
+) -> list[SimulatedSource]:
+    """A source for each camera of the world."""
+    return [
+        SimulatedSource(world, camera, settings, layout=layout, index=n, masks=masks, color=color)
+        for n, camera in enumerate(world.cameras)
+    ]
+
+
+def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
+    """truth.json: the tubers whose centre crosses the centre row of a camera that sees it, while it records."""
+    tubers = []
+    for body in world.bodies:
+        if body.kind != "tuber":
+            continue
+        seen = [
+            camera.name
+            for camera, source in zip(world.cameras, sources, strict=True)
+            if _crosses(world, camera, source, body)
+        ]
+        if seen:
+            tubers.append(_truth_row(body, seen))
+    distractors = [body.kind for body in world.bodies if body.kind != "tuber"]
+    return {
+        "tubers": tubers,
+        "distractors": len(distractors),
+        "distractor_kinds": {kind: distractors.count(kind) for kind in sorted(set(distractors))},
+        "travel_m": world.motion.travel_at(world.motion.duration_s),
+    }
+
+
+def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Body) -> bool:
+    at = crossing_travel_m(body, camera)
+    if at is None:
+        return False
+    numbers = [seq for seq in range(source._count) if seq not in source._missing]
+    first, last = (world.motion.travel_at(source.time_s(seq)) for seq in (numbers[0], numbers[-1]))
+    return first <= at <= last
+
+
+def _truth_row(body: Body, cameras: list[str]) -> dict[str, Any]:
+    tuber, place = tuber_of(body), body.place
+    length, width, height = tuber.axes_mm
+    return {
+        "id": body.body_id,
+        "weight_g": round(tuber.weight_g, 2),
+        "volume_ml": round(tuber.volume_ml, 2),
+        "length_mm": round(length, 2),
+        "width_mm": round(width, 2),
+        "height_mm": round(height, 2),
+        "place_x_m": round(float(place[0]), 5),
+        "place_y_m": round(float(place[1]), 5),
+        "top_mm": round(float(body.vertices[:, 2].max()) * 1000, 2),
+        "cultivar": tuber.stock.cultivar,
+        "season": tuber.stock.season,
+        "cameras": cameras,
+    }
+
+
+def _missing_frames(rng: np.random.Generator, count: int, share: float) -> frozenset[int]:
+    """Frame numbers that never arrive: half of them alone, half in bursts of five; never the first or the last."""
+    missing: set[int] = set()
+    while len(missing) < share * count:
+        start = int(rng.integers(1, max(2, count - 6)))
+        missing |= set(range(start, start + (5 if rng.random() < 1 / 6 else 1)))
+    return frozenset(missing)

@@ -1,0 +1,126 @@
+"""One tuber as a closed mesh: fuller than an ellipsoid, bumpy, bent, tapered, some with second growth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from camera_sim.sim.cultivars import Recipe, Stock, draw_recipe
+from camera_sim.sim.meshes import Faces, Vertices, icosphere, volume
+
+LEVEL = 4
+FULLNESS = (1.6, 3.2)
+"""Allowed superellipsoid exponents: 2 is an ellipsoid, above 3.2 outlines look like boxes, below 1.6 like kites."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tuber:
+    """A tuber lying nowhere yet.
+
+    Attributes:
+        vertices: (V, 3) metres, its own frame: axes along x >= y >= z, bounding box centred on the origin.
+        faces: (F, 3) outward.
+        axes_mm: sorted caliper axes, the sides of that box.
+        volume_ml, weight_g: of the mesh, and times the density drawn for it.
+    """
+
+    vertices: Vertices
+    faces: Faces
+    axes_mm: tuple[float, float, float]
+    volume_ml: float
+    weight_g: float
+    stock: Stock
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """Everything about a shape but its fullness: all of it is drawn once, then fullness is solved for."""
+
+    relief: NDArray[np.float64]
+    lobes: NDArray[np.float64]
+    bend: float
+    bend_side: float
+    taper: float
+
+
+def draw_tuber(rng: Generator, *, level: int = LEVEL) -> Tuber:
+    """A tuber from the real distributions, its fullness solved so that the mesh has the drawn volume.
+
+    Where no allowed fullness reaches that volume the nearest one is taken and all axes are scaled alike.
+    """
+    return grow(draw_recipe(rng), rng, level=level)
+
+
+def grow(recipe: Recipe, rng: Generator, *, level: int = LEVEL) -> Tuber:
+    """The mesh of `recipe`; `rng` decides on everything the recipe leaves open."""
+    directions, faces = icosphere(level)
+    form = _draw_form(recipe, rng, directions)
+    half_m = np.asarray(recipe.axes_mm) / 2000
+    low, high = FULLNESS
+    for _ in range(12):
+        middle = (low + high) / 2
+        if volume(_shape(directions, form, middle, half_m), faces) * 1e6 < recipe.volume_ml:
+            low = middle
+        else:
+            high = middle
+    vertices = _shape(directions, form, (low + high) / 2, half_m)
+    scale = (recipe.volume_ml / (volume(vertices, faces) * 1e6)) ** (1 / 3)
+    vertices *= scale
+    volume_ml = volume(vertices, faces) * 1e6
+    length, width, depth = (scale * axis for axis in recipe.axes_mm)
+    return Tuber(vertices, faces, (length, width, depth), volume_ml, volume_ml * recipe.density_g_ml, recipe.stock)
+
+
+def smooth_relief(rng: Generator, directions: Vertices, *, rms: float, finest: float = 13.0) -> NDArray[np.float64]:
+    """(V,) smooth noise over the sphere of the given rms: plane waves of 2..`finest` radians, power ~ 1/k."""
+    waves = 28
+    k = rng.uniform(2.0, finest, waves)
+    vectors = rng.standard_normal((waves, 3))
+    vectors *= (k / np.linalg.norm(vectors, axis=1))[:, None]
+    field = np.cos(directions @ vectors.T + rng.uniform(0, 2 * np.pi, waves)) @ (1 / np.sqrt(k))
+    field -= field.mean()
+    return np.asarray(field * (rms / field.std()))
+
+
+def _draw_form(recipe: Recipe, rng: Generator, directions: Vertices) -> _Form:
+    rms = 0.022 * float(np.exp(0.35 * rng.standard_normal()))
+    relief = smooth_relief(rng, directions, rms=min(rms, 0.06))
+    lobes = _second_growth(rng, directions, recipe.knobs) if recipe.knobs > 0 else np.zeros(len(directions))
+    return _Form(
+        relief=relief,
+        lobes=lobes,
+        bend=float(np.clip(0.06 * rng.standard_normal(), -0.2, 0.2)),
+        bend_side=float(np.clip(0.04 * rng.standard_normal(), -0.12, 0.12)),
+        taper=float(np.clip(0.10 * rng.standard_normal(), -0.25, 0.25)),
+    )
+
+
+def _second_growth(rng: Generator, directions: Vertices, strength: float) -> NDArray[np.float64]:
+    """(V,) radius of the union of knobs, spheres that sit on the unit body, seen from its centre; 0 beside them."""
+    reach = np.zeros(len(directions))
+    for _ in range(int(rng.integers(1, 5))):
+        towards = rng.standard_normal(3)
+        towards /= np.linalg.norm(towards)
+        radius = rng.uniform(0.30, 0.60)
+        stands_out = strength * rng.uniform(0.25, 0.9)
+        distance = 1.0 + stands_out - radius
+        along = directions @ towards * distance
+        inside = along * along - distance * distance + radius * radius
+        hit = np.where(inside > 0, along + np.sqrt(np.maximum(inside, 0)), 0.0)
+        reach = np.maximum(reach, hit)
+    return reach
+
+
+def _shape(directions: Vertices, form: _Form, fullness: float, half_m: Vertices) -> Vertices:
+    """(V, 3) metres: the body of the given fullness with everything of `form`, fitted into the box of the axes."""
+    radius = (np.abs(directions) ** fullness).sum(axis=1) ** (-1 / fullness)
+    radius = (radius**16 + form.lobes**16) ** (1 / 16) * (1 + form.relief)
+    points = directions * radius[:, None]
+    swell = 1 + form.taper * points[:, 0]
+    points[:, 1] = points[:, 1] * swell + form.bend_side * points[:, 0] ** 2
+    points[:, 2] = points[:, 2] * swell + form.bend * points[:, 0] ** 2
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.asarray((points - (low + high) / 2) * (2 * half_m / (high - low)))

@@ -1,0 +1,121 @@
+"""A belt with everything on it, as any camera over it sees it at any time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from camera_sim.sim.belt import Belt, belt_depth
+from camera_sim.sim.meshes import Faces, Vertices, inverse_rigid, rotation_about
+from camera_sim.sim.motion import BeltMotion
+from camera_sim.sim.optics import BASELINE_M, Optics
+from camera_sim.sim.raster import Canvas, canvas_over, draw, whole_image
+from camera_sim.sim.tubers import Tuber
+from conveyor.geometry import straight_down_belt_from_camera, transform_points
+
+REACH_M = 0.22
+"""A body whose centre is further than this from the view cannot reach into it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Something that rides on the belt.
+
+    Attributes:
+        body_id: 1, 2, 3, ...; tubers come first.
+        kind: 'tuber' or a kind of distractor; `tuber` is given for the former.
+        vertices: (V, 3) metres, at its place: x - travel, y, z in belt coordinates.
+    """
+
+    body_id: int
+    kind: str
+    vertices: Vertices
+    faces: Faces
+    tuber: Tuber | None
+
+    @property
+    def place(self) -> NDArray[np.float64]:
+        """(3,) middle of its box: x - travel, y, z in belt coordinates, metres."""
+        return np.asarray((self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPose:
+    """A camera over the belt.
+
+    Attributes:
+        belt_from_camera: (4, 4) the truth; `believed_belt_from_camera` what its calibration says.
+        phase_s: its first frame comes this long after the belt's start.
+    """
+
+    name: str
+    optics: Optics
+    fps: float
+    belt_from_camera: NDArray[np.float64]
+    believed_belt_from_camera: NDArray[np.float64]
+    phase_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """All that is needed to render any frame."""
+
+    bodies: tuple[Body, ...]
+    belt: Belt
+    motion: BeltMotion
+    cameras: tuple[CameraPose, ...]
+
+
+def mount(
+    distance_m: float, *, x_m: float = 0.0, y_m: float = 0.0, tilt_deg: tuple[float, float] = (0.0, 0.0)
+) -> NDArray[np.float64]:
+    """(4, 4) belt_from_camera whose optical axis meets the belt at (x, y) after `distance_m`, tilted about u and v."""
+    about_u = rotation_about(np.array([1.0, 0.0, 0.0]), np.radians(tilt_deg[0]))
+    about_v = rotation_about(np.array([0.0, 1.0, 0.0]), np.radians(tilt_deg[1]))
+    belt_from_camera = straight_down_belt_from_camera(distance_m)
+    belt_from_camera[:3, :3] = belt_from_camera[:3, :3] @ about_u @ about_v
+    belt_from_camera[:3, 3] = np.array([x_m, y_m, 0.0]) - belt_from_camera[:3, 2] * distance_m
+    return belt_from_camera
+
+
+def render(world: World, camera: CameraPose, travel_m: float) -> Canvas:
+    """What `camera` truly sees when the belt has moved `travel_m`; ids are the bodies'."""
+    k = camera.optics.intrinsics
+    camera_from_belt = inverse_rigid(camera.belt_from_camera)
+    depth = belt_depth(
+        world.belt,
+        intrinsics=k,
+        belt_from_camera=camera.belt_from_camera,
+        travel_m=travel_m,
+        u0=0,
+        v0=0,
+        height=k.height,
+        width=k.width,
+    )
+    canvas = canvas_over(depth, whole_image(k))
+    view_x, view_half = camera.belt_from_camera[0, 3], 1.2 * camera.belt_from_camera[2, 3] * k.height / (2 * k.fy)
+    for body in world.bodies:
+        if abs(body.place[0] + travel_m - view_x) < view_half + REACH_M:
+            points = transform_points(camera_from_belt, body.vertices + np.array([travel_m, 0.0, 0.0]))
+            draw(canvas, points, body.faces, intrinsics=k, instance=body.body_id)
+    return canvas
+
+
+def crossing_travel_m(body: Body, camera: CameraPose) -> float | None:
+    """Belt travel at which the body's centre lies on the camera's centre row, or None where it passes unseen.
+
+    The centre row v = cy is the plane y = 0 of the camera. Unseen: beside the image, or in the strip at its left that
+    the right imager does not see.
+    """
+    camera_from_belt = inverse_rigid(camera.belt_from_camera)
+    row = camera_from_belt[1]
+    place = body.place
+    x = -(row[1] * place[1] + row[2] * place[2] + row[3]) / row[0]
+    centre = transform_points(camera_from_belt, np.array([[x, place[1], place[2]]]))[0]
+    k = camera.optics.intrinsics
+    u = k.fx * centre[0] / centre[2] + k.cx
+    if not k.fx * BASELINE_M / centre[2] <= u < k.width:
+        return None
+    return float(x - place[0])

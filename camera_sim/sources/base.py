@@ -1,0 +1,76 @@
+"""What every source of frames is: a description, then frames in order, with those that cannot be used named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.geometry import Intrinsics
+from conveyor.messages import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class CameraDescription:
+    """One camera of a recording, or a live one, before its first frame.
+
+    Attributes:
+        origin: where it comes from, in words.
+        belt_from_camera: (4, 4) or None: straight down.
+        frames: how many frames there are, or None where only reading tells.
+        live: frames come at their own pace and are lost when nobody takes them.
+    """
+
+    name: str
+    origin: str
+    intrinsics: Intrinsics
+    depth_scale_m: float
+    belt_distance_m: float | None
+    belt_from_camera: NDArray[np.float64] | None
+    fps: float
+    frames: int | None
+    live: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A frame that is there but cannot be used: its number is a gap downstream.
+
+    `reason` is a short word to count by, `text` says which file, what is wrong and how to mend it.
+    """
+
+    seq: int
+    reason: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class FrameKey:
+    """Number and capture time of a frame that is not read."""
+
+    seq: int
+    captured_ns: int
+
+
+class Source(Protocol):
+    """Frames of one camera. `frames` may be called again and starts anew (not for live cameras)."""
+
+    @property
+    def description(self) -> CameraDescription:
+        """What is known before the first frame."""
+        ...
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """All frames numbered above `after`, in order of their numbers, stamped with `run`."""
+        ...
+
+
+class RecordedSource(Source, Protocol):
+    """A source that can be read again and knows its frames before reading them."""
+
+    def keys(self) -> list[FrameKey]:
+        """Of all frames in their order, without reading images."""
+        ...

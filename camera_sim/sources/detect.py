@@ -1,0 +1,138 @@
+"""Which kind of recording a path is, and its cameras."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from camera_sim.sources.base import CameraDescription, RecordedSource, Source
+from conveyor.errors import InputError
+
+Kind = Literal["folder", "mcap", "3dpotatotwin"]
+LOOKED_FOR = (
+    "a folder recording (<camera>/camera.json and frames.csv, or such a camera folder itself)",
+    "an MCAP recording (*.mcap)",
+    "a 3DPotatoTwin folder (1_rgbd/1_image)",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a path holds: its kind and its cameras, in the recording's own order."""
+
+    path: Path
+    kind: Kind
+    cameras: tuple[CameraDescription, ...]
+
+
+def describe_recording(path: Path) -> Recording:
+    """Look at every camera of the recording at `path`; reads no more than the first frames.
+
+    Raises:
+        InputError: no recording of a known kind, or one that cannot be used; the text lists what was looked for.
+    """
+    kind = recording_kind(path)
+    return Recording(path, kind, tuple(open_unchecked(path, kind, name).description for name in camera_names(path)))
+
+
+def camera_names(path: Path) -> tuple[str, ...]:
+    """The cameras of the recording at `path`, in its own order."""
+    kind = recording_kind(path)
+    if kind == "folder":
+        return tuple(_folders(path))
+    if kind == "mcap":
+        from camera_sim.sources.mcap_source import mcap_channels
+
+        return tuple(channel.camera for channel in mcap_channels(path) if channel.messages)
+    from camera_sim.sources.potatotwin import seasons
+
+    return seasons(path)
+
+
+def open_source(
+    path: Path,
+    *,
+    camera: str | None = None,
+    name: str | None = None,
+    belt_distance_m: float | None = None,
+    depth_scale_m: float | None = None,
+) -> Source:
+    """The frames of one camera of a recording, its depth scale checked against its belt distance.
+
+    Args:
+        camera: which one; may be left out where there is only one.
+        name: what the line calls it; default: the recording's own name.
+        belt_distance_m, depth_scale_m: instead of what the recording says.
+
+    Raises:
+        InputError: no recording of a known kind, no such camera, or one that cannot be used.
+    """
+    from camera_sim.sources.prepared import PreparedSource
+
+    kind = recording_kind(path)
+    chosen = _choose(path, list(camera_names(path)), camera)
+    inner = open_unchecked(path, kind, chosen)
+    return PreparedSource(
+        inner, where=str(path), name=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m
+    )
+
+
+def recording_kind(path: Path) -> Kind:
+    """Which kind of recording is at `path`."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist")
+    if path.is_file():
+        with path.open("rb") as file:
+            if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
+                return "mcap"
+    elif (path / "1_rgbd" / "1_image").is_dir():
+        return "3dpotatotwin"
+    elif _folders(path):
+        return "folder"
+    raise InputError(f"{path} is no recording Tuberline knows; looked for: " + "; ".join(LOOKED_FOR))
+
+
+def _choose(path: Path, known: list[str], camera: str | None) -> str:
+    if not known:
+        raise InputError(f"{path} holds no frames of any camera")
+    if camera is None and len(known) == 1:
+        return known[0]
+    if camera is None:
+        raise InputError(f"{path} has several cameras: name one of {', '.join(known)}")
+    if camera not in known:
+        raise InputError(f"{path} has no camera '{camera}'; known: {', '.join(known)}")
+    return camera
+
+
+def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
+    """The source as it is recorded: for those who look for faults."""
+    if kind == "folder":
+        from camera_sim.sources.folder import FolderSource
+
+        return FolderSource(_folders(path)[camera])
+    if kind == "mcap":
+        from camera_sim.sources.mcap_source import McapSource
+
+        return McapSource(path, camera)
+    from camera_sim.sources.potatotwin import PotatoTwinSource
+
+    return PotatoTwinSource(path, camera)
+
+
+def _folders(path: Path) -> dict[str, Path]:
+    """Camera folders by camera name."""
+    if (path / "camera.json").is_file():
+        return {path.name: path}
+    line = path / "line.json"
+    if not line.is_file():
+        return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
+    try:
+        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8"))["cameras"]]
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
+    for name in names:
+        if not (path / name / "camera.json").is_file():
+            raise InputError(f"{line} names camera '{name}', but {path / name / 'camera.json'} does not exist")
+    return {name: path / name for name in names}

@@ -1,0 +1,55 @@
+"""Does the depth scale fit the belt distance? A wrong factor of ten is the commonest fault of depth recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from conveyor.errors import InputError
+from conveyor.geometry import belt_distance_m
+from conveyor.messages import Frame
+
+LOW, HIGH = 0.6, 1.25
+"""The median depth of a full belt lies up to 90 mm above the belt, so below its distance more than beyond it."""
+
+
+def expected_distance_m(frame: Frame) -> float | None:
+    """The belt distance a frame claims, from its transform or its number, metres."""
+    if frame.belt_from_camera is not None:
+        return belt_distance_m(frame.belt_from_camera)
+    return frame.belt_distance_m
+
+
+def median_depth_m(frame: Frame) -> float | None:
+    """Median of the frame's depth in metres; None where fewer than 100 pixels have any."""
+    seen = frame.depth[frame.depth > 0]
+    return float(np.median(seen)) * frame.depth_scale_m if len(seen) >= 100 else None
+
+
+def scale_fault(seen_m: float, expected_m: float, depth_scale_m: float) -> str | None:
+    """What is wrong, in words, or None where both agree."""
+    ratio = seen_m / expected_m
+    if LOW <= ratio <= HIGH:
+        return None
+    text = f"the median depth is {seen_m:.4g} m but the belt is said to be {expected_m:.4g} m away"
+    decade = round(np.log10(ratio))
+    if decade != 0 and LOW <= ratio / 10.0**decade <= HIGH:
+        right = depth_scale_m / 10.0**decade
+        return (
+            f"{text}: off by {10.0 ** abs(decade):g}, so depth_scale_m is {depth_scale_m:g} and should be {right:g} "
+            "(the D405 delivers 0.0001 m units by default, recordings of the paper use 0.001)"
+        )
+    return f"{text}; mend belt_distance_m (measure it) or depth_scale_m ({depth_scale_m:g})"
+
+
+def check_depth_scale(frame: Frame, *, where: str) -> None:
+    """Refuse a frame whose depth contradicts its belt distance; nothing to say where that is unknown.
+
+    Raises:
+        InputError: with both numbers and the mend.
+    """
+    expected, seen = expected_distance_m(frame), median_depth_m(frame)
+    if expected is None or seen is None:
+        return
+    fault = scale_fault(seen, expected, frame.depth_scale_m)
+    if fault:
+        raise InputError(f"{where}, camera '{frame.camera}', frame {frame.seq}: {fault}")

@@ -1,0 +1,100 @@
+"""The support bundle: one archive with what a helper needs to see, and no private key."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Iterator, Mapping
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any
+
+from conveyor import __version__
+from conveyor.access import access_control
+from conveyor.config import LineConfig, dump_toml
+from conveyor.errors import InputError
+
+LOG_TAIL_BYTES = 2_000_000
+JOURNAL_LINES = 5000
+RESULTS = ("summary.json", "tubers.csv")
+RESULT_LIMIT_BYTES = 20_000_000
+
+
+def write_bundle(path: Path, config: LineConfig, *, reports: Mapping[str, Any]) -> list[str]:
+    """Write the archive and return the names of its files.
+
+    Args:
+        path: the .tar.gz to write; replaced only when whole.
+        config: the line.
+        reports: further files, as values that JSON can hold.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    draft = path.with_name(path.name + ".new")
+    names: list[str] = []
+    try:
+        with tarfile.open(draft, "w:gz") as archive:
+            for name, data in _members(config, reports):
+                info = tarfile.TarInfo(f"tuberline-{config.name}/{name}")
+                info.size, info.mtime, info.mode = len(data), int(time.time()), 0o600
+                archive.addfile(info, io.BytesIO(data))
+                names.append(name)
+        draft.replace(path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise InputError(f"bundle {path} cannot be written: {error.strerror or error}") from error
+    return names
+
+
+def _members(config: LineConfig, reports: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
+    yield "config.toml", dump_toml(config).encode()
+    yield "versions.json", _json(_versions())
+    yield "access.json", _json(access_control(config))
+    for name, value in reports.items():
+        yield name, _json(value)
+    for name in RESULTS:
+        file = config.aggregator.out / name
+        if file.is_file() and file.stat().st_size <= RESULT_LIMIT_BYTES:
+            yield f"results/{name}", file.read_bytes()
+    for log in sorted((config.aggregator.out / "logs").glob("*.log")):
+        yield f"logs/{log.name}", _tail(log)
+    journal = _journal(config.name)
+    if journal:
+        yield "logs/journal.txt", journal
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, indent=2, default=str).encode() + b"\n"
+
+
+def _versions() -> dict[str, Any]:
+    return {
+        "tuberline": __version__,
+        "python": sys.version,
+        "platform": platform.platform(),
+        "cores": len(os.sched_getaffinity(0)),
+        "packages": {d.metadata["Name"]: d.version for d in sorted(distributions(), key=lambda d: str(d.name).lower())},
+    }
+
+
+def _tail(path: Path) -> bytes:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - LOG_TAIL_BYTES))
+        return file.read()
+
+
+def _journal(line: str) -> bytes:
+    """The newest lines of this line's units, where systemd keeps them."""
+    if shutil.which("journalctl") is None:
+        return b""
+    command = ["journalctl", "--no-pager", "-q", "-n", str(JOURNAL_LINES), "-u", f"tuberline-*@{line}*"]
+    done = subprocess.run(command, capture_output=True, check=False, timeout=20)
+    return done.stdout

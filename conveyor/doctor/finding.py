@@ -1,0 +1,50 @@
+"""One finding: what was looked at, how it is, and the mend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Level(StrEnum):
+    """How bad it is: a fault stops the line or makes its numbers wrong, a warning will."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """The result of one check. `mend` is empty only where nothing is to be done."""
+
+    check: str
+    level: Level
+    text: str
+    mend: str = ""
+
+    def __post_init__(self) -> None:
+        if (self.level is Level.OK) != (self.mend == ""):
+            raise ValueError(f"finding '{self.check}': a mend belongs to a warning or a fault, and to each of them")
+
+
+def ok(check: str, text: str) -> Finding:
+    """Nothing to mend."""
+    return Finding(check, Level.OK, text)
+
+
+def warning(check: str, text: str, mend: str) -> Finding:
+    """Will hurt later."""
+    return Finding(check, Level.WARNING, text, mend)
+
+
+def fault(check: str, text: str, mend: str) -> Finding:
+    """Hurts now."""
+    return Finding(check, Level.FAULT, text, mend)
+
+
+def worst(findings: Iterable[Finding]) -> Level:
+    """The worst level among `findings`."""
+    order = list(Level)
+    return max((f.level for f in findings), key=order.index, default=Level.OK)

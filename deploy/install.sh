@@ -1,0 +1,201 @@
+#!/bin/sh
+# Installs a line's systemd units on this host: install.sh [OPTIONS] LINE.toml
+#
+#   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
+#                    also: viewer, recorder, metrics. camera=front,camera=rear instead of camera: those only.
+#   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
+#   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
+#   --replace        take the new LINE.toml although another one is installed
+#   --no-start       enable the line, start nothing
+#
+# Says what it did, one line each; run again it changes nothing ("kept"). DESTDIR installs into a folder and touches
+# neither users nor systemd; TUBERLINE names the program.
+set -eu
+
+here=$(cd "$(dirname "$0")" && pwd)
+destdir=${DESTDIR:-}
+program=${TUBERLINE:-/opt/tuberline/bin/tuberline}
+roles=router,aggregator,camera,segmenter,regressor
+certs=
+run=
+replace=no
+start=yes
+
+fail() {
+    echo "install.sh: $1" >&2
+    exit 2
+}
+
+while [ $# -gt 0 ]; do
+    case $1 in
+    --roles | --certs | --run)
+        [ $# -ge 2 ] || fail "$1 needs a value"
+        case $1 in
+        --roles) roles=$2 ;;
+        --certs) certs=$2 ;;
+        --run) run=$2 ;;
+        esac
+        shift 2
+        ;;
+    --replace) replace=yes && shift ;;
+    --no-start) start=no && shift ;;
+    -h | --help) sed -n '2,14s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -*) fail "unknown option $1; see --help" ;;
+    *) break ;;
+    esac
+done
+[ $# -eq 1 ] || fail "give one LINE.toml; see --help"
+config=$1
+command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
+"$program" config check "$config" >/dev/null || fail "mend $config first"
+
+# put SOURCE TARGET MODE: copy where the content differs, and say so
+put() {
+    target=$destdir$2
+    if [ -f "$target" ] && cmp -s "$1" "$target"; then
+        echo "kept      $2"
+        return
+    fi
+    verb=created
+    [ ! -e "$target" ] || verb=updated
+    mkdir -p "$(dirname "$target")"
+    install -m "$3" "$1" "$target"
+    echo "$verb   $2"
+}
+
+own() {
+    [ -n "$destdir" ] || chown "$1" "$2"
+}
+
+# ask EXPRESSION: a value of the checked config; `line` is the config as a dict
+ask() {
+    "$program" config show "$config" --json | python3 -c "
+import json, sys
+line = json.load(sys.stdin)
+print(*$1, sep='\n')"
+}
+
+line=$(ask "[line['name']]")
+cameras=$(ask "sorted(line['cameras'])")
+workers=$(ask "[f'r{n + 1}' for n in range(line['regressor']['processes'])]")
+units=
+stems=
+chosen() { # ROLE NAME: is this one among --roles?
+    case ,$roles, in
+    *,"$1",* | *,"$1=$2",*) return 0 ;;
+    *) return 1 ;;
+    esac
+}
+for role in router aggregator metrics; do
+    if chosen "$role" ""; then
+        units="$units tuberline-$role@$line.service"
+        [ "$role" = metrics ] || stems="$stems $role" # metrics only looks: it is an operator
+    fi
+done
+for camera in $cameras; do
+    for role in segmenter camera; do
+        if chosen "$role" "$camera"; then
+            units="$units tuberline-$role@$line:$camera.service"
+            stems="$stems $role.$camera"
+        fi
+    done
+done
+for worker in $workers; do
+    if chosen regressor "$worker"; then
+        units="$units tuberline-regressor@$line:$worker.service"
+        stems="$stems regressor.$worker"
+    fi
+done
+for entry in $(echo "$roles" | tr ',' ' '); do
+    case $entry in
+    viewer | recorder) units="$units tuberline-$entry@$line:$entry.service" && stems="$stems $entry" ;;
+    viewer=* | recorder=* | regressor=*)
+        known=" $(echo "$workers" | tr '\n' ' ') "
+        [ "${entry%%=*}" != regressor ] || case $known in *" ${entry#*=} "*) continue ;; esac
+        units="$units tuberline-${entry%%=*}@$line:${entry#*=}.service"
+        stems="$stems ${entry%%=*}.${entry#*=}"
+        ;;
+    camera=* | segmenter=*)
+        echo "$cameras" | grep -qxF "${entry#*=}" || fail "camera '${entry#*=}' is not in $config; known: $(echo "$cameras" | tr '\n' ' ')"
+        ;;
+    router | aggregator | metrics | camera | segmenter | regressor) ;;
+    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics" ;;
+    esac
+done
+[ -n "$units" ] || fail "--roles $roles leaves nothing to run for line '$line'"
+
+files=
+if [ -n "$certs" ]; then
+    files=ca.pem # the authority's key stays where it was made
+    for stem in operator $stems; do
+        [ -e "$certs/$stem.pem" ] || stem=${stem%%.*} # the certificate its role shares
+        for file in "$stem.pem" "$stem.key"; do
+            [ -e "$certs/$file" ] || fail "$certs/$file is not there: $program certs make $config --out $certs"
+            files="$files $file"
+        done
+    done
+fi
+
+put "$here/systemd/sysusers.conf" /etc/sysusers.d/tuberline.conf 644
+put "$here/systemd/tmpfiles.conf" /etc/tmpfiles.d/tuberline.conf 644
+if [ -z "$destdir" ]; then
+    systemd-sysusers tuberline.conf
+    systemd-tmpfiles --create tuberline.conf
+fi
+put "$here/systemd/journald@tuberline.conf" /etc/systemd/journald@tuberline.conf 644
+[ -e "$destdir/etc/tuberline/environment" ] || put "$here/systemd/environment" /etc/tuberline/environment 644
+for file in node prune; do
+    put "$here/lib/$file" "/usr/local/lib/tuberline/$file" 755
+done
+(cd "$here/systemd" && find . -name '*.service' -o -name '*.timer' -o -name '*.target' -o -path './*.d/*.conf') | sort |
+    while read -r file; do
+        put "$here/systemd/$file" "/etc/systemd/system/${file#./}" 644
+    done
+
+installed=$destdir/etc/tuberline/lines/$line.toml
+if [ -e "$installed" ] && ! cmp -s "$config" "$installed" && [ "$replace" = no ]; then
+    put "$config" "/etc/tuberline/lines/$line.toml.new" 640
+    echo "kept      /etc/tuberline/lines/$line.toml although $config differs: compare with .new, or give --replace"
+else
+    put "$config" "/etc/tuberline/lines/$line.toml" 640
+    own root:tuberline "$installed"
+fi
+run_file=$destdir/etc/tuberline/lines/$line.run
+if [ -z "$run" ] && [ -s "$run_file" ]; then
+    echo "kept      /etc/tuberline/lines/$line.run ($(cat "$run_file"))"
+else
+    run=${run:-$(date -u +%Y%m%dT%H%M%SZ)}
+    echo "$run" >"$run_file.draft"
+    put "$run_file.draft" "/etc/tuberline/lines/$line.run" 644
+    rm -f "$run_file.draft"
+fi
+
+for file in $files; do
+    put "$certs/$file" "/etc/tuberline/certs/$file" 600
+    own tuberline:tuberline "$destdir/etc/tuberline/certs/$file"
+done
+
+nodes=$(mktemp)
+trap 'rm -f "$nodes"' EXIT
+{
+    echo "# Written by install.sh: what runs here of line $line. Run install.sh again to change it."
+    echo "[Unit]"
+    for unit in $units; do
+        echo "Wants=$unit"
+        echo "PropagatesStopTo=$unit"
+    done
+} >"$nodes"
+put "$nodes" "/etc/systemd/system/tuberline@$line.target.d/nodes.conf" 644
+
+if [ -z "$destdir" ]; then
+    systemctl daemon-reload
+    systemctl enable --quiet "tuberline@$line.target" prune-tuberline.timer
+    echo "enabled   tuberline@$line.target prune-tuberline.timer"
+    if [ "$start" = yes ]; then
+        systemctl start "tuberline@$line.target" prune-tuberline.timer
+        echo "started   tuberline@$line.target:$units"
+    fi
+    echo "look      systemctl status 'tuberline-*' · journalctl --namespace=tuberline -f · $program doctor --config /etc/tuberline/lines/$line.toml"
+else
+    echo "would run:$units"
+fi

@@ -1,0 +1,1 @@
+"""PointRAFT and everything about it: model, sampling, training, evaluation, the shipped weights, the worker process."""

@@ -1,0 +1,149 @@
+"""From a prepared cloud to a weight with its interval and flags: what the node and the command line share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.messages import View, Weight
+from regressor.checkpoint import Sidecar, load_checkpoint
+from regressor.fast import FastPointRaft
+from regressor.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
+from regressor.pointraft import PointRaft
+from regressor.prepare import PreparedCloud, RefusedCloud, prepare_view
+from regressor.volume import TYPICAL_RULE
+
+VOLUME_MODEL = "volume"
+INTERVAL_Z = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual."""
+
+    weight_g: float
+    low_g: float
+    high_g: float
+    method: Literal["pointraft", "volume"]
+    model: str
+    flags: tuple[str, ...]
+
+
+class Weigher:
+    """One set of weights, ready to weigh; without a network it weighs by volume. One instance per worker.
+
+    Flags: 'few_points' (at most 1024), 'height_clamped' (outside 0..80 mm), 'extent' (0.2 m or more), 'belt_distance',
+    'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the visible volume says otherwise).
+    """
+
+    def __init__(self, model: PointRaft | None, sidecar: Sidecar) -> None:
+        self.sidecar = sidecar
+        self._network = FastPointRaft(model) if model is not None else None
+        self._interval = sidecar.interval_rule
+        self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+        self._group = _grouping(sidecar)
+
+    @classmethod
+    def load(cls, path: Path | None = None) -> Weigher:
+        """With the weights at `path`, or the shipped ones.
+
+        Raises:
+            InputError: weights that cannot be used.
+        """
+        return cls(*load_checkpoint(path))
+
+    def weigh(self, cloud: PreparedCloud) -> Weighed:
+        """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it."""
+        by_volume_g = self._volume.weight_g(cloud.surface)
+        if self._network is None:
+            return self._by_volume(by_volume_g, cloud.flags)
+        weight_g = self._network.weigh(self._group(cloud.points), cloud.clamped_height_m)
+        if not np.isfinite(weight_g) or weight_g <= 0:
+            return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
+        low, high = self._bounds(weight_g)
+        return Weighed(
+            weight_g=round(weight_g, 3),
+            low_g=round(low, 3),
+            high_g=round(high, 3),
+            method="pointraft",
+            model=self.sidecar.model_id,
+            flags=(*cloud.flags, *self._out_of_range(cloud, weight_g, by_volume_g)),
+        )
+
+    def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
+        factor = float(np.exp(INTERVAL_Z * max(self._volume.residual_ln_sd, 0.05)))
+        return Weighed(
+            weight_g=round(weight_g, 3),
+            low_g=round(weight_g / factor, 3),
+            high_g=round(weight_g * factor, 3),
+            method="volume",
+            model=VOLUME_MODEL,
+            flags=flags,
+        )
+
+    def _bounds(self, weight_g: float) -> tuple[float, float]:
+        if self._interval is None:
+            # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
+            return 0.7 * weight_g, 1.3 * weight_g
+        low, high = self._interval.bounds_g(np.array([weight_g]))
+        return float(low[0]), float(high[0])
+
+    def _out_of_range(self, cloud: PreparedCloud, weight_g: float, by_volume_g: float) -> tuple[str, ...]:
+        sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
+        checks = {
+            "belt_distance": sidecar.belt_distance_m.holds(cloud.belt_distance_m),
+            "size": sidecar.length_mm.holds(cloud.surface.length_mm),
+            "weight": sidecar.weight_g.holds(weight_g),
+            "volume_disagrees": 1 / factor <= weight_g / by_volume_g <= factor,
+        }
+        return tuple(name for name, fine in checks.items() if not fine)
+
+
+def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
+    points, start = sidecar.input.points, sidecar.start
+    if start.kind == "prefix":
+        return lambda cloud: group_prefix(cloud, points=points)
+    return lambda cloud: group_random(cloud, seed=start.seed, points=points)
+
+
+def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
+    """The answer to `view`: a weight, or a refusal with its reason."""
+    try:
+        weighed = weigher.weigh(prepare_view(view))
+    except RefusedCloud as refusal:
+        return Weight(
+            view_id=view.view_id,
+            track_id=view.track_id,
+            camera=view.camera,
+            run=view.run,
+            seq=view.seq,
+            status="refused",
+            weight_g=None,
+            low_g=None,
+            high_g=None,
+            method="pointraft",
+            model=weigher.sidecar.model_id,
+            flags=(),
+            regressor=regressor,
+            reason=refusal.reason,
+        )
+    return Weight(
+        view_id=view.view_id,
+        track_id=view.track_id,
+        camera=view.camera,
+        run=view.run,
+        seq=view.seq,
+        status="weighed",
+        weight_g=weighed.weight_g,
+        low_g=weighed.low_g,
+        high_g=weighed.high_g,
+        method=weighed.method,
+        model=weighed.model,
+        flags=weighed.flags,
+        regressor=regressor,
+    )

@@ -1,0 +1,1 @@
+"""From depth frames to tubers on the belt: plane, instances, places, tracks, views and their dispatch."""

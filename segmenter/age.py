@@ -1,0 +1,24 @@
+"""How old a live frame is, though the camera's clock and ours need not agree."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+CLOCK_JUMP_NS = 5_000_000_000
+REMEMBERED = 300
+
+
+@dataclass(slots=True)
+class FrameAge:
+    """Age of frames beyond the quickest of the last ones: what they waited on the way, not what the clocks differ."""
+
+    _delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+
+    def age_ms(self, captured_ns: int, arrived_ns: int) -> float:
+        """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts anew."""
+        delay_ns = arrived_ns - captured_ns
+        if self._delays_ns and abs(delay_ns - self._delays_ns[-1]) > CLOCK_JUMP_NS:
+            self._delays_ns.clear()
+        self._delays_ns.append(delay_ns)
+        return (delay_ns - min(self._delays_ns)) / 1e6

@@ -1,0 +1,71 @@
+"""The balance sheet of a camera's frames: published = received + gaps, received = processed + drops by reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class FrameBalance:
+    """Counts of one run. Sequence numbers arrive in order; what is not newer than the newest is a duplicate and changes
+    nothing but its own count.
+    """
+
+    first_seq: int | None = None
+    newest_seq: int = -1
+    last_published_seq: int = -1
+    processed: int = 0
+    duplicates: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    def known_range(self, first_seq: int | None, last_seq: int | None) -> None:
+        """What the camera says that it published."""
+        if first_seq is not None and (self.first_seq is None or first_seq < self.first_seq):
+            self.first_seq = first_seq
+        if last_seq is not None:
+            self.last_published_seq = max(self.last_published_seq, last_seq)
+
+    def receive(self, seq: int) -> bool:
+        """Note a frame's arrival; False for a duplicate."""
+        if seq <= self.newest_seq:
+            self.duplicates += 1
+            return False
+        self.newest_seq = seq
+        self.known_range(seq, seq)
+        return True
+
+    @property
+    def received(self) -> int:
+        """Frames that arrived, each once."""
+        return self.processed + self.dropped.total()
+
+    @property
+    def published(self) -> int:
+        """Frames there were, as far as known: a sequence number that never came was a frame too."""
+        return 0 if self.first_seq is None else self.last_published_seq - self.first_seq + 1
+
+    @property
+    def gaps(self) -> int:
+        """Frames that never arrived."""
+        return self.published - self.received
+
+    def report(self) -> dict[str, int]:
+        """The sheet as it goes into marks."""
+        drops = {f"dropped_{reason}": n for reason, n in sorted(self.dropped.items())}
+        return {
+            "published": self.published,
+            "received": self.received,
+            "processed": self.processed,
+            "gaps": self.gaps,
+            **drops,
+        }
+
+    def resume(self, report: dict[str, int], first_seq: int) -> None:
+        """Carry on from the sheet of an earlier process of the same run, which began at `first_seq`."""
+        self.first_seq = first_seq
+        self.processed = report.get("processed", 0)
+        for name, n in report.items():
+            if name.startswith("dropped_"):
+                self.dropped[name.removeprefix("dropped_")] = n
+        self.newest_seq = self.last_published_seq = first_seq + report.get("published", 0) - 1

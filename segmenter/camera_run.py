@@ -1,0 +1,227 @@
+"""One camera in one run: frames in, views out, weights in, log entries out. Everything but sockets and clocks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Travel, View, Weight
+from segmenter.balance import FrameBalance
+from segmenter.dispatch import Dispatcher, DispatchSettings
+from segmenter.pipeline import ClosedTrack, Resume, Segmenter, Settings, StepResult
+from segmenter.tracklog import TrackLog
+from segmenter.weighing import Weighing
+
+MARK_EVERY_M = 0.5
+MARK_EVERY_NS = 1_000_000_000
+EMPTY_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """Settings of a camera's run."""
+
+    core: Settings
+    dispatch: DispatchSettings
+    weigh_deadline_s: float
+    max_pending_views: int
+    window: int
+    replays: bool = False
+    """The camera goes back to its first frame for a segmenter that starts again."""
+
+
+class CameraRun:
+    """Owns the core, the dispatcher, the tracks that wait and the log. Times are seconds of any steady clock."""
+
+    def __init__(self, camera: str, run: str, settings: RunSettings, log_path: Path | None) -> None:
+        self.camera = camera
+        self.run = run
+        self.settings = settings
+        self.log = TrackLog(log_path, camera=camera, run=run)
+        self.frames = FrameBalance()
+        self.dispatcher = Dispatcher(settings.dispatch)
+        self.weighing = Weighing(settings.weigh_deadline_s)
+        self.core = Segmenter(settings.core)
+        self.ended = False
+        self._done_seq = -1
+        self._marked: tuple[int, float] | None = None
+        self._newest_ns = 0
+        self._heard_s: float | None = None
+        self._base_views: dict[str, int] = {}
+        self._base_tracks: dict[str, int] = {}
+
+    def open(self) -> None:
+        """Open the log; where it holds a mark, carry on from there.
+
+        A replay does not carry on but starts again, unless its log is complete: then every track comes out as it would
+        have without the restart, and those logged before are repeats that change nothing.
+        """
+        self.log.__enter__()
+        mark = self.log.last_mark
+        if mark is None or (self.settings.replays and not mark.final):
+            return
+        self.ended = mark.final
+        row_m = mark.complete_place_x_m
+        self.core = Segmenter(
+            self.settings.core,
+            resume=Resume(
+                complete_ns=mark.complete_ns,
+                complete_travel_m=-row_m,
+                travel_m=mark.travel_m,
+                looked_at_m=mark.looked_at_m,
+                travelled_m=mark.travelled_m,
+            ),
+        )
+        self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
+        self._base_views = _lost_with_process(mark.views, "outstanding")
+        self._base_tracks = _lost_with_process(mark.tracks, "open")
+        self._done_seq = self.frames.newest_seq
+
+    def close(self) -> None:
+        """Close the log's file."""
+        self.log.__exit__(None, None, None)
+
+    def frame(self, frame: Frame, now_s: float, *, drop: str = "") -> StepResult | None:
+        """Take a frame; None where it is a duplicate. `drop`: count it as dropped for this reason instead."""
+        self._heard_s = now_s
+        if self.ended or not self.frames.receive(frame.seq):
+            return None
+        if drop:
+            self.frames.dropped[drop] += 1
+            return None
+        result = self.core.step(frame)
+        if result.dropped:
+            self.frames.dropped[result.dropped] += 1
+        else:
+            self.frames.processed += 1
+            self._newest_ns = max(self._newest_ns, frame.captured_ns)
+        self._take(list(result.closed), now_s)
+        return result
+
+    def info(self, info: CameraInfo, now_s: float) -> None:
+        """Take what the camera says of itself; ends the run when it ended and everything it sent is here or lost."""
+        if self.ended:
+            return
+        if self._heard_s is None:
+            self._heard_s = now_s
+        self.frames.known_range(info.first_seq, info.last_seq)
+        here = info.last_seq is None or self.frames.newest_seq >= info.last_seq
+        silent = now_s - self._heard_s >= EMPTY_S
+        if info.state in ("ended", "failed") and (silent or (here and info.state == "ended")):
+            self.end(now_s)
+        elif info.waits and silent and not here and info.last_seq is not None:
+            self._done_seq = max(self._done_seq, info.last_seq)
+            self._heard_s = now_s
+
+    def end(self, now_s: float) -> None:
+        """Nothing more comes: decide what is still open. The final mark follows when all views are answered."""
+        if not self.ended:
+            self.ended = True
+            self._take(self.core.finish(), now_s)
+
+    def weight(self, weight: Weight) -> None:
+        """Take a regressor's answer."""
+        usable = weight.status == "weighed" and None not in (weight.weight_g, weight.low_g, weight.high_g)
+        known = self.dispatcher.answer(
+            weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
+        )
+        if known and usable:
+            self.weighing.weighed(weight)
+
+    def tick(self, now_s: float, regressors: set[str]) -> list[tuple[str, View]]:
+        """Move everything on; returns the views to send, each with its regressor."""
+        self.dispatcher.present(regressors)
+        self.dispatcher.expire(now_s)
+        for track_id in self.weighing.overdue(now_s):
+            self.dispatcher.cancel(track_id, "weigh_deadline")
+        for loss in self.dispatcher.take_losses():
+            self.weighing.lost(loss)
+        items: list[Track | Mark] = list(self.weighing.take_done())
+        mark = self._mark_due()
+        if mark is not None:
+            items.append(mark)
+        if items:
+            self.log.append(items)
+        return self.dispatcher.assign(now_s)
+
+    def progress(self) -> FrameProgress:
+        """How far the camera may go on. Held back while too many views wait for a regressor."""
+        if self.dispatcher.outstanding <= self.settings.max_pending_views:
+            self._done_seq = max(self._done_seq, self.frames.newest_seq)
+        return FrameProgress(camera=self.camera, run=self.run, done_seq=self._done_seq, window=self.settings.window)
+
+    def travel(self, captured_ns: int) -> Travel:
+        """Where the belt is."""
+        return Travel(
+            source=self.camera,
+            run=self.run,
+            captured_ns=captured_ns,
+            travel_m=self.core.travel_m,
+            estimated=self.core.estimated,
+        )
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """The balance sheets: frames, views, tracks."""
+        return {
+            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0},
+            "views": _sum(self.dispatcher.balance(), self._base_views),
+            "tracks": _sum(self.core.track_counts(), self._base_tracks),
+        }
+
+    def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
+        for track in closed:
+            self.weighing.add(track, now_s)
+            for view in track.views:
+                self.dispatcher.offer(view)
+
+    def _mark_due(self) -> Mark | None:
+        if self.log.last_mark is not None and self.log.last_mark.final:
+            return None
+        if self.ended:
+            return self._mark(final=True) if len(self.weighing) == 0 else None
+        if self.frames.processed == 0 or self._newest_ns == 0:
+            return None
+        if self._marked is not None:
+            waited_ns, moved_m = self._newest_ns - self._marked[0], abs(self.core.travel_m - self._marked[1])
+            if waited_ns < MARK_EVERY_NS and moved_m < MARK_EVERY_M:
+                return None
+        self._marked = (self._newest_ns, self.core.travel_m)
+        return self._mark(final=False)
+
+    def _mark(self, *, final: bool) -> Mark:
+        complete_m = self.core.travel_m if final else self.core.complete_travel_m()
+        waiting_m = self.weighing.earliest_travel_m()
+        if waiting_m is not None:
+            complete_m = min(complete_m, math.nextafter(waiting_m, -math.inf))
+        before = self.log.last_mark
+        complete_ns = self._newest_ns if final else self.core.complete_ns(complete_m)
+        place_m = self.core.row_place_m(complete_m)
+        if before is not None:
+            complete_ns, place_m = max(complete_ns, before.complete_ns), min(place_m, before.complete_place_x_m)
+        counts = self.counts()
+        return Mark(
+            captured_ns=self._newest_ns,
+            travel_m=self.core.travel_m,
+            travel_estimated=self.core.estimated,
+            complete_ns=complete_ns,
+            complete_place_x_m=place_m,
+            final=final,
+            looked_at_m=self.core.looked_at_m,
+            travelled_m=self.core.travelled_m,
+            frames=counts["frames"],
+            views=counts["views"],
+            tracks=counts["tracks"],
+        )
+
+
+def _lost_with_process(sheet: dict[str, int], open_name: str) -> dict[str, int]:
+    """An earlier process's sheet with what was still open in it booked as lost with that process."""
+    lost = "lost_restart" if open_name == "outstanding" else "discarded_restart"
+    still_open = sheet.get(open_name, 0)
+    closed = {name: n for name, n in sheet.items() if name != open_name}
+    return {**closed, lost: closed.get(lost, 0) + still_open}
+
+
+def _sum(sheet: dict[str, int], base: dict[str, int]) -> dict[str, int]:
+    return {name: sheet.get(name, 0) + base.get(name, 0) for name in {**sheet, **base}}

@@ -1,0 +1,107 @@
+"""The segmenter's commands: its process, pictures of what it finds, and the score of its masks."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+
+
+def segmenter(*, config: Path, camera: str, run: str | None = None) -> None:
+    """Find and follow tubers in one camera's frames, and have them weighed.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    camera
+        Name of the camera, as in the config.
+    run
+        Id of this run; default: the time of its start. The camera's own run id takes over when it differs.
+    """
+    from datetime import UTC, datetime
+
+    from conveyor.config import load_config
+    from segmenter.node import SegmenterNode
+
+    line = load_config(config)
+    run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    SegmenterNode(line, camera, run_id).run()
+
+
+def segment(
+    recording: Path,
+    /,
+    *,
+    picture: Path | None = None,
+    frame: int | None = None,
+    masks: bool = False,
+    json: bool = False,
+) -> None:
+    """Segment and track a folder recording without a line: what is counted where, and a picture of one frame.
+
+    Parameters
+    ----------
+    recording
+        Folder recording (one folder per camera).
+    picture
+        PNG to draw the chosen frame into, one per camera (the camera's name is added where there are several).
+    frame
+        Sequence number of the frame to draw; default: the middle one.
+    masks
+        Use the recording's own masks instead of finding instances.
+    json
+        Print the counted tracks as JSON on stdout.
+    """
+    from segmenter.offline import segment_recording
+
+    results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks)
+    if json:
+        sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("camera", "frames", "counted", "discarded", "travel m", "looked at", "ms/frame")
+    for r in results:
+        discarded = ", ".join(f"{n} {reason}" for reason, n in sorted(r.discarded.items())) or "none"
+        seen = f"{r.looked_at_m / r.travelled_m:.1%}" if r.travelled_m else "-"
+        table.add_row(
+            r.camera, str(r.frames), str(len(r.tracks)), discarded, f"{r.travelled_m:.2f}", seen, f"{r.step_ms:.1f}"
+        )
+    Console(stderr=True).print(table)
+
+
+def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = False) -> None:
+    """Score found masks against a recording's own: F1 at IoU 0.5 and 0.75, panoptic quality, time per frame.
+
+    Parameters
+    ----------
+    recording
+        Folder recording with mask/ images.
+    every
+        Use every n-th frame only.
+    json
+        Print the score as JSON on stdout.
+    """
+    from dataclasses import asdict
+
+    import cv2
+
+    from segmenter.evaluate import evaluate_recording
+    from segmenter.pipeline import Settings
+    from segmenter.warmup import warm_up
+
+    cv2.setNumThreads(1)
+    warm_up(Settings().split.pixel_mm)
+    score = asdict(evaluate_recording(recording, settings=Settings(), every=every))
+    if json:
+        sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("what", "value")
+    for name, value in score.items():
+        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
+    Console(stderr=True).print(table)

@@ -1,0 +1,121 @@
+"""The count rule: which tracks are tubers that crossed the centre row, where and when.
+
+A tuber counts when its centre crosses the image's centre row between the first and the last frame. Its place says
+when that is, so it need not have been seen on both sides; a tuber that lay beyond the row when counting began never
+counts. What is not counted has a reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from segmenter.history import TravelHistory
+from segmenter.track import State, TrackState
+from segmenter.tracker import Tracker
+
+NEAR_ROW_M = 0.06
+VANISHED_FRAMES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class CountSettings:
+    """What a track must show to be a tuber.
+
+    Attributes: min_frames: fewest frames, or all there were. min_share: of the frames in which its place was in view:
+        slivers of knobby tubers show up in fewer. min_area_mm2, min_height_mm: medians over frames that no border
+        cuts. min_width_m: haulm is thinner. max_slender: highest height over width; seam_slender: where more than
+        seam_share of a small one's outline is seam. sliver_area_mm2: small in that sense. same_share: two tracks
+        closer than this share of the larger one's radius are one tuber.
+    """
+
+    min_frames: int = 3
+    min_share: float = 0.35
+    min_area_mm2: float = 450.0
+    min_height_mm: float = 18.0
+    min_width_m: float = 0.016
+    max_slender: float = 1.75
+    seam_slender: float = 1.35
+    seam_share: float = 0.4
+    sliver_area_mm2: float = 1400.0
+    same_share: float = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """Where and when a tuber's centre crossed the centre row; belt metres."""
+
+    captured_ns: int
+    travel_m: float
+    x_m: float
+    y_m: float
+
+
+def crossing(track: TrackState, tracker: Tracker, history: TravelHistory) -> Crossing:
+    """The crossing of a track, from its readings near the row: what it did at the rims of the view matters less."""
+    row_m = tracker.belt.row_crossing_x(track.place_y_m, track.height_mm / 2000.0)
+    good = [h for h in track.hits if not h.ends_cut] or track.hits
+    near = [h for h in good if abs(h.x_m - row_m) <= NEAR_ROW_M] or good
+    areas = np.array([h.area_mm2 for h in near])
+    usual = [h for h in near if abs(np.log(h.area_mm2 / np.median(areas))) < 0.3] or near
+    place_x_m = float(np.median([h.x_m - h.travel_m for h in usual]))
+    y_m = float(np.median([h.y_m for h in usual]))
+    x_m = tracker.belt.row_crossing_x(y_m, track.height_mm / 2000.0)
+    travel_m = x_m - place_x_m
+    return Crossing(history.ns_at(travel_m), travel_m, x_m, y_m)
+
+
+def refusal(
+    track: TrackState, at: Crossing, tracker: Tracker, history: TravelHistory, settings: CountSettings, travel_m: float
+) -> str:
+    """Why a track is not counted; empty where it is."""
+    if at.travel_m <= history.start_m:
+        return "before_start"
+    if at.travel_m > travel_m:
+        return "not_crossed"
+    if not track.countable:
+        return "born_late"
+    if track.vacant >= VANISHED_FRAMES and track.hits[-1].x_m < at.x_m - 0.03:
+        return "vanished"
+    looks = tracker.looks_at(track, history, travel_m)
+    inner = [h for h in track.hits if not h.ends_cut]
+    if len(inner) < min(settings.min_frames, max(1, looks)):
+        return "few_frames"
+    if len(inner) < settings.min_share * looks:
+        return "fragment"
+    if np.median([h.area_mm2 for h in inner]) < settings.min_area_mm2:
+        return "small"
+    if np.median([h.height_mm for h in inner]) < settings.min_height_mm:
+        return "flat"
+    u, _ = tracker.belt.project(at.x_m, at.y_m, track.height_mm / 2000.0)
+    if not -0.5 <= u <= tracker.belt.intrinsics.width - 0.5:
+        return "outside"
+    return "duplicate" if _is_double(track, tracker, settings) else ""
+
+
+def shape_refusal(track: TrackState, *, width_m: float, height_m: float, settings: CountSettings) -> str:
+    """Why the shape of a track is no tuber's; empty where it may be one.
+
+    Haulm is thin. A piece split off a knobby tuber's flank stands as high as the tuber but is narrow, and much of its
+    outline is seam: no tuber rests on its edge like that.
+    """
+    if width_m < settings.min_width_m:
+        return "thin"
+    slender = height_m / width_m
+    contact = float(np.median([h.contact for h in track.hits]))
+    small = track.area_mm2 < settings.sliver_area_mm2
+    if slender > settings.max_slender or (small and contact > settings.seam_share and slender > settings.seam_slender):
+        return "sliver"
+    return ""
+
+
+def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> bool:
+    """A counted track lies so close that both must be one tuber."""
+    for other in tracker.tracks:
+        if other is not track and other.state is State.COUNTED:
+            radius_m = np.sqrt(max(track.area_mm2, other.area_mm2) / np.pi) / 1000.0
+            away_m = np.hypot(track.place_x_m - other.place_x_m, track.place_y_m - other.place_y_m)
+            if away_m < settings.same_share * radius_m:
+                return True
+    return False

@@ -1,0 +1,164 @@
+"""How well found masks agree with given ones: F1 at IoU 0.5 and 0.75, panoptic quality, count bias, stage times."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from conveyor.errors import InputError
+from conveyor.messages import Frame
+from segmenter.belt import BeltGeometry
+from segmenter.folder import camera_folders, folder_frames
+from segmenter.heights import height_map
+from segmenter.instances import SplitSettings, full_resolution, split
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.plane import fit_plane, given_or_fitted
+
+LEAST_AREA_MM2 = 300.0
+"""Given masks smaller than this (slivers at the border) are neither asked for nor held against what was found."""
+
+
+@dataclass(slots=True)
+class Agreement:
+    """Sums over frames. `ious`: of all pairs that overlap by more than half."""
+
+    truths: int = 0
+    found: int = 0
+    ious: list[float] = field(default_factory=list)
+
+    def add(self, other: Agreement) -> None:
+        """Add another frame's sums."""
+        self.truths += other.truths
+        self.found += other.found
+        self.ious += other.ious
+
+    def f1(self, least_iou: float) -> float:
+        """F1 over instances at an IoU threshold of at least 0.5."""
+        hits = sum(iou >= least_iou for iou in self.ious)
+        return 2 * hits / (self.truths + self.found) if self.truths + self.found else 1.0
+
+    @property
+    def panoptic_quality(self) -> float:
+        """Sum of the matched pairs' IoU over (TP + FP/2 + FN/2)."""
+        return 2 * sum(self.ious) / (self.truths + self.found) if self.truths + self.found else 1.0
+
+    @property
+    def count_bias(self) -> float:
+        """Found over given, less one."""
+        return self.found / self.truths - 1 if self.truths else 0.0
+
+
+def agreement(truth: NDArray[np.uint16], found: NDArray[np.uint16], *, least_px: float) -> Agreement:
+    """Compare two (H, W) label images; given masks under `least_px` pixels, and what mostly covers them, are left
+    out.
+    """
+    pairs, counts = np.unique(truth.astype(np.int64) << 32 | found.astype(np.int64), return_counts=True)
+    t_of, f_of = pairs >> 32, pairs & 0xFFFFFFFF
+    t_names, f_names = np.unique(t_of[t_of > 0]), np.unique(f_of[f_of > 0])
+    t_size = {int(t): int(counts[t_of == t].sum()) for t in t_names}
+    f_size = {int(f): int(counts[f_of == f].sum()) for f in f_names}
+    small = {t for t, size in t_size.items() if size < least_px}
+    on_small: dict[int, int] = {}
+    overlap = np.zeros((len(t_names), len(f_names)))
+    for t, f, n in zip(t_of.tolist(), f_of.tolist(), counts.tolist(), strict=True):
+        if t > 0 and f > 0:
+            overlap[np.searchsorted(t_names, t), np.searchsorted(f_names, f)] = n / (t_size[t] + f_size[f] - n)
+            if t in small:
+                on_small[f] = on_small.get(f, 0) + n
+    ignored = {f for f, n in on_small.items() if n > 0.5 * f_size[f]}
+    rows = [i for i, t in enumerate(t_names.tolist()) if t not in small]
+    columns = [j for j, f in enumerate(f_names.tolist()) if f not in ignored]
+    overlap = overlap[np.ix_(rows, columns)]
+    i, j = linear_sum_assignment(-overlap)
+    ious = [float(value) for value in overlap[i, j] if value > 0.5]
+    return Agreement(len(rows), len(columns), ious)
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationScore:
+    """Result for one recording; times are medians, milliseconds per frame."""
+
+    recording: str
+    frames: int
+    instances_given: int
+    instances_found: int
+    f1_50: float
+    f1_75: float
+    panoptic_quality: float
+    count_bias: float
+    heights_ms: float
+    split_ms: float
+    whole_step_ms: float
+    size: str
+
+
+def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -> SegmentationScore:
+    """Score the splitter on all cameras of a folder recording with masks.
+
+    Args:
+        recording: folder with mask/ images.
+        settings: of the core.
+        every: use only every n-th frame for the masks; times are taken over the same frames.
+
+    Raises:
+        InputError: there are no masks.
+    """
+    total, times, frames, sizes = Agreement(), [], 0, set()
+    for folder in camera_folders(recording):
+        core = Segmenter(settings)
+        belt: BeltGeometry | None = None
+        for index, frame in enumerate(folder_frames(folder, masks=True)):
+            if index % every or frame.mask is None:
+                continue
+            belt = belt or _belt(frame)
+            heights_ms, split_ms, labels = _found(frame, belt, settings.split)
+            least_px = LEAST_AREA_MM2 / belt.footprint_mm() ** 2
+            total.add(agreement(np.where(frame.depth > 0, frame.mask, 0), labels, least_px=least_px))
+            started = time.perf_counter()
+            core.step(_without_mask(frame))
+            times.append((heights_ms, split_ms, (time.perf_counter() - started) * 1000))
+            sizes.add(f"{frame.intrinsics.width}x{frame.intrinsics.height}")
+            frames += 1
+    if frames == 0:
+        raise InputError(f"{recording} has no mask/ images to compare with: simulate one with masks")
+    heights_ms, split_ms, step_ms = (float(value) for value in np.median(np.array(times), axis=0))
+    return SegmentationScore(
+        recording=recording.name,
+        frames=frames,
+        instances_given=total.truths,
+        instances_found=total.found,
+        f1_50=total.f1(0.5),
+        f1_75=total.f1(0.75),
+        panoptic_quality=total.panoptic_quality,
+        count_bias=total.count_bias,
+        heights_ms=heights_ms,
+        split_ms=split_ms,
+        whole_step_ms=step_ms,
+        size=", ".join(sorted(sizes)),
+    )
+
+
+def _belt(frame: Frame) -> BeltGeometry:
+    fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask)
+    pose = given_or_fitted(frame.belt_from_camera, frame.belt_distance_m, fit, camera=frame.camera)
+    return BeltGeometry(frame.intrinsics, pose)
+
+
+def _found(frame: Frame, belt: BeltGeometry, settings: SplitSettings) -> tuple[float, float, NDArray[np.uint16]]:
+    started = time.perf_counter()
+    heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=settings.pixel_mm)
+    mapped = time.perf_counter()
+    instances = split(heights, belt, settings)
+    done = time.perf_counter()
+    return (mapped - started) * 1000, (done - mapped) * 1000, full_resolution(instances, frame.depth)
+
+
+def _without_mask(frame: Frame) -> Frame:
+    from dataclasses import replace
+
+    return replace(frame, mask=None)

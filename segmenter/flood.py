@@ -1,0 +1,221 @@
+"""Numba kernels of the splitter: descending flood with dynamics, regrowth, and the sums over each instance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEVEL_MM = 0.25
+COLUMNS = 16
+"""Columns of `instance_sums`, see there."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _find(parent: NDArray[np.int32], node: Any) -> Any:
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
+    return node
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def flood(
+    relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
+) -> tuple[NDArray[np.int32], int]:
+    """Basins of a relief, flooded from its peaks downwards.
+
+    Two basins that meet become one when the lower peak rises less than max(`least_mm`, `share` * its own height) over
+    the pass between them; this replaces h-maxima and a watershed by one pass over the cells in falling order.
+
+    Args:
+        relief_mm: (h, w) float32, high inside tubers.
+        foreground: (h, w) uint8, cells to label.
+        least_mm, share: the dynamics a peak needs.
+
+    Returns:
+        ((h, w) int32 labels 1..n, 0 elsewhere; n)
+    """
+    rows, columns = relief_mm.shape
+    levels = np.zeros(rows * columns, np.int32)
+    count, top = 0, 0
+    for i in range(rows):
+        for j in range(columns):
+            if foreground[i, j]:
+                level = max(0, int(relief_mm[i, j] / LEVEL_MM))
+                levels[i * columns + j] = level + 1
+                top = max(top, level + 1)
+                count += 1
+    starts = np.zeros(top + 2, np.int64)
+    for level in levels:
+        if level > 0:
+            starts[top - level + 1] += 1
+    for index in range(1, top + 2):
+        starts[index] += starts[index - 1]
+    order = np.empty(count, np.int32)
+    for index in range(rows * columns):
+        level = levels[index]
+        if level > 0:
+            order[starts[top - level]] = index
+            starts[top - level] += 1
+    parent = np.full(rows * columns, -1, np.int32)
+    peak = np.zeros(rows * columns, np.float32)
+    for cell in order:
+        i, j = cell // columns, cell % columns
+        here = relief_mm[i, j]
+        home, highest = -1, np.float32(-1.0)
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                y, x = i + di, j + dj
+                flooded = (di or dj) and 0 <= y < rows and 0 <= x < columns and parent[y * columns + x] >= 0
+                if flooded and relief_mm[y, x] > highest:
+                    highest = relief_mm[y, x]
+                    home = y * columns + x
+        if home < 0:
+            parent[cell] = cell
+            peak[cell] = here
+            continue
+        root = _find(parent, home)
+        parent[cell] = root
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                y, x = i + di, j + dj
+                if (di or dj) and 0 <= y < rows and 0 <= x < columns and parent[y * columns + x] >= 0:
+                    other = _find(parent, y * columns + x)
+                    if other != root:
+                        low, high = (other, root) if peak[other] < peak[root] else (root, other)
+                        if peak[low] - here < max(least_mm, share * peak[low]):
+                            parent[low] = high
+                            root = high
+    labels = np.zeros((rows, columns), np.int32)
+    names = np.zeros(rows * columns, np.int32)
+    n = 0
+    for cell in order:
+        root = _find(parent, cell)
+        if names[root] == 0:
+            n += 1
+            names[root] = n
+        labels[cell // columns, cell % columns] = names[root]
+    return labels, n
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: float, steps: int) -> None:
+    """Grow all labels ring by ring, in place, into unlabelled cells higher than `floor_mm`, at most `steps` cells."""
+    rows, columns = labels.shape
+    front = np.empty(rows * columns, np.int32)
+    fresh = np.empty(rows * columns, np.int32)
+    size = 0
+    for i in range(rows):
+        for j in range(columns):
+            if labels[i, j] > 0:
+                edge = False
+                for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                    y, x = i + di, j + dj
+                    if 0 <= y < rows and 0 <= x < columns and labels[y, x] == 0 and height_mm[y, x] > floor_mm:
+                        edge = True
+                if edge:
+                    front[size] = i * columns + j
+                    size += 1
+    for step in range(steps):
+        grown = 0
+        for index in range(size):
+            i, j = front[index] // columns, front[index] % columns
+            for di in range(-1, 2):
+                for dj in range(-1, 2):
+                    if step % 2 == 1 and di and dj:
+                        continue
+                    y, x = i + di, j + dj
+                    if 0 <= y < rows and 0 <= x < columns and labels[y, x] == 0 and height_mm[y, x] > floor_mm:
+                        labels[y, x] = labels[i, j]
+                        fresh[grown] = y * columns + x
+                        grown += 1
+        if grown == 0:
+            return
+        front, fresh = fresh, front
+        size = grown
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def instance_sums(
+    labels: NDArray[np.int32],
+    n: int,
+    height_mm: NDArray[np.float32],
+    a: float,
+    b: float,
+    c: float,
+    t: float,
+    stride: int,
+    area_factor: float,
+    margin: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Sums over each instance in one pass.
+
+    Args:
+        labels: (h, w) int32, 1..n, 0 = none.
+        n: highest label.
+        height_mm: (h, w) float32 height over the belt.
+        a, b, c, t: height coefficients in millimetres per metre and millimetres (`BeltGeometry.height_coefficients`).
+        stride: full-resolution pixels per cell.
+        area_factor: stride**2 / (fx fy) * 1e6.
+        margin: cells from the border that count as touching it.
+
+    Returns:
+        ((n + 1, COLUMNS) float64: 0 cells, 1 sum of columns, 2 sum of rows, 3 area mm2, 4 volume mm3, 5-8 touching top,
+        bottom, left, right (cells), 9-12 lowest and highest row, lowest and highest column, 13 outline cells next to
+        another instance, 14 outline cells, 15 peak mm; (n + 1, 128) int32 histogram of heights in 2 mm steps)
+    """
+    rows, columns = labels.shape
+    sums = np.zeros((n + 1, COLUMNS), np.float64)
+    histogram = np.zeros((n + 1, 128), np.int32)
+    sums[:, 9] = rows
+    sums[:, 11] = columns
+    sums[:, 10] = -1
+    sums[:, 12] = -1
+    half = (stride - 1) / 2.0
+    for i in range(rows):
+        for j in range(columns):
+            k = labels[i, j]
+            if k == 0:
+                continue
+            s = sums[k]
+            h = height_mm[i, j]
+            slope = a * (j * stride + half) + b * (i * stride + half) + c
+            z = (h - t) / slope
+            area = area_factor * z * z / abs(slope * 1e-3)
+            s[0] += 1
+            s[1] += j
+            s[2] += i
+            s[3] += area
+            s[4] += area * h
+            s[5] += i < margin
+            s[6] += i >= rows - margin
+            s[7] += j < margin
+            s[8] += j >= columns - margin
+            s[9] = min(s[9], i)
+            s[10] = max(s[10], i)
+            s[11] = min(s[11], j)
+            s[12] = max(s[12], j)
+            s[15] = max(s[15], h)
+            histogram[k, min(127, int(h * 0.5))] += 1
+            touching, outline = False, False
+            for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                y, x = i + di, j + dj
+                if 0 <= y < rows and 0 <= x < columns and labels[y, x] != k:
+                    outline = True
+                    if labels[y, x] > 0:
+                        touching = True
+            s[13] += touching
+            s[14] += outline
+    return sums, histogram
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def relabel(labels: NDArray[np.int32], names: NDArray[np.int32]) -> None:
+    """Rename labels in place: label k becomes `names[k]`."""
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            if labels[i, j] > 0:
+                labels[i, j] = names[labels[i, j]]

@@ -1,0 +1,194 @@
+"""The segmenter's process: one camera's frames in; views, the camera's log and its progress out."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from conveyor import topics
+from conveyor.config import LineConfig
+from conveyor.delivery import (
+    KeptPublisher,
+    KeptSubscriber,
+    LatestPublisher,
+    LatestSubscriber,
+    Presence,
+    ReliablePublisher,
+    ReliableSubscriber,
+)
+from conveyor.messages import CameraInfo, Committed, Frame, Weight
+from conveyor.node import Node
+from segmenter.age import FrameAge
+from segmenter.camera_run import CameraRun
+from segmenter.setup import log_path, run_settings
+from segmenter.warmup import warm_up
+
+PROGRESS_EVERY_S = 0.2
+TRAVEL_EVERY_S = 0.1
+REPORT_EVERY_S = 0.2
+IDLE_POLL_S = 0.02
+BUSY_POLL_S = 0.004
+COMMITTED_WAIT_S = 0.5
+
+
+class SegmenterNode:
+    """The shell: sockets and clocks around `CameraRun`. A new run id from the camera opens a new run; older runs live
+    on until their logs are committed.
+    """
+
+    def __init__(self, config: LineConfig, camera: str, run: str) -> None:
+        self._config = config
+        self._camera = camera
+        self._waits = config.camera(camera).waits
+        self._node = Node("segmenter", camera, config=config, run=run, announce=False)
+        self._runs: dict[str, CameraRun] = {}
+        self._age = FrameAge()
+        self._progress_s = self._travel_s = self._reported_s = 0.0
+        self._sent_progress: object = None
+        self._works: dict[str, LatestPublisher] = {}
+        self._aggregator_came = threading.Event()
+
+    def run(self) -> None:
+        """Work until stopped."""
+        warm_up(self._config.segmenter.pixel_mm)
+        with self._node as node:
+            self._open_links(node)
+            try:
+                self._open_run(node.run)
+                node.announce()
+                while not node.stop.is_set():
+                    self._turn()
+                    node.progress()
+            finally:
+                for camera_run in self._runs.values():
+                    camera_run.close()
+
+    def _open_links(self, node: Node) -> None:
+        camera, segmenter = self._camera, self._config.segmenter
+        ring = max(segmenter.ring, self._config.camera(camera).window + 2) if self._waits else segmenter.ring
+        self._committed = KeptSubscriber(node, topics.COMMITTED, Committed, camera=camera)
+        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera=camera)
+        self._weights = ReliableSubscriber(node, topics.WEIGHT, Weight, camera=camera)
+        self._regressors = Presence(node, "regressor")
+        self._aggregators = Presence(node, "aggregator", on_change=self._aggregator_came.set)
+        self._frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=ring, camera=camera)
+        self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera=camera)
+        self._log_out = ReliablePublisher(node, topics.TRACK, camera=camera)
+        self._travel = LatestPublisher(node, topics.TRAVEL, source=camera)
+
+    def _open_run(self, run: str) -> None:
+        camera_run = CameraRun(
+            self._camera, run, run_settings(self._config, self._camera), log_path(self._config, self._camera, run)
+        )
+        camera_run.open()
+        if camera_run.log.cut_bytes:
+            self._node.log.warning("cut %d bytes of a torn record off the track log", camera_run.log.cut_bytes)
+        if camera_run.log.newest:
+            self._node.counters.add("log_entries_restored", camera_run.log.newest)
+            self._node.log.info("goes on after entry %d of run %s", camera_run.log.newest, run)
+        else:
+            self._committed.wait(COMMITTED_WAIT_S)
+        self._take_commits(camera_run)
+        self._current = self._runs[run] = camera_run
+
+    def _turn(self) -> None:
+        """One round: at most one frame, then everything that waits for a turn."""
+        busy = self._current.dispatcher.outstanding > 0 or len(self._frames) > 0
+        frame = self._frames.get(BUSY_POLL_S if busy else IDLE_POLL_S)
+        now_s = time.monotonic()
+        if frame is not None:
+            self._take_frame(frame, now_s)
+        for info in self._infos.latest().values():
+            self._take_info(info, now_s)
+        while len(self._weights) and (weight := self._weights.get(0.0)) is not None:
+            if weight.run in self._runs:
+                self._runs[weight.run].weight(weight)
+        resend = self._aggregator_came.is_set()
+        self._aggregator_came.clear()
+        for camera_run in list(self._runs.values()):
+            if resend:
+                camera_run.log.resend()
+            self._serve(camera_run, now_s)
+        if now_s - self._reported_s >= REPORT_EVERY_S:
+            self._reported_s = now_s
+            self._report()
+
+    def _take_frame(self, frame: Frame, now_s: float) -> None:
+        counters = self._node.counters
+        if frame.run not in self._runs:
+            self._end_older_runs(now_s)
+            self._node.log.info("the camera began run %s", frame.run)
+            self._open_run(frame.run)
+        camera_run = self._runs[frame.run]
+        if camera_run is not self._current:
+            counters.add("frames_of_older_runs")
+            return
+        drop = ""
+        if (
+            not self._waits
+            and self._age.age_ms(frame.captured_ns, time.monotonic_ns()) > self._config.segmenter.max_age_ms
+        ):
+            drop = "too_old"
+        started_s = time.perf_counter()
+        result = camera_run.frame(frame, now_s, drop=drop)
+        if result is None:
+            return
+        counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
+        counters.add("instances", result.instances)
+        check = camera_run.core.belt_check
+        if check.drift_m is not None:
+            counters.gauge("belt_drift_mm", check.drift_m * 1000)
+            counters.gauge("belt_alarm", float(check.alarm))
+        if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
+            self._travel_s = now_s
+            self._travel.put(camera_run.travel(frame.captured_ns))
+
+    def _take_info(self, info: CameraInfo, now_s: float) -> None:
+        if info.run in self._runs:
+            was_ended = self._runs[info.run].ended
+            self._runs[info.run].info(info, now_s)
+            if self._runs[info.run].ended and not was_ended:
+                self._node.log.info("the camera %s after frame %s", info.state, info.last_seq)
+
+    def _end_older_runs(self, now_s: float) -> None:
+        for camera_run in self._runs.values():
+            camera_run.end(now_s)
+
+    def _take_commits(self, camera_run: CameraRun) -> None:
+        for committed in self._committed.latest().values():
+            if committed.run == camera_run.run:
+                camera_run.log.commit(committed.n)
+
+    def _serve(self, camera_run: CameraRun, now_s: float) -> None:
+        """Send what a run has to send; forget an older run that has nothing left to say."""
+        self._take_commits(camera_run)
+        for name, view in camera_run.tick(now_s, self._regressors.names()):
+            self._work(name).put(view)
+        for entry in camera_run.log.due(now_s):
+            self._log_out.put(entry)
+        if camera_run is self._current:
+            progress = camera_run.progress()
+            if progress != self._sent_progress or now_s - self._progress_s >= PROGRESS_EVERY_S:
+                self._sent_progress, self._progress_s = progress, now_s
+                self._progress.put(progress)
+        elif camera_run.log.finished:
+            camera_run.close()
+            del self._runs[camera_run.run]
+
+    def _work(self, regressor: str) -> LatestPublisher:
+        if regressor not in self._works:
+            self._works[regressor] = LatestPublisher(self._node, topics.VIEW, regressor=regressor)
+        return self._works[regressor]
+
+    def _report(self) -> None:
+        """Balance sheets as gauges: they are levels of one run, and a new run starts them anew."""
+        camera_run, counters = self._current, self._node.counters
+        for sheet, values in camera_run.counts().items():
+            for name, value in values.items():
+                counters.gauge(f"{sheet}_{name}", value)
+        counters.gauge("frames_duplicates", camera_run.frames.duplicates)
+        counters.gauge("views_duplicate_answers", camera_run.dispatcher.duplicates)
+        counters.gauge("log_uncommitted", camera_run.log.uncommitted)
+        counters.gauge("tracks_waiting", len(camera_run.weighing))
+        for reason, n in camera_run.dispatcher.requeued.items():
+            counters.gauge(f"views_requeued_{reason}", n)

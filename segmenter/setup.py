@@ -1,0 +1,49 @@
+"""From the line's config to the settings of the core."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from conveyor.config import LineConfig
+from segmenter.camera_run import RunSettings
+from segmenter.counting import CountSettings
+from segmenter.dispatch import DispatchSettings
+from segmenter.instances import SplitSettings
+from segmenter.pipeline import Settings
+from segmenter.tracker import TrackSettings
+
+
+def core_settings(config: LineConfig) -> Settings:
+    """Settings of segmentation, tracking and counting."""
+    s = config.segmenter
+    return Settings(
+        split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
+        track=TrackSettings(gate_m=s.gate_mm / 1000),
+        count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm),
+        views_per_tuber=s.views_per_tuber,
+    )
+
+
+def run_settings(config: LineConfig, camera: str) -> RunSettings:
+    """Settings of one camera's run. A camera that waits is held back under load; one that does not sheds views."""
+    s, c = config.segmenter, config.camera(camera)
+    waits = c.waits and c.source == "recording"
+    return RunSettings(
+        core=core_settings(config),
+        dispatch=DispatchSettings(
+            credits=s.credits,
+            deadline_s=s.job_deadline_s,
+            max_attempts=s.max_attempts,
+            shed_over=None if waits else s.max_pending_views,
+        ),
+        weigh_deadline_s=s.weigh_deadline_s,
+        max_pending_views=s.max_pending_views,
+        window=c.window,
+        replays=waits,
+    )
+
+
+def log_path(config: LineConfig, camera: str, run: str) -> Path | None:
+    """File of a camera's log in a run; None where nothing is kept across restarts."""
+    folder = config.segmenter.state_dir
+    return None if folder is None else folder / f"{config.name}.{camera}.{run}.log"

@@ -1,0 +1,83 @@
+"""One tuber followed through the frames of one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from segmenter.views import ViewShelf
+
+TRUST_CAP = 8.0
+"""Effective number of readings behind a place: older ones fade, so that a tuber may roll a little."""
+CUT_TRUST = 0.02
+ODD_TRUST = 0.15
+ODD_AREA = 1.35
+"""A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
+
+
+class State(StrEnum):
+    """Where a track stands."""
+
+    OPEN = "open"
+    COUNTED = "counted"
+    DISCARDED = "discarded"
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """The tuber in one frame. Belt metres; `whole`: not cut by a border; `ends_cut`: by the first or last row."""
+
+    seq: int
+    x_m: float
+    y_m: float
+    travel_m: float
+    area_mm2: float
+    volume_ml: float
+    height_mm: float
+    contact: float
+    whole: bool
+    ends_cut: bool
+
+
+@dataclass(slots=True)
+class TrackState:
+    """What is known of a track so far. Places are x - travel and y, metres.
+
+    `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none.
+    """
+
+    number: int
+    first_seq: int
+    countable: bool
+    place_x_m: float
+    place_y_m: float
+    trust: float
+    area_mm2: float
+    height_mm: float
+    shelf: ViewShelf
+    last_seq: int = 0
+    missed: int = 0
+    vacant: int = 0
+    frames: int = 0
+    state: State = State.OPEN
+    reason: str = ""
+    hits: list[Hit] = field(default_factory=list)
+
+    def add(self, hit: Hit, *, moved: bool) -> None:
+        """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
+        odd = max(hit.area_mm2 / self.area_mm2, self.area_mm2 / hit.area_mm2) > ODD_AREA and self.frames >= 3
+        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if odd else 1.0
+        self.trust = min(self.trust, TRUST_CAP) + weight
+        gain = weight / self.trust
+        self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)
+        self.place_y_m += gain * (hit.y_m - self.place_y_m)
+        self.last_seq = hit.seq
+        self.missed = self.vacant = 0
+        if moved or not self.hits:
+            self.frames += 1
+            self.hits.append(hit)
+            recent = [h.area_mm2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_mm2]
+            self.area_mm2 = float(np.median(recent))
+            self.height_mm = float(np.median([h.height_mm for h in self.hits[-15:]]))

@@ -1,0 +1,32 @@
+"""Compile the kernels before the node says that it is ready: the first frame must not wait for the compiler."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.messages import Frame
+from segmenter.pipeline import Segmenter, Settings
+
+
+def warm_up(pixel_mm: float) -> None:
+    """Run the core over two frames of one box on a belt, with one thread per library."""
+    cv2.setNumThreads(1)
+    core = Segmenter(Settings())
+    for seq, row in enumerate((60, 64)):
+        depth = np.full((160, 200), 460, np.uint16)
+        depth[row : row + 24, 80:110] = 420
+        frame = Frame(
+            camera="warmup",
+            run="warmup",
+            seq=seq,
+            captured_ns=seq * 33_000_000,
+            travel_m=None,
+            depth_scale_m=0.001,
+            intrinsics=Intrinsics(200, 160, 460.0 / pixel_mm, 460.0 / pixel_mm, 100.0, 80.0),
+            belt_distance_m=None,
+            belt_from_camera=straight_down_belt_from_camera(0.46),
+            depth=depth,
+        )
+        core.step(frame)

@@ -1,0 +1,83 @@
+"""Tracks that wait for their weights, from closed to ready for the log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+from conveyor.messages import Track, WeighedView, Weight
+from segmenter.dispatch import LostView
+from segmenter.pipeline import ClosedTrack
+
+
+@dataclass(slots=True)
+class _Waiting:
+    closed: ClosedTrack
+    deadline_s: float
+    answers: dict[str, WeighedView] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def done(self) -> bool:
+        return len(self.answers) + self.losses.total() == len(self.closed.views)
+
+
+class Weighing:
+    """Collects answers and losses per track; a track whose views are all accounted for comes out once."""
+
+    def __init__(self, deadline_s: float) -> None:
+        self._deadline_s = deadline_s
+        self._waiting: dict[str, _Waiting] = {}
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, closed: ClosedTrack, now_s: float) -> None:
+        """Start to wait for the weights of a track."""
+        self._waiting[closed.track.track_id] = _Waiting(closed, now_s + self._deadline_s)
+
+    def weighed(self, weight: Weight) -> None:
+        """Take an answer that can be used."""
+        waiting = self._waiting.get(weight.track_id)
+        if waiting is None or weight.weight_g is None or weight.low_g is None or weight.high_g is None:
+            return
+        waiting.answers[weight.view_id] = WeighedView(
+            view_id=weight.view_id,
+            seq=weight.seq,
+            weight_g=weight.weight_g,
+            low_g=weight.low_g,
+            high_g=weight.high_g,
+            method=weight.method,
+            model=weight.model,
+            flags=weight.flags,
+        )
+
+    def lost(self, view: LostView) -> None:
+        """Take a loss."""
+        waiting = self._waiting.get(view.track_id)
+        if waiting is not None:
+            waiting.losses[view.reason] += 1
+
+    def overdue(self, now_s: float) -> list[str]:
+        """Tracks whose weights have been waited for long enough."""
+        return [track_id for track_id, waiting in self._waiting.items() if now_s >= waiting.deadline_s]
+
+    def take_done(self) -> list[Track]:
+        """Tracks whose views are all weighed or lost, in the order in which they were closed; each comes out once."""
+        done = [track_id for track_id, waiting in self._waiting.items() if waiting.done]
+        return [_finished(self._waiting.pop(track_id)) for track_id in done]
+
+    def earliest_travel_m(self) -> float | None:
+        """Belt travel at the earliest crossing still waited for."""
+        return min((waiting.closed.track.travel_m for waiting in self._waiting.values()), default=None)
+
+
+def _finished(waiting: _Waiting) -> Track:
+    """The track with its answers in the order of the views' ranks."""
+    views = tuple(waiting.answers[v.view_id] for v in waiting.closed.views if v.view_id in waiting.answers)
+    return replace(
+        waiting.closed.track,
+        views_sent=len(waiting.closed.views),
+        views=views,
+        views_lost=dict(sorted(waiting.losses.items())),
+    )

@@ -1,0 +1,99 @@
+"""kill -9 at every write point of the ledger: what was acknowledged is there, once, and the run goes on to its end."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.check import check_file
+from aggregator.ledger import Ledger
+from tests.aggregator.belt_story import tell
+from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
+
+ROOT = Path(__file__).resolve().parents[2]
+SEED = 3
+
+
+def run_jobs(jobs: list[tuple[str, int, int, float]]) -> list[int]:
+    """Exit statuses of the killed children, as waitpid gives them."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.aggregator.ledger_child"],
+        input=json.dumps(jobs),
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    return [int(line) for line in done.stdout.split()]
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    with Ledger(tmp_path_factory.mktemp("calm") / "ledger.db") as ledger:
+        return undisturbed(ledger, tell(SEED, n=10, cameras=2)).canonical()
+
+
+def survives(folder: Path, calm: list[str]) -> int:
+    """Reopen what a killed process left, check it against what it acknowledged, and finish the story."""
+    said = folder / "acknowledged"
+    acknowledged = dict(line.split() for line in said.read_text().splitlines()) if said.exists() else {}
+    if (folder / "ledger.db").exists() and (folder / "ledger.ack").exists():
+        assert [
+            fault
+            for fault in check_file(folder / "ledger.db")
+            if "schema version" not in fault and "no ledger" not in fault
+        ] == []
+    with Ledger(folder / "ledger.db") as ledger:
+        it = Aggregator(ledger, tell(SEED, n=10, cameras=2))
+        for camera, n in acknowledged.items():
+            assert it.core.applied()[camera] >= int(n)
+        it.acknowledged = {**dict.fromkeys(it.story.names, 0), **{c: int(n) for c, n in acknowledged.items()}}
+        it.deliver_the_rest()
+        assert it.core.finished
+        assert it.canonical() == calm
+    return sum(int(n) for n in acknowledged.values())
+
+
+def test_killed_at_every_write_point(tmp_path: Path, calm: list[str]) -> None:
+    points = [*range(22), *range(22, 150, 7)]
+    jobs = [(str(tmp_path / f"at{point}"), SEED, point, 0.0) for point in points]
+    for folder, *_ in jobs:
+        Path(folder).mkdir()
+    statuses = run_jobs(jobs)
+    assert set(statuses) == {9}
+    acknowledged = [survives(Path(folder), calm) for folder, *_ in jobs]
+    assert acknowledged[0] == 0
+    assert sorted(acknowledged) == acknowledged
+    assert acknowledged[-1] > 10
+
+
+def test_killed_at_any_moment(tmp_path: Path, calm: list[str], rng: np.random.Generator) -> None:
+    jobs = [(str(tmp_path / f"t{i}"), SEED, 10**9, float(rng.uniform(0.01, 0.12))) for i in range(12)]
+    for folder, *_ in jobs:
+        Path(folder).mkdir()
+    statuses = run_jobs(jobs)
+    assert set(statuses) <= {0, 9}
+    for folder, *_ in jobs:
+        survives(Path(folder), calm)
+
+
+def test_a_second_writer_is_refused(tmp_path: Path) -> None:
+    from conveyor.errors import LedgerError
+
+    with Ledger(tmp_path / "ledger.db"), pytest.raises(LedgerError, match="being written by another process"):
+        Ledger(tmp_path / "ledger.db").__enter__()
+
+
+def test_the_story_is_the_same_in_every_process() -> None:
+    """The children rebuild the story from its seed: it must not depend on the process."""
+    assert tell(SEED).in_run(fresh_run("x")).logs.keys() == tell(SEED).logs.keys()
+    assert tell(SEED) == tell(SEED)

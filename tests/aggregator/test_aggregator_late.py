@@ -1,0 +1,137 @@
+"""A camera that falls silent holds nobody up for longer than it may, and its late tracks are not counted twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.cameras import STARTUP_GRACE_S
+from aggregator.ledger import Ledger
+from tests.aggregator.belt_story import Story, tell
+from tests.aggregator.virtual_line import STALL_S, Aggregator, fresh_run
+
+
+def each_tuber_once(it: Aggregator, told: Story) -> None:
+    """The ledger holds every tuber that some camera saw, and none twice."""
+    tubers = it.tubers()
+    for true in told.seen():
+        near = [t for t in tubers if np.hypot(t.place_x_m - true.x_m, t.place_y_m - true.y_m) < 0.03]
+        assert len(near) == 1, (true, near)
+    assert len(tubers) == len(told.seen())
+
+
+def send_all(it: Aggregator, camera: str, upto: int | None = None) -> None:
+    for entry in it.story.logs[camera][:upto]:
+        it.receive(camera, entry.n)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("restart", [False, True])
+def test_late_tracks_change_nothing_or_add_what_only_they_saw(seed: int, restart: bool, tmp_path: Path) -> None:
+    told = tell(seed, cameras=2 + seed % 2, apart_m=0.1, length_m=2.0, n=16, split=0.1).in_run(fresh_run("late"))
+    late = told.names[seed % len(told.names)]
+    others = [name for name in told.names if name != late]
+    cut = int(np.random.default_rng(seed).integers(1, len(told.logs[late]) - 1))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        send_all(it, late, cut)
+        for name in others:
+            send_all(it, name)
+        it.commit()
+        held = len(it.tubers())
+        it.now_s += STALL_S + 0.1
+        for name in others:
+            it.core.cameras.presence(name, alive=True, now_s=it.now_s)
+        it.commit()
+        assert it.core.cameras.says(it.now_s)[late] == "silent"
+        before = it.tubers()
+        seen_by_others = [t for t in told.seen() if any(_sees(told, name, t.y_m) for name in others)]
+        assert len(before) >= max(held, len(seen_by_others))
+        assert not it.core.finished
+        if restart:
+            it.start()
+        it.deliver_the_rest()
+        assert it.core.finished
+        assert it.tubers()[: len(before)] == before
+        each_tuber_once(it, told)
+        roles = dict(ledger.connection.execute("SELECT role, count(*) FROM observation GROUP BY role"))
+        tracks = sum(entry.track is not None for log in told.logs.values() for entry in log)
+        assert sum(roles.values()) == tracks
+        assert roles.get("late_duplicate", 0) == it.counts.get("tracks_late_duplicate", 0)
+        assert all(
+            "late" in t.flags for t in it.tubers()[len(before) :] if t.cameras == (late,) and t.place_x_m > _low(before)
+        )
+
+
+def _sees(told: Story, name: str, y_m: float) -> bool:
+    (camera,) = (c for c in told.cameras if c.name == name)
+    return camera.low_y_m <= y_m <= camera.high_y_m
+
+
+def _low(tubers: list) -> float:
+    return min((t.place_x_m for t in tubers), default=float("inf"))
+
+
+def test_late_counters_are_driven(tmp_path: Path) -> None:
+    """Two cameras that see the same belt; the second one comes when the first is long committed."""
+    told = tell(5, cameras=3, apart_m=0.1, n=10, split=0).in_run(fresh_run("counters"))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        send_all(it, "cam0")
+        send_all(it, "cam1")
+        it.commit()
+        assert it.tubers() == []
+        it.now_s += max(STALL_S, STARTUP_GRACE_S) + 0.1
+        it.commit()
+        assert len(it.tubers()) == len(told.seen())
+        it.deliver_the_rest()
+        assert it.counts["tracks_late"] == it.counts["tracks_late_duplicate"] == len(told.seen())
+        assert len(it.tubers()) == len(told.seen())
+
+
+def test_a_camera_never_heard_is_waited_for_until_the_line_has_started(tmp_path: Path) -> None:
+    told = tell(1, cameras=2).in_run(fresh_run("start"))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        send_all(it, "cam0")
+        it.now_s += STALL_S + 1
+        it.commit()
+        assert it.tubers() == []
+        it.now_s += STARTUP_GRACE_S
+        it.commit()
+        assert it.tubers()
+
+
+def test_a_segmenter_that_is_gone_holds_up_for_half_the_time_only(tmp_path: Path) -> None:
+    told = tell(2, cameras=2).in_run(fresh_run("gone"))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        send_all(it, "cam0")
+        it.receive("cam1", 1)
+        it.core.cameras.presence("cam1", alive=False, now_s=it.now_s)
+        it.now_s += STALL_S / 2 - 0.5
+        it.commit()
+        assert it.core.cameras.says(it.now_s)["cam1"] == "running"
+        it.now_s += 0.5
+        it.commit()
+        assert it.core.cameras.says(it.now_s)["cam1"] == "silent"
+        assert it.tubers()
+
+
+def test_marks_that_repeat_an_old_moment_are_no_sign_of_progress(tmp_path: Path) -> None:
+    """A segmenter whose camera died goes on repeating its last mark; it must not hold the others up for ever."""
+    told = tell(3, cameras=2).in_run(fresh_run("frozen"))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        mark = next(e for e in told.logs["cam1"] if e.mark is not None)
+        send_all(it, "cam1", mark.n)
+        from dataclasses import replace
+
+        for n in range(mark.n + 1, mark.n + 30):
+            it.now_s += 1.0
+            it.core.receive(replace(mark, n=n), now_s=it.now_s)
+            it.commit()
+        assert it.core.applied()["cam1"] == mark.n + 29
+        assert it.core.cameras.says(it.now_s)["cam1"] == "silent"

@@ -1,0 +1,169 @@
+"""The aggregator's process over a real router: acknowledgements, kill -9 in the middle, answers, summary."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conveyor import topics
+from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
+from conveyor.delivery.kept import KeptSubscriber
+from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
+from conveyor.messages import Committed, Tuber
+from conveyor.node import Node
+from conveyor.observer import Observer
+from tests.aggregator.belt_story import Story, tell
+from tests.conftest import ROOT, wait_until
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
+
+
+@pytest.fixture
+def line(link: LinkConfig, tmp_path: Path) -> tuple[LineConfig, Path]:
+    """A line with two cameras, and its TOML file."""
+    config = parse_config(
+        {
+            "name": "t",
+            "link": {"router": link.router},
+            "cameras": {"cam0": {"path": "x"}, "cam1": {"path": "x"}},
+            "aggregator": {"out": str(tmp_path / "out"), "exit_when_final": True},
+        },
+        where="test",
+    )
+    path = tmp_path / "line.toml"
+    path.write_text(dump_toml(config))
+    return config, path
+
+
+class Process:
+    """`tuberline aggregator` as its own process, to be killed and started again."""
+
+    def __init__(self, config: Path) -> None:
+        self._args = [sys.executable, "-m", "conveyor", "aggregator", "--config", str(config), "--run", "story"]
+        self.start()
+
+    def start(self) -> None:
+        self.popen = subprocess.Popen(self._args, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+
+    def kill(self) -> None:
+        self.popen.kill()
+        self.popen.communicate(timeout=20)
+
+    def end(self) -> tuple[int, str]:
+        _, said = self.popen.communicate(timeout=40)
+        return self.popen.returncode, said
+
+
+@pytest.fixture
+def process(line: tuple[LineConfig, Path]) -> Iterator[Process]:
+    running = Process(line[1])
+    yield running
+    if running.popen.poll() is None:
+        running.kill()
+
+
+class Segmenters:
+    """Both cameras' segmenters: they keep what is not acknowledged and send it again."""
+
+    def __init__(self, node: Node, told: Story) -> None:
+        self.told = told
+        self._out = {name: ReliablePublisher(node, topics.TRACK, camera=name) for name in told.names}
+        self._committed = KeptSubscriber(node, topics.COMMITTED, Committed, camera="*")
+
+    def acknowledged(self, camera: str) -> int:
+        found = [c.n for c in self._committed.latest().values() if c.camera == camera and c.run == self.told.run]
+        return max(found, default=-1)
+
+    def send(self, upto: int | None = None) -> None:
+        for camera, out in self._out.items():
+            for entry in self.told.logs[camera][max(0, self.acknowledged(camera)) : upto]:
+                out.put(entry)
+
+    def all_acknowledged(self, upto: int | None = None) -> bool:
+        return all(self.acknowledged(camera) >= len(log[:upto]) for camera, log in self.told.logs.items())
+
+
+def test_killed_in_the_middle_it_counts_everything_once(line: tuple[LineConfig, Path], process: Process) -> None:
+    config, _ = line
+    told = tell(12, cameras=2, n=20, length_m=1.5)
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        segmenters = Segmenters(node, told)
+        tubers = ReliableSubscriber(node, topics.TUBER, Tuber)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        segmenters.send(14)
+        wait_until(lambda: segmenters.all_acknowledged(14), what="14 entries acknowledged")
+        process.kill()
+        segmenters.send(18)
+        process.start()
+        with Observer(config.link, line="t") as observer:
+            wait_until(lambda: "aggregator/aggregator" in observer.alive(), what="the second process", timeout_s=40)
+            segmenters.send(18)
+            wait_until(lambda: segmenters.all_acknowledged(18), what="18 entries acknowledged")
+            answered: dict[str, Any] = observer.query(topics.QUERY_TOTALS)
+            first = observer.query(topics.QUERY_TUBERS, parameters="limit=3")
+            assert [tuber["tuber_id"] for tuber in first] == [1, 2, 3][: answered["count"]]
+            rest = observer.query(topics.QUERY_TUBERS, parameters="since=1")
+            assert all(tuber["tuber_id"] > 1 for tuber in rest)
+            with pytest.raises(Exception, match="limit=many: give a whole number"):
+                observer.query(topics.QUERY_TUBERS, parameters="limit=many")
+            segmenters.send()
+            wait_until(lambda: segmenters.all_acknowledged(), what="everything acknowledged")
+            wait_until(lambda: (totals := observer.totals()) and totals.final, what="final totals")
+    code, said = process.end()
+    assert code == 0, said
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert summary["balanced"] is True
+    assert summary["final"] is True
+    assert summary["totals"]["count"] == len(told.seen())
+    assert summary["totals"]["coverage"] == 1.0
+    with (config.aggregator.out / "tubers.csv").open(newline="") as file:
+        assert len(list(csv.DictReader(file))) == len(told.seen())
+    published = {tuber.tuber_id for tuber in iter(lambda: tubers.get(0.0), None)}
+    assert published <= set(range(1, len(told.seen()) + 1))
+
+
+def test_a_finished_run_is_refused_in_words(line: tuple[LineConfig, Path], process: Process) -> None:
+    config, _ = line
+    told = tell(13, cameras=2, n=4)
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        segmenters = Segmenters(node, told)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        segmenters.send()
+        wait_until(lambda: segmenters.all_acknowledged(), what="everything acknowledged")
+    assert process.end()[0] == 0
+    process.start()
+    code, said = process.end()
+    assert code == 2
+    assert "already holds run 'story', finished" in said
+    assert "Traceback" not in said
+
+
+def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], process: Process) -> None:
+    config, _ = line
+    told = tell(14, cameras=2, n=10)
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        segmenters = Segmenters(node, told)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        segmenters.send(12)
+        wait_until(lambda: segmenters.all_acknowledged(12), what="12 entries acknowledged")
+    process.popen.terminate()
+    assert process.end()[0] == 0
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert summary["final"] is False
+    assert summary["tracks"]["pending"] >= 0
+    audited = subprocess.run(
+        [sys.executable, "-m", "conveyor", "audit", str(config.aggregator.out), "--json"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert audited.returncode == 0, audited.stdout
+    assert json.loads(audited.stdout)["finished"] is False

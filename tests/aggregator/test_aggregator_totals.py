@@ -1,0 +1,99 @@
+"""Totals: what is seen, what is estimated for belt that was not, and an interval that does not shrink for ever."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from aggregator.coverage import Looked, camera_shares, combined_coverage
+from aggregator.totals import SHARED_BIAS, LoadTotals
+from conveyor.messages import Tuber
+
+TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))
+
+
+def load(n: int, **changes: object) -> LoadTotals:
+    totals = LoadTotals(50.0)
+    for i in range(n):
+        totals.add(replace(TUBER, crossed_ns=i * 100_000_000, **changes))
+    return totals
+
+
+def test_count_weight_and_histogram() -> None:
+    totals = LoadTotals(50.0)
+    for weight_g in (10.0, 49.9, 50.0, 170.0, 99999.0):
+        totals.add(replace(TUBER, weight_g=weight_g))
+    message = totals.message("r", coverage=1.0, cameras={"a": "ended"}, final=True)
+    assert message.count == 5
+    assert message.weight_g == pytest.approx(10 + 49.9 + 50 + 170 + 99999)
+    assert (message.histogram[0], message.histogram[1], message.histogram[3], message.histogram[63]) == (2, 1, 1, 1)
+    assert sum(message.histogram) == 5
+
+
+def test_random_errors_vanish_with_the_count_and_the_shared_bias_stays() -> None:
+    for n, spread in ((1, 30 / 170), (100, 0.053), (10_000, SHARED_BIAS["pointraft"])):
+        totals = load(n)
+        low_g, high_g = totals.interval_g()
+        assert (high_g - low_g) / 2 / totals.weight_g == pytest.approx(spread, rel=0.05)
+
+
+def test_weights_by_volume_widen_the_interval() -> None:
+    by_volume, by_network = load(1000, method="volume"), load(1000)
+    assert by_volume.interval_g()[1] > 1.04 * by_network.interval_g()[1]
+
+
+def test_full_coverage_estimates_what_was_seen() -> None:
+    totals = load(50)
+    assert totals.estimated(1.0) == (totals.weight_g, *totals.interval_g())
+    assert totals.estimated(None) == (totals.weight_g, *totals.interval_g())
+
+
+def test_missed_belt_raises_the_estimate_and_widens_its_interval() -> None:
+    totals = load(100)
+    low_g, high_g = totals.interval_g()
+    weight_g, estimated_low_g, estimated_high_g = totals.estimated(0.8)
+    assert weight_g == pytest.approx(totals.weight_g / 0.8)
+    assert estimated_high_g - estimated_low_g > (high_g - low_g) / 0.8
+    assert estimated_low_g >= low_g
+
+
+def test_the_rate_is_that_of_the_last_seconds() -> None:
+    assert load(500).message("r", coverage=None, cameras={}, final=False).tubers_per_s == pytest.approx(10.0)
+    assert load(1).message("r", coverage=None, cameras={}, final=False).tubers_per_s == 0.0
+
+
+def seen(**groups: int) -> Counter[frozenset[str]]:
+    return Counter({frozenset(name): n for name, n in groups.items()})
+
+
+def test_all_eyes_open_is_full_coverage() -> None:
+    assert combined_coverage({"a": 1.0, "b": 1.0}, seen_by=seen(a=40, b=50, ab=10)) == pytest.approx(1.0)
+
+
+def test_a_camera_that_missed_half_loses_half_of_its_own_lane() -> None:
+    """Two lanes side by side, 100 tubers each; b saw only 50 of its own."""
+    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen(a=100, b=50)) == pytest.approx(0.75)
+
+
+def test_what_another_camera_saw_too_is_not_missed() -> None:
+    """Both look at the same belt; b was blind for half of it."""
+    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen(ab=50, a=50)) == pytest.approx(1.0)
+
+
+def test_a_camera_that_never_looked_had_a_lane_of_its_own() -> None:
+    assert combined_coverage({"a": 1.0, "b": 0.0}, seen_by=seen(a=100)) == pytest.approx(0.5)
+
+
+def test_without_tubers_the_shares_are_averaged_and_without_travel_nothing_is_known() -> None:
+    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen()) == pytest.approx(0.75)
+    assert combined_coverage({"a": None, "b": None}, seen_by=seen()) is None
+
+
+def test_a_camera_that_stopped_is_measured_by_the_belt_the_others_saw() -> None:
+    shares = camera_shares({"a": Looked(100.0, 100.0), "b": Looked(25.0, 25.0), "c": None})
+    assert shares == {"a": 1.0, "b": 0.25, "c": 0.0}
+    assert camera_shares({"a": Looked(10.0, 10.0), "b": Looked(9.9, 9.9)}) == {"a": 1.0, "b": 1.0}
+    assert camera_shares({"a": Looked(9.0, 10.0)}) == {"a": pytest.approx(0.9)}
+    assert camera_shares({"a": Looked(0.0, 0.0), "b": None}) == {"a": None, "b": None}

@@ -1,0 +1,93 @@
+"""A camera process under test, and the other side of its line in this process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from conveyor import topics
+from conveyor.config import CameraConfig, LineConfig, LinkConfig, dump_toml
+from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestSubscriber
+from conveyor.messages import CameraInfo, Counters, Frame, FrameProgress
+from conveyor.node import Node
+from tests.conftest import wait_until
+
+RUN = "r1"
+
+
+def line(link: LinkConfig, **camera: object) -> LineConfig:
+    """A line with one camera 'front'."""
+    return LineConfig(link=link, cameras={"front": CameraConfig.model_validate(camera)})
+
+
+@contextmanager
+def process(config: LineConfig, folder: Path, *args: str) -> Iterator[subprocess.Popen[str]]:
+    """`tuberline <args> --config ... --run r1` while the block lasts; killed afterwards if it is still there."""
+    path = folder / "line.toml"
+    path.write_text(dump_toml(config))
+    command = [sys.executable, "-m", "conveyor", *args, "--config", str(path), "--run", RUN]
+    running = subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+    )
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.communicate()
+
+
+class OtherSide:
+    """What a segmenter and an observer would see of the camera, and the progress that the former would tell."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=512, camera="front")
+        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="front")
+        self._counters = KeptSubscriber(node, topics.COUNTERS, Counters, role="*", name="*")
+        self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera="front")
+        self.seen: list[int] = []
+
+    def done(self, seq: int, window: int = 4) -> None:
+        """Say that all frames up to `seq` are done."""
+        self._progress.put(FrameProgress(camera="front", run=RUN, done_seq=seq, window=window))
+
+    def info(self) -> CameraInfo | None:
+        """The camera's newest word."""
+        return next(iter(self._infos.latest().values()), None)
+
+    def wait_for_state(self, state: str) -> CameraInfo:
+        """The camera's word once it says `state`."""
+        wait_until(lambda: (i := self.info()) is not None and i.state == state, what=f"the camera to be {state}")
+        info = self.info()
+        assert info is not None
+        return info
+
+    def counters(self, role: str = "camera") -> Counters | None:
+        """Newest counters of the node with that role."""
+        return next((c for c in self._counters.latest().values() if c.role == role), None)
+
+    def take(self, timeout_s: float = 0.0) -> list[int]:
+        """Numbers of the frames that arrived since the last call."""
+        new = []
+        while (frame := self.frames.get(timeout_s)) is not None:
+            new.append(frame.seq)
+            timeout_s = 0.0
+        self.seen += new
+        return new
+
+
+@contextmanager
+def other_side(config: LineConfig) -> Iterator[OtherSide]:
+    """A node of this process; the test run's own signal handlers come back afterwards."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        with Node("segmenter", "front", config=config, run=RUN) as node:
+            yield OtherSide(node)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,174 @@
+"""Reading folder recordings, and everything that can be wrong with them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from camera_sim.sim.record import record_scene
+from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
+from camera_sim.sim.source import simulated_sources
+from camera_sim.sources import Refused, describe_recording, open_source
+from conveyor.errors import InputError
+from conveyor.messages import Frame
+
+
+def _items(recording: Path, **options: Any) -> list[Frame | Refused]:
+    return list(open_source(recording, **options).frames(run="test"))
+
+
+def _edit(recording: Path, **changes: Any) -> None:
+    path = recording / "front" / "camera.json"
+    camera = json.loads(path.read_text())
+    for key, value in changes.items():
+        camera.pop(key, None)
+        if value is not ...:
+            camera[key] = value
+    path.write_text(json.dumps(camera))
+
+
+def test_what_was_simulated_is_what_is_read(small_recording: Path, small_settings: SceneSettings) -> None:
+    layout = layout_named("touching")
+    source = simulated_sources(build_world(small_settings, layout), small_settings, layout, masks=True)[0]
+    items = _items(small_recording)
+    wanted = list(source.frames(run="test"))
+    assert len(items) == len(wanted) > 15
+    for item, frame in zip(items, wanted, strict=True):
+        assert isinstance(item, Frame)
+        assert np.array_equal(item.depth, frame.depth)
+        assert np.array_equal(item.mask, frame.mask)
+        assert (item.seq, item.captured_ns, item.travel_m) == (frame.seq, frame.captured_ns, frame.travel_m)
+        assert item.intrinsics == frame.intrinsics
+        assert item.color_jpeg is not None
+        assert cv2.imdecode(item.color_jpeg, cv2.IMREAD_COLOR).shape[:2] == item.depth.shape
+
+
+def test_reading_may_start_in_the_middle(small_recording: Path) -> None:
+    source = open_source(small_recording)
+    assert [item.seq for item in source.frames(run="test", after=9)] == list(range(10, source.description.frames))
+
+
+def test_the_line_names_the_camera_and_may_override(small_recording: Path) -> None:
+    first = _items(small_recording, name="belt-2", belt_distance_m=0.470)[0]
+    assert isinstance(first, Frame)
+    assert (first.camera, first.belt_distance_m) == ("belt-2", 0.470)
+
+
+def test_a_truncated_png_is_refused_by_name_and_the_rest_goes_on(small_recording: Path) -> None:
+    """OpenCV decodes a cut PNG without a word and leaves black rows: that frame must not reach the line."""
+    path = small_recording / "front" / "depth" / "000004.png"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    items = _items(small_recording)
+    refused = [item for item in items if isinstance(item, Refused)]
+    assert [(item.seq, item.reason) for item in refused] == [(4, "broken_png")]
+    assert "depth/000004.png is truncated" in refused[0].text
+    assert len(items) == describe_recording(small_recording).cameras[0].frames
+
+
+def test_a_missing_file_is_a_gap_with_its_name(small_recording: Path) -> None:
+    (small_recording / "front" / "depth" / "000002.png").unlink()
+    refused = [item for item in _items(small_recording) if isinstance(item, Refused)]
+    assert [(item.seq, item.reason) for item in refused] == [(2, "missing_file")]
+    assert "depth/000002.png does not exist" in refused[0].text
+
+
+def test_an_8_bit_image_and_a_wrong_size_are_refused(small_recording: Path) -> None:
+    depth = small_recording / "front" / "depth"
+    cv2.imwrite(str(depth / "000001.png"), np.zeros((180, 320), np.uint8))
+    cv2.imwrite(str(depth / "000003.png"), np.zeros((90, 320), np.uint16))
+    refused = {item.seq: item for item in _items(small_recording) if isinstance(item, Refused)}
+    assert refused[1].reason == "not_16_bit"
+    assert refused[3].reason == "wrong_size"
+    assert "is 320x90, camera.json says 320x180" in refused[3].text
+
+
+def test_camera_json_without_intrinsics_names_what_is_missing(small_recording: Path) -> None:
+    _edit(small_recording, fx=..., cy=...)
+    with pytest.raises(InputError, match=r"(?s)camera\.json cannot be used.*fx: missing.*cy: missing"):
+        open_source(small_recording)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"fx": -3}, r"fx: .*greater than 0 \(got -3\)"),
+        ({"width": "wide"}, r"width: .*integer"),
+        ({"belt_distance_m": 0}, r"belt_distance_m: "),
+        ({"belt_from_camera": [[1, 0], [0, 1]]}, r"4 rows of 4 numbers"),
+        ({"belt_from_camera": np.diag([1.0, 1.0, 2.0, 1.0]).tolist()}, r"no rigid transform"),
+    ],
+)
+def test_camera_json_with_a_wrong_value_says_which(small_recording: Path, changes: Any, text: str) -> None:
+    _edit(small_recording, **changes)
+    with pytest.raises(InputError, match=text):
+        open_source(small_recording)
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("4,12", r"line 6: 3 values .* are needed"),
+        ("four,12,0.1", r"line 6: .*'four'"),
+        ("1,12,0.1", r"line 6: seq 1 after 3; numbers must rise"),
+        ("4,12,nan", r"line 6: .*finite"),
+    ],
+)
+def test_frames_csv_faults_have_their_line(small_recording: Path, line: str, text: str) -> None:
+    path = small_recording / "front" / "frames.csv"
+    lines = path.read_text().splitlines()
+    lines[5] = line
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=text):
+        open_source(small_recording)
+
+
+def test_frames_csv_needs_its_header(small_recording: Path) -> None:
+    path = small_recording / "front" / "frames.csv"
+    path.write_text("0,1,2\n")
+    with pytest.raises(InputError, match=r"line 1: the header must be 'seq,captured_ns,travel_m'"):
+        open_source(small_recording)
+
+
+@pytest.mark.parametrize(("scale", "right"), [(0.01, 0.001), (0.0001, 0.001)])
+def test_a_depth_scale_wrong_by_ten_is_refused_with_both_numbers(
+    small_recording: Path, scale: float, right: float
+) -> None:
+    _edit(small_recording, depth_scale_m=scale)
+    with pytest.raises(InputError, match=rf"median depth is .* m but the belt is said to be .*should be {right:g}"):
+        _items(small_recording)
+    mended = _items(small_recording, depth_scale_m=right)
+    assert all(isinstance(item, Frame) and item.depth_scale_m == right for item in mended)
+
+
+def test_travel_may_be_absent(small_settings: SceneSettings, tmp_path: Path) -> None:
+    record_scene(tmp_path / "r", replace(small_settings, tubers=1, given_travel=False))
+    assert all(isinstance(item, Frame) and item.travel_m is None for item in _items(tmp_path / "r"))
+
+
+def test_what_is_no_recording_lists_what_was_looked_for(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    for path in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(InputError, match=r"is no recording .*looked for: a folder recording .*MCAP.*3DPotatoTwin"):
+            open_source(path)
+    with pytest.raises(InputError, match="does not exist"):
+        open_source(tmp_path / "nowhere")
+
+
+def test_cameras_are_chosen_by_name(small_settings: SceneSettings, tmp_path: Path) -> None:
+    record_scene(tmp_path / "r", replace(small_settings, scene="two-cameras", tubers=2))
+    names = [camera.name for camera in describe_recording(tmp_path / "r").cameras]
+    assert names == ["left", "right"]
+    with pytest.raises(InputError, match="several cameras: name one of left, right"):
+        open_source(tmp_path / "r")
+    with pytest.raises(InputError, match="no camera 'middle'; known: left, right"):
+        open_source(tmp_path / "r", camera="middle")
+    (tmp_path / "r" / "right" / "camera.json").unlink()
+    with pytest.raises(InputError, match=r"line\.json names camera 'right'"):
+        open_source(tmp_path / "r", camera="left")

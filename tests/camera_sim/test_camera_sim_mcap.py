@@ -1,0 +1,173 @@
+"""MCAP recordings: nothing changes on the way in and out, and a killed writer's file can be mended."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camera_sim.commands import convert, info
+from camera_sim.conversion import convert_recording
+from camera_sim.inspection import inspect_recording
+from camera_sim.recovery import recover
+from camera_sim.sim.record import record_scene
+from camera_sim.sim.scenes import SceneSettings
+from camera_sim.sources import Refused, describe_recording, open_source
+from camera_sim.sources.mcap_writer import McapFrameWriter
+from conveyor.errors import InputError
+from conveyor.messages import Frame
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture
+def mcap(small_recording: Path, tmp_path: Path) -> Path:
+    convert_recording(small_recording, tmp_path / "r.mcap")
+    return tmp_path / "r.mcap"
+
+
+def test_folder_to_mcap_and_back_is_byte_for_byte(small_settings: SceneSettings, tmp_path: Path) -> None:
+    record_scene(tmp_path / "r", replace(small_settings, scene="two-cameras"), masks=True, color=True)
+    there = convert_recording(tmp_path / "r", tmp_path / "r.mcap")
+    back = convert_recording(tmp_path / "r.mcap", tmp_path / "back")
+    assert _hashes(tmp_path / "back") == _hashes(tmp_path / "r")
+    assert there.frames == back.frames == sum(c.frames for c in describe_recording(tmp_path / "r").cameras)
+    assert (there.refused, back.refused) == ({}, {})
+
+
+def test_an_mcap_source_is_like_the_folder_it_came_from(small_recording: Path, mcap: Path) -> None:
+    one, two = open_source(small_recording), open_source(mcap)
+    for field in ("name", "intrinsics", "depth_scale_m", "belt_distance_m", "fps", "frames"):
+        assert getattr(one.description, field) == getattr(two.description, field)
+    frames = zip(one.frames(run="x"), two.frames(run="x"), strict=True)
+    assert all(a.encode() == b.encode() for a, b in frames)
+    assert [item.seq for item in two.frames(run="x", after=5)][:2] == [6, 7]
+
+
+def test_a_clock_that_jumps_back_does_not_reorder_frames(small_recording: Path, tmp_path: Path) -> None:
+    frames = [item for item in open_source(small_recording).frames(run="x") if isinstance(item, Frame)]
+    with McapFrameWriter(tmp_path / "jump.mcap") as writer:
+        for frame in frames:
+            jump = -3_600_000_000_000 if frame.seq >= 8 else 0
+            writer.write(replace(frame, captured_ns=frame.captured_ns + jump))
+    read = list(open_source(tmp_path / "jump.mcap").frames(run="x"))
+    assert [item.seq for item in read] == [frame.seq for frame in frames]
+    report = inspect_recording(tmp_path / "jump.mcap").cameras[0]
+    assert report.clock_faults == 1
+    assert any("step backwards" in warning for warning in report.warnings)
+
+
+def test_an_undecodable_message_is_refused_by_number_and_the_rest_goes_on(mcap: Path, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    with mcap.open("rb") as source, (tmp_path / "bad.mcap").open("wb") as target:
+        writer = Writer(target)
+        writer.start("tuberline")
+        channel = writer.register_channel("camera/front/frame", "tuberline", 0)
+        for n, (_, _, message) in enumerate(make_reader(source).iter_messages()):
+            data = message.data[:-1] if n == 4 else message.data
+            writer.add_message(channel, message.log_time, data, message.log_time, message.sequence)
+        writer.finish()
+    items = list(open_source(tmp_path / "bad.mcap").frames(run="x"))
+    refused = [item for item in items if isinstance(item, Refused)]
+    assert [(item.seq, item.reason) for item in refused] == [(4, "undecodable")]
+    assert "truncated" in refused[0].text
+    assert isinstance(items[5], Frame)
+
+
+@pytest.mark.parametrize("kept", [0.15, 0.5, 0.9, 0.999])
+def test_a_cut_file_is_refused_with_the_mend_and_mended_up_to_the_cut(mcap: Path, tmp_path: Path, kept: float) -> None:
+    whole = [item.encode() for item in open_source(mcap).frames(run="x")]
+    data = mcap.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(InputError, match=r"tuberline recover"):
+        open_source(cut)
+    saved = recover(cut, tmp_path / "mended.mcap")
+    assert not saved.whole
+    count = saved.messages.get("camera/front/frame", 0)
+    assert count >= int(kept * len(whole)) - 10  # at most one chunk of 1 MiB is lost
+    if count:
+        mended = [item.encode() for item in open_source(tmp_path / "mended.mcap").frames(run="x")]
+        assert mended == whole[:count]
+
+
+def test_a_flipped_bit_loses_what_follows_and_nothing_silently(mcap: Path, tmp_path: Path) -> None:
+    data = bytearray(mcap.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with pytest.raises(InputError, match=r"cut or damaged.*tuberline recover"):
+        list(open_source(tmp_path / "bad.mcap").frames(run="x"))
+    saved = recover(tmp_path / "bad.mcap", tmp_path / "mended.mcap")
+    assert saved.damage
+    assert saved.lost_bytes > 0
+    assert 0 < saved.messages["camera/front/frame"] < describe_recording(mcap).cameras[0].frames
+
+
+def test_a_whole_file_survives_recovery_unchanged(mcap: Path, tmp_path: Path) -> None:
+    saved = recover(mcap, tmp_path / "again.mcap")
+    assert (saved.whole, saved.lost_bytes, saved.damage) == (True, 0, "")
+    convert_recording(mcap, tmp_path / "one")
+    convert_recording(tmp_path / "again.mcap", tmp_path / "two")
+    assert _hashes(tmp_path / "one") == _hashes(tmp_path / "two")
+
+
+def test_what_is_no_mcap_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"hello, this is no recording at all")
+    with pytest.raises(InputError, match=r"x\.mcap"):
+        open_source(tmp_path / "x.mcap")
+    with pytest.raises(InputError, match="is no MCAP file"):
+        recover(tmp_path / "x.mcap", tmp_path / "y.mcap")
+    assert not (tmp_path / "y.mcap").exists()
+
+
+def test_recordings_are_not_overwritten(mcap: Path, small_recording: Path) -> None:
+    with pytest.raises(InputError, match="exists"):
+        convert_recording(small_recording, mcap)
+    with pytest.raises(InputError, match="exists"):
+        recover(mcap, mcap)
+    with pytest.raises(InputError, match="exists"), McapFrameWriter(mcap):
+        pass
+
+
+def test_converting_says_what_it_could_not_read(
+    small_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (small_recording / "front" / "depth" / "000002.png").write_bytes(b"\x89PNG")
+    convert(small_recording, tmp_path / "r.mcap", json=True)
+    report = json.loads(capsys.readouterr().out)
+    assert report["refused"] == {"broken_png": 1}
+    assert report["frames"] == describe_recording(small_recording).cameras[0].frames - 1
+    assert inspect_recording(tmp_path / "r.mcap").cameras[0].gaps == 1
+
+
+def test_info_tells_sizes_rates_gaps_and_the_belt(small_recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = (small_recording / "front" / "frames.csv").read_text().splitlines()
+    (small_recording / "front" / "frames.csv").write_text("\n".join(rows[:4] + rows[6:]))
+    report = inspect_recording(small_recording).cameras[0]
+    assert (report.width, report.height, report.gaps, report.travel, report.masks) == (320, 180, 2, True, True)
+    assert report.fps_seen == pytest.approx(10.0)
+    assert report.belt_seen_m == pytest.approx(0.46, abs=0.006)
+    info(small_recording)
+    shown = capsys.readouterr().out
+    assert "2 frame numbers are missing" in shown
+    info(small_recording, json=True)
+    assert json.loads(capsys.readouterr().out)["cameras"][0]["gaps"] == 2
+
+
+def test_info_warns_of_a_belt_distance_that_is_not_seen(small_recording: Path) -> None:
+    path = small_recording / "front" / "camera.json"
+    camera = json.loads(path.read_text())
+    for given, text in ((0.49, "the belt seems 0.46"), (4.6, "off by 10"), (None, "not given")):
+        path.write_text(json.dumps(camera | {"belt_distance_m": given}))
+        warnings = inspect_recording(small_recording).cameras[0].warnings
+        assert any(text in warning for warning in warnings), (given, warnings)
+    assert np.isclose(camera["belt_distance_m"], 0.46, atol=0.002)

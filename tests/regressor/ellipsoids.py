@@ -1,0 +1,117 @@
+"""Ellipsoids lying on a belt, seen by a pinhole camera: views with a known truth for the regressor's tests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.messages import View
+
+D405 = Intrinsics(width=1280, height=720, fx=653.8, fy=652.1, cx=643.5, cy=366.1)
+DENSITY = 1.07
+
+
+def ellipsoid_depth_m(
+    half_axes_m: tuple[float, float, float],
+    *,
+    belt_distance_m: float = 0.345,
+    centre_m: tuple[float, float] = (0.0, 0.0),
+    tilt_deg: float = 0.0,
+    intrinsics: Intrinsics = D405,
+) -> NDArray[np.float64]:
+    """(height, width) depth along the optical axis, metres, 0 off the tuber.
+
+    The camera looks down from `belt_distance_m` above the belt, turned by `tilt_deg` about its x axis.
+    """
+    out = np.zeros((intrinsics.height, intrinsics.width))
+    # Only a window around the tuber is computed: generously, as a tilted camera sees it elsewhere.
+    reach = int(1.6 * intrinsics.fx * max(half_axes_m) / (belt_distance_m - 2 * half_axes_m[2])) + 8
+    middle = tilt_matrix(tilt_deg) @ [*centre_m, belt_distance_m]
+    row = int(intrinsics.cy + intrinsics.fy * middle[1] / middle[2])
+    column = int(intrinsics.cx + intrinsics.fx * middle[0] / middle[2])
+    rows = slice(max(0, row - reach), min(intrinsics.height, row + reach))
+    columns = slice(max(0, column - reach), min(intrinsics.width, column + reach))
+    v, u = np.mgrid[rows, columns]
+    rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones(u.shape)], -1)
+    level = rays @ tilt_matrix(tilt_deg)
+    centre = np.array([*centre_m, belt_distance_m - half_axes_m[2]])
+    scaled, offset = level / half_axes_m, centre / half_axes_m
+    a, b, c = (scaled**2).sum(-1), (scaled * offset).sum(-1), (offset**2).sum() - 1
+    root = b * b - a * c
+    out[rows, columns] = np.where(root > 0, (b - np.sqrt(np.maximum(root, 0))) / a, 0.0)
+    return out
+
+
+def tilt_matrix(tilt_deg: float) -> NDArray[np.float64]:
+    """(3, 3) camera_from_level: a turn about x."""
+    t = np.deg2rad(tilt_deg)
+    return np.array([[1, 0, 0], [0, np.cos(t), -np.sin(t)], [0, np.sin(t), np.cos(t)]])
+
+
+def ellipsoid_view(
+    half_axes_m: tuple[float, float, float] = (0.042, 0.033, 0.028),
+    *,
+    belt_distance_m: float = 0.345,
+    depth_scale_m: float = 0.001,
+    centre_m: tuple[float, float] = (0.0, 0.0),
+    tilt_deg: float = 0.0,
+    name: str = "view/0",
+) -> View:
+    """A view as the segmenter sends it: the crop inside the mask."""
+    depth = np.round(
+        ellipsoid_depth_m(half_axes_m, belt_distance_m=belt_distance_m, centre_m=centre_m, tilt_deg=tilt_deg)
+        / depth_scale_m
+    ).astype(np.uint16)
+    rows, columns = np.nonzero(depth.any(1))[0], np.nonzero(depth.any(0))[0]
+    belt_from_camera = straight_down_belt_from_camera(belt_distance_m)
+    belt_from_camera[:3, :3] = belt_from_camera[:3, :3] @ tilt_matrix(tilt_deg).T
+    return View(
+        view_id=name,
+        track_id=name.rpartition("/")[0],
+        camera="front",
+        run="run",
+        seq=0,
+        captured_ns=0,
+        rank=0,
+        depth_scale_m=depth_scale_m,
+        intrinsics=D405,
+        u0=int(columns[0]),
+        v0=int(rows[0]),
+        depth=depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
+        belt_from_camera=belt_from_camera,
+    )
+
+
+def write_pack(folder: Path, *, tubers: int, views: int, seed: int) -> None:
+    """A view pack of ellipsoids, weight = 1.07 g/ml times their volume."""
+    rng = np.random.default_rng(seed)
+    made = [
+        (tuber, axes, ellipsoid_view(axes, centre_m=(float(rng.normal(0, 0.05)), float(rng.normal(0, 0.03)))))
+        for tuber, axes in enumerate(map(tuple, np.exp(rng.normal(np.log([0.04, 0.032, 0.027]), 0.2, (tubers, 3)))))
+        for _ in range(views)
+    ]
+    volume_ml = np.array([4e6 / 3 * np.pi * np.prod(axes) for _, axes, _ in made])
+    sizes = [view.depth.size for *_, view in made]
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez(
+        folder / "views-00000.npz",
+        depth=np.concatenate([view.depth.ravel() for *_, view in made]),
+        depth_offset=np.concatenate([[0], np.cumsum(sizes)]),
+        crop=np.array([[view.u0, view.v0, *view.depth.shape] for *_, view in made]),
+        depth_scale_m=np.full(len(made), 0.001),
+        intrinsics=np.tile([D405.fx, D405.fy, D405.cx, D405.cy], (len(made), 1)),
+        image_size=np.tile([1280, 720], (len(made), 1)),
+        belt_distance_m=np.full(len(made), 0.345),
+        weight_g=DENSITY * volume_ml,
+        volume_ml=volume_ml,
+        length_mm=np.array([2e3 * max(axes) for _, axes, _ in made]),
+        tuber=np.array([tuber for tuber, *_ in made]),
+        cultivar=np.full(len(made), "Ellipsoid"),
+        season=np.full(len(made), "2026"),
+        v_centre=np.array([view.v0 + view.depth.shape[0] / 2 for *_, view in made]),
+    )
+    (folder / "meta.json").write_text(json.dumps({"seed": seed}), encoding="utf-8")

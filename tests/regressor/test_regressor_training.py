@@ -1,0 +1,196 @@
+"""Training: the reduced graph is exact, a resumed training is the unbroken one, nothing of the validation leaks in."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from conveyor.errors import InputError
+from regressor.augment import Augmentation, augmented_batch
+from regressor.checkpoint import load_checkpoint
+from regressor.cloudset import CloudSet, load_cloudset
+from regressor.pointraft import PointRaft
+from regressor.reduced import Resolution, reduced_forward
+from regressor.sampling import farthest_points
+from regressor.train import Training, TrainSettings, class_weights, load_state, predict, save_state
+from regressor.trainrun import RunOptions, load_sets, train
+from regressor.volume import fit_volume_rule
+from regressor.weigher import Weigher
+from tests.regressor.ellipsoids import write_pack
+
+QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, settle_batches=2)
+
+
+@pytest.fixture(scope="module")
+def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("packs")
+    write_pack(folder / "train", tubers=20, views=2, seed=1)
+    write_pack(folder / "val", tubers=10, views=2, seed=2)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def data(packs: Path) -> CloudSet:
+    return load_cloudset(packs / "train")
+
+
+def test_reduced_graph_equals_the_readable_network_in_training() -> None:
+    """Clouds of 128 points have 64 and 16 centroids, so both forms see the same edges and the same statistics."""
+    torch.manual_seed(0)
+    readable = PointRaft(dropout=0.0).double().train()
+    for module in readable.modules():
+        if isinstance(module, torch.nn.BatchNorm1d):
+            # A fresh bias of 0 puts every point's edge to itself exactly on the kink of the ReLU.
+            torch.nn.init.normal_(module.bias, std=0.3)
+    reduced = copy.deepcopy(readable)
+    rng = np.random.default_rng(0)
+    clouds = [(rng.normal(size=(128, 3)) * 0.02).astype(np.float32) for _ in range(4)]
+    points = [torch.from_numpy(cloud[farthest_points(cloud, 128)]).double() for cloud in clouds]
+    heights = torch.from_numpy(rng.uniform(0.02, 0.08, 4))
+    expected = readable(points, heights)
+    found = reduced_forward(reduced, torch.stack(points), heights, resolution=Resolution(64, 16))
+    assert found.detach().numpy() == pytest.approx(expected.detach().numpy(), rel=1e-10)
+    expected.square().sum().backward()
+    found.square().sum().backward()
+    for (name, a), (_, b) in zip(readable.named_parameters(), reduced.named_parameters(), strict=True):
+        if b.grad is None:
+            assert float(a.grad.norm()) < 1e-9, name  # a bias that batch norm cancels
+        else:
+            assert torch.allclose(a.grad, b.grad, rtol=1e-7, atol=1e-9), name
+    for (name, before), (_, after) in zip(readable.named_buffers(), reduced.named_buffers(), strict=True):
+        assert torch.allclose(before.double(), after.double(), rtol=1e-9), name
+
+
+def test_reduced_graph_equals_the_readable_network_in_evaluation(data: CloudSet) -> None:
+    torch.manual_seed(1)
+    model = PointRaft().eval()
+    rows = slice(0, 3)
+    heights = torch.from_numpy(np.clip(data.height_m[rows], 0, 0.08).astype(np.float32))
+    points = torch.from_numpy(data.points[rows, :128].copy())
+    with torch.inference_mode():
+        # 1017 points and more have 128 second-stage centroids; a prediction sees only the first 128 of them.
+        whole = [torch.cat([cloud, cloud[:1].expand(1024 - 128, 3)]) for cloud in points]
+        expected = model(whole, heights)
+        found = reduced_forward(model, points, heights)
+    assert found.numpy() == pytest.approx(expected.numpy(), rel=1e-4, abs=1e-5)
+
+
+def test_scale_changes_height_and_weight_with_it() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(5, 384, 3)).astype(np.float32) * 0.02
+    settings = replace(Augmentation.none(), scale=0.1)
+    moved, height, weight = augmented_batch(points, np.full(5, 0.05), np.full(5, 100.0), rng, settings, resample=False)
+    factor = np.linalg.norm(moved[:, 5], axis=1) / np.linalg.norm(points[:, 5], axis=1)
+    assert height == pytest.approx(0.05 * factor, rel=1e-5)
+    assert weight == pytest.approx(100 * factor**3, rel=1e-5)
+    assert np.ptp(factor) > 0.01
+
+
+def test_turns_and_flips_keep_distances_and_height() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.normal(size=(3, 384, 3)).astype(np.float32) * 0.02
+    settings = Augmentation(jitter_m=0, plane_shear=0, scale=0)
+    moved, height, weight = augmented_batch(points, np.full(3, 0.09), np.full(3, 9.0), rng, settings, resample=False)
+    distance = np.linalg.norm(points[:, 1:128] - points[:, :1], axis=2)
+    assert np.linalg.norm(moved[:, 1:] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
+    assert height == pytest.approx([0.08] * 3)
+    assert weight == pytest.approx([9.0] * 3)
+
+
+def test_classes_are_drawn_equally_often() -> None:
+    weights = np.array([10.0] * 90 + [120.0] * 9 + [900.0])
+    chance = class_weights(weights)
+    assert [chance[:90].sum(), chance[90:99].sum(), chance[99]] == pytest.approx([1 / 3] * 3)
+
+
+def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) -> None:
+    unbroken = Training(data, data, QUICK)
+    losses = [unbroken.step() for _ in range(4)]
+    first = Training(data, data, QUICK)
+    before = [first.step() for _ in range(2)]
+    save_state(first, tmp_path / "state.pt")
+    second = Training(data, data, QUICK)
+    second.restore(load_state(tmp_path / "state.pt"))
+    assert before + [second.step() for _ in range(2)] == losses
+    for name, value in unbroken.model.state_dict().items():
+        assert torch.equal(value, second.model.state_dict()[name]), name
+
+
+def test_a_broken_state_is_named(tmp_path: Path) -> None:
+    (tmp_path / "state.pt").write_bytes(b"half a file")
+    with pytest.raises(InputError, match=r"state.pt cannot be read"):
+        load_state(tmp_path / "state.pt")
+
+
+def test_tubers_of_the_validation_set_are_left_out(packs: Path, tmp_path: Path) -> None:
+    both = tmp_path / "both"
+    both.mkdir()
+    (both / "a").symlink_to(packs / "train")
+    (both / "b").symlink_to(packs / "val")
+    options = _options(packs, tmp_path / "out")
+    training, validation = load_sets(replace(options, data=both), lambda what, done: None)
+    assert len(training) == 40
+    assert len(validation) == 20
+    with pytest.raises(InputError, match="nothing is left to train on"):
+        load_sets(
+            replace(options, data=packs / "val", validation=both, max_validation_views=99), lambda what, done: None
+        )
+
+
+def test_the_cache_notices_changed_inputs(tmp_path: Path) -> None:
+    write_pack(tmp_path / "pack", tubers=3, views=1, seed=5)
+    first = load_cloudset(tmp_path / "pack", cache=tmp_path / "cache")
+    again = load_cloudset(tmp_path / "pack", cache=tmp_path / "cache")
+    assert np.array_equal(first.points, again.points)
+    assert len(list((tmp_path / "cache").iterdir())) == 1
+    write_pack(tmp_path / "pack", tubers=4, views=1, seed=6)
+    assert len(load_cloudset(tmp_path / "pack", cache=tmp_path / "cache")) == 4
+    assert len(list((tmp_path / "cache").iterdir())) == 2
+
+
+def _options(packs: Path, out: Path) -> RunOptions:
+    return RunOptions(
+        data=packs / "train",
+        validation=packs / "val",
+        out=out,
+        name="tiny",
+        resume=False,
+        save_minutes=10,
+        validate_minutes=10,
+        max_validation_views=20,
+        command="tuberline train",
+    )
+
+
+def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet, tmp_path: Path) -> None:
+    options = _options(packs, tmp_path / "out")
+    seen: list[dict[str, Any]] = []
+    sidecar = train(
+        options,
+        QUICK,
+        on_prepared=lambda what, done: None,
+        on_step=lambda training: None,
+        on_validated=lambda training, metrics: seen.append(metrics),
+    )
+    assert seen[-1]["validation"]["views"] == 20
+    model, loaded = load_checkpoint(tmp_path / "out" / "weights.safetensors")
+    assert loaded == sidecar
+    assert loaded.training["tubers"] == 20
+    rule = fit_volume_rule(data.features, data.weight_g)
+    assert rule.weights_g(data.features) == pytest.approx(data.weight_g, rel=0.15)
+    assert predict(model, data).shape == (40,)
+    assert Weigher(model, loaded).sidecar.interval_rule is not None
+    with pytest.raises(InputError, match="--resume"):
+        train(
+            options,
+            QUICK,
+            on_prepared=lambda what, done: None,
+            on_step=lambda training: None,
+            on_validated=lambda training, metrics: None,
+        )

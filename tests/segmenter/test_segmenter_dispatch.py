@@ -1,0 +1,183 @@
+"""The dispatcher's law, on histories that hypothesis makes up: sent = weighed + lost + outstanding, at every moment."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.messages import View
+from segmenter.dispatch import Dispatcher, DispatchSettings
+from segmenter_scene import SMALL
+
+
+def view(track: int, rank: int) -> View:
+    return View(
+        view_id=f"r1/front/{track}/{rank}",
+        track_id=f"r1/front/{track}",
+        camera="front",
+        run="r1",
+        seq=rank,
+        captured_ns=0,
+        rank=rank,
+        depth_scale_m=0.001,
+        intrinsics=SMALL,
+        u0=0,
+        v0=0,
+        depth=np.ones((2, 2), np.uint16),
+        belt_from_camera=straight_down_belt_from_camera(0.46),
+    )
+
+
+class DispatchStory(RuleBasedStateMachine):
+    """Regressors come, go, answer, refuse, repeat themselves and fall asleep; views keep coming."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 0.0
+        self.names: set[str] = set()
+        self.tracks = 0
+        self.assigned: list[tuple[str, View]] = []
+        self.known: set[str] = set()
+        self.weighed: set[str] = set()
+        self.lost: dict[str, str] = {}
+        self.dispatcher = Dispatcher(DispatchSettings(credits=2, deadline_s=1.0, max_attempts=3, shed_over=8))
+
+    @rule(views=st.integers(1, 4))
+    def tuber(self, views: int) -> None:
+        self.tracks += 1
+        for rank in range(views):
+            offered = view(self.tracks, rank)
+            self.known.add(offered.view_id)
+            self.dispatcher.offer(offered)
+
+    @rule(name=st.sampled_from("abc"))
+    def join(self, name: str) -> None:
+        self.names.add(name)
+        self.dispatcher.present(set(self.names))
+
+    @rule(name=st.sampled_from("abc"))
+    def leave(self, name: str) -> None:
+        self.names.discard(name)
+        self.dispatcher.present(set(self.names))
+
+    @rule()
+    def assign(self) -> None:
+        for name, sent in self.dispatcher.assign(self.now_s):
+            assert name in self.names
+            assert sent.view_id not in self.weighed | set(self.lost), "a settled view was sent again"
+            self.assigned.append((name, sent))
+
+    @precondition(lambda self: bool(self.assigned))
+    @rule(data=st.data(), usable=st.booleans())
+    def answer(self, data: st.DataObject, usable: bool) -> None:
+        name, sent = data.draw(st.sampled_from(self.assigned))
+        settled = sent.view_id in self.weighed or sent.view_id in self.lost
+        new = self.dispatcher.answer(sent.view_id, regressor=name, usable=usable)
+        self._note_losses()
+        assert new or settled or sent.view_id in self.lost
+        if new and usable:
+            assert sent.view_id not in self.weighed, "one view was weighed twice"
+            self.weighed.add(sent.view_id)
+
+    @rule(seconds=st.floats(0.0, 1.5))
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.dispatcher.expire(self.now_s)
+
+    @rule(track=st.integers(1, 30))
+    def give_up(self, track: int) -> None:
+        self.dispatcher.cancel(f"r1/front/{track}", "weigh_deadline")
+
+    @invariant()
+    def nothing_lost_silently(self) -> None:
+        self._note_losses()
+        balance = self.dispatcher.balance()
+        lost = sum(n for name, n in balance.items() if name.startswith("lost_"))
+        assert balance["sent"] == balance["weighed"] + lost + balance["outstanding"] == len(self.known)
+        assert balance["weighed"] == len(self.weighed)
+        assert lost == len(self.lost)
+
+    @invariant()
+    def bounds_are_kept(self) -> None:
+        held = [sum(job.regressor == name for job in self.dispatcher._jobs.values()) for name in self.names]
+        assert all(n <= 2 for n in held)
+        waiting = [job.view for job in self.dispatcher._jobs.values() if job.regressor is None]
+        assert len(waiting) <= 8 or all(v.rank == 0 for v in waiting) or self.dispatcher.requeued
+
+    def _note_losses(self) -> None:
+        for loss in self.dispatcher.take_losses():
+            assert loss.view_id not in self.lost, "one view was lost twice"
+            assert not (loss.reason == "shed" and loss.view_id.endswith("/0")), "a tuber's first view was shed"
+            self.lost[loss.view_id] = loss.reason
+
+
+TestDispatchStory = DispatchStory.TestCase
+TestDispatchStory.settings = settings(max_examples=120, stateful_step_count=40, deadline=None)
+
+
+def test_first_views_of_all_tubers_go_before_second_views() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=100))
+    for track in (1, 2, 3):
+        for rank in (0, 1):
+            dispatcher.offer(view(track, rank))
+    dispatcher.present({"a"})
+    assert [sent.rank for _, sent in dispatcher.assign(0.0)] == [0, 0, 0, 1, 1, 1]
+
+
+def test_a_killed_regressors_views_go_to_another() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=1))
+    dispatcher.offer(view(1, 0))
+    dispatcher.present({"a"})
+    assert [name for name, _ in dispatcher.assign(0.0)] == ["a"]
+    dispatcher.present({"b"})
+    assert [(name, sent.view_id) for name, sent in dispatcher.assign(0.1)] == [("b", "r1/front/1/0")]
+    assert dispatcher.requeued == {"regressor_left": 1}
+
+
+def test_a_frozen_regressor_gets_one_view_at_a_time_until_it_answers() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=2, deadline_s=1.0, max_attempts=9))
+    for track in range(1, 4):
+        dispatcher.offer(view(track, 0))
+    dispatcher.present({"a"})
+    assert len(dispatcher.assign(0.0)) == 2
+    dispatcher.expire(1.0)
+    assert len(dispatcher.assign(1.0)) == 1
+    dispatcher.answer("r1/front/1/0", regressor="a", usable=True)
+    assert len(dispatcher.assign(1.1)) == 2
+
+
+def test_a_view_that_kills_its_regressors_is_lost_with_its_reason() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=1, max_attempts=2))
+    dispatcher.offer(view(1, 0))
+    for name in ("a", "b"):
+        dispatcher.present({name})
+        assert len(dispatcher.assign(0.0)) == 1
+    dispatcher.present(set())
+    assert [loss.reason for loss in dispatcher.take_losses()] == ["max_attempts"]
+    assert dispatcher.balance() == {"sent": 1, "weighed": 0, "outstanding": 0, "lost_max_attempts": 1}
+
+
+def test_overload_sheds_the_highest_ranks_and_never_a_first_view() -> None:
+    dispatcher = Dispatcher(DispatchSettings(shed_over=6))
+    for track in range(1, 9):
+        for rank in (0, 1, 2):
+            dispatcher.offer(view(track, rank))
+    assert dispatcher.lost == {"shed": 16}
+    dispatcher.present({"a"})
+    left = {job.view.rank for job in dispatcher._jobs.values()}
+    assert left == {0}
+    assert dispatcher.waiting == 8
+
+
+def test_a_second_answer_changes_nothing() -> None:
+    dispatcher = Dispatcher(DispatchSettings())
+    dispatcher.offer(view(1, 0))
+    dispatcher.present({"a"})
+    dispatcher.assign(0.0)
+    assert dispatcher.answer("r1/front/1/0", regressor="a", usable=True)
+    assert not dispatcher.answer("r1/front/1/0", regressor="a", usable=True)
+    assert dispatcher.duplicates == 1
+    assert dispatcher.balance() == {"sent": 1, "weighed": 1, "outstanding": 0}

@@ -1,0 +1,124 @@
+"""The viewer's process: subscribe, draw, hand over; and leave within two seconds whatever the hub does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from conveyor.config import LineConfig
+from conveyor.errors import ConfigError
+from conveyor.node import Node
+from viewer.file_sink import FileSink
+from viewer.hub_sink import HubSink, hub_address
+from viewer.inputs import Inputs
+from viewer.marks import Entry
+from viewer.profiles import Profile
+from viewer.show import Show
+from viewer.sink import Sink
+
+IDLE_S = 0.02
+LEAVE_WITHIN_S = 0.9
+DRAIN_S = 0.3
+FILE_TICK_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where the picture goes: a file, a hub, or both."""
+
+    rrd: Path | None
+    rrd_limit_bytes: int
+    connect: str | None
+
+    def check(self) -> None:
+        """Refuse what cannot work, before anything is started.
+
+        Raises:
+            ConfigError: nothing to show it in, an unusable URL, a file that cannot be made.
+        """
+        if self.rrd is None and self.connect is None:
+            raise ConfigError(
+                "the viewer has nothing to show the line in: give --rrd FILE, --connect URL (a running Rerun viewer or "
+                "hub, e.g. rerun+http://127.0.0.1:9876/proxy) or --serve, or rrd or connect in the config's [viewer]"
+            )
+        if self.connect is not None:
+            hub_address(self.connect)
+        if self.rrd is not None:
+            try:
+                self.rrd.parent.mkdir(parents=True, exist_ok=True)
+                self.rrd.open("ab").close()
+            except OSError as error:
+                raise ConfigError(f"viewer file {self.rrd} cannot be written: {error.strerror or error}") from error
+
+
+def run_viewer(
+    config: LineConfig,
+    target: Target,
+    *,
+    profile: Profile,
+    name: str,
+    run: str | None,
+    until: Callable[[], bool] = lambda: False,
+) -> list[Sink]:
+    """Show the line until stopped, or until `until` says so.
+
+    Returns:
+        The sinks that hang. Hold on to them and leave by `os._exit`: their destructors wait for the hub for ever.
+    """
+    target.check()
+    with Node("viewer", name, config=config, run=run or "any") as node:
+        sinks = _sinks(node, target, profile=profile, recording=f"{config.name}-{run or time.time_ns()}")
+
+        def offer(entry: Entry) -> None:
+            for sink in sinks:
+                sink.offer(entry)
+
+        inputs = Inputs(node, profile)
+        show = Show(inputs, offer, profile=profile, run=run, counters=node.counters)
+        for sink in sinks:
+            sink.start()
+        while not node.stop.is_set() and not until():
+            node.progress()
+            if not show.turn():
+                node.stop.wait(IDLE_S)
+        _drain(show)
+        return _leave(node, sinks)
+
+
+def _drain(show: Show) -> None:
+    """What had arrived before the stop is still shown: at the end of a load, its last tubers and the final totals."""
+    deadline = time.monotonic() + DRAIN_S
+    while show.turn() and time.monotonic() < deadline:
+        pass
+
+
+def _sinks(node: Node, target: Target, *, profile: Profile, recording: str) -> list[Sink]:
+    tick_s = 0.5 / profile.rate_hz  # a line replayed faster than it was recorded: at most twice the profile's rate
+    sinks: list[Sink] = []
+    if target.rrd is not None:
+        sinks.append(
+            FileSink(
+                target.rrd,
+                limit_bytes=target.rrd_limit_bytes,
+                run=recording,
+                tick_s=min(tick_s, FILE_TICK_S),
+                counters=node.counters,
+                log=node.log,
+            )
+        )
+    if target.connect is not None:
+        sinks.append(HubSink(target.connect, run=recording, tick_s=tick_s, counters=node.counters, log=node.log))
+    return sinks
+
+
+def _leave(node: Node, sinks: list[Sink]) -> list[Sink]:
+    """Finish what waits; the sinks that do not come to an end in time."""
+    for sink in sinks:
+        sink.ask_stop()
+    deadline = time.monotonic() + LEAVE_WITHIN_S
+    hanging = [sink for sink in sinks if not sink.join(max(0.0, deadline - time.monotonic()))]
+    for sink in hanging:
+        node.log.warning("%s takes nothing: left without it", sink.name)
+    return hanging
