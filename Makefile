@@ -7,7 +7,7 @@ STAMP := $(VENV)/.installed
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench install clean
+.PHONY: demo test lint bench docs chaos soak fuzz install clean
 
 demo: $(STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -19,6 +19,10 @@ lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Pages of docs/ that are made from the code.
+docs: $(STAMP)
+	$(BIN)/python -c 'from pathlib import Path; from conveyor.cli.reference import write_pages; write_pages(Path("docs"))'
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks

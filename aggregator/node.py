@@ -104,8 +104,8 @@ class AggregatorNode:
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
         self._segmenters = Presence(node, "segmenter")
-        self._acknowledge()
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, camera="*")
+        self._acknowledge()
 
     def work(self) -> None:
         """Until the run is final and may be left, or the process is told to stop; the summary is written either way.

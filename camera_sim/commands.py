@@ -93,6 +93,7 @@ def simulate(
     travel: bool = True,
     masks: bool = False,
     color: bool = False,
+    inject: tuple[str, ...] = (),
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -127,6 +128,8 @@ def simulate(
         Write instance masks too.
     color
         Write colour images too.
+    inject
+        Faults of the cameras, by name, each its own --inject: dropped, duplicated, frozen, clock-jump.
     force
         Overwrite a recording that is there.
     json
@@ -135,12 +138,13 @@ def simulate(
     from rich.progress import Progress
 
     from camera_sim.progress import console
+    from camera_sim.sim.faults import check_faults
     from camera_sim.sim.optics import optics_named
     from camera_sim.sim.presets import PRESETS
     from camera_sim.sim.record import record_scene
     from camera_sim.sim.scenes import SceneSettings, layout_named
 
-    layout = layout_named(scene)
+    layout, faults = layout_named(scene), check_faults(inject)
     _check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
     _make_room(out, force=force)
     settings = SceneSettings(
@@ -163,6 +167,7 @@ def simulate(
             layout=layout,
             masks=masks,
             color=color,
+            faults=faults,
             on_frame=lambda done, total: progress.update(task, completed=done, total=total),
         )
     counted, weight_kg = len(truth["tubers"]), sum(tuber["weight_g"] for tuber in truth["tubers"]) / 1000

@@ -106,11 +106,12 @@ class CameraNode:
         self._node.log.warning("the segmenter started again: going back to frame %d", after + 1)
 
     def _done_before(self) -> int:
-        """Wait for the segmenter; the newest frame it has done already where this process was restarted, else -1."""
+        """Wait for a segmenter that listens; the newest frame it has done where this process was restarted, else -1."""
         while self._waits and not self._node.stop.is_set():
-            for progress in self._progress.latest().values():
-                self._done_seq = progress.done_seq if progress.run == self._node.run else -1
-                return self._done_seq
+            if self._frames.has_listener:
+                for progress in self._progress.latest().values():
+                    self._done_seq = progress.done_seq if progress.run == self._node.run else -1
+                    return self._done_seq
             self._progress.wait(POLL_S)
             self._node.progress()
         return -1

@@ -69,14 +69,13 @@ def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
         Grant(IN, ("liveliness_token",), tokens_out + recovered_out),
         Grant(IN, ("declare_queryable",), answers + recovered_out),
         Grant(IN, ("reply",), answers + cached_out + recovered_out),
-        Grant(OUT, ("declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"), everything),
+        Grant(OUT, ("declare_subscriber", "query"), everything),
         # as a listener
         Grant(IN, ("declare_subscriber",), data_in + recovered_in),
         Grant(OUT, ("put",), data_in + recovered_in),
         Grant(IN, ("declare_liveliness_subscriber", "liveliness_query"), tokens_in + recovered_in),
         Grant(OUT, ("liveliness_token",), tokens_in + recovered_in),
         Grant(IN, ("query",), asks + recovered_in),
-        Grant(OUT, ("declare_queryable",), asks + recovered_in),
         Grant(OUT, ("reply",), asks + cached_in + recovered_in),
     )
     return tuple(grant for grant in found if grant.keys)

@@ -47,7 +47,7 @@ done
 [ $# -eq 1 ] || fail "give one LINE.toml; see --help"
 config=$1
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
-"$program" config check "$config" >/dev/null || fail "mend $config first"
+checked=$("$program" config show "$config" --json) || fail "mend $config first"
 
 # put SOURCE TARGET MODE: copy where the content differs, and say so
 put() {
@@ -67,17 +67,14 @@ own() {
     [ -n "$destdir" ] || chown "$1" "$2"
 }
 
-# ask EXPRESSION: a value of the checked config; `line` is the config as a dict
-ask() {
-    "$program" config show "$config" --json | python3 -c "
+facts=$(echo "$checked" | python3 -S -c "
 import json, sys
 line = json.load(sys.stdin)
-print(*$1, sep='\n')"
-}
-
-line=$(ask "[line['name']]")
-cameras=$(ask "sorted(line['cameras'])")
-workers=$(ask "[f'r{n + 1}' for n in range(line['regressor']['processes'])]")
+print(line['name'], ' '.join(sorted(line['cameras'])), sep='\n')
+print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))")
+line=$(echo "$facts" | sed -n 1p)
+cameras=$(echo "$facts" | sed -n 2p)
+workers=$(echo "$facts" | sed -n 3p)
 units=
 stems=
 chosen() { # ROLE NAME: is this one among --roles?
@@ -110,13 +107,15 @@ for entry in $(echo "$roles" | tr ',' ' '); do
     case $entry in
     viewer | recorder) units="$units tuberline-$entry@$line:$entry.service" && stems="$stems $entry" ;;
     viewer=* | recorder=* | regressor=*)
-        known=" $(echo "$workers" | tr '\n' ' ') "
-        [ "${entry%%=*}" != regressor ] || case $known in *" ${entry#*=} "*) continue ;; esac
+        [ "${entry%%=*}" != regressor ] || case " $workers " in *" ${entry#*=} "*) continue ;; esac
         units="$units tuberline-${entry%%=*}@$line:${entry#*=}.service"
         stems="$stems ${entry%%=*}.${entry#*=}"
         ;;
     camera=* | segmenter=*)
-        echo "$cameras" | grep -qxF "${entry#*=}" || fail "camera '${entry#*=}' is not in $config; known: $(echo "$cameras" | tr '\n' ' ')"
+        case " $cameras " in
+        *" ${entry#*=} "*) ;;
+        *) fail "camera '${entry#*=}' is not in $config; known: $cameras" ;;
+        esac
         ;;
     router | aggregator | metrics | camera | segmenter | regressor) ;;
     *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics" ;;

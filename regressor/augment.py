@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from regressor.prepare import MAX_HEIGHT_M
 from regressor.sampling import _farthest
 
 
@@ -83,6 +82,7 @@ def augmented_batch(
     rng: np.random.Generator,
     settings: Augmentation,
     *,
+    highest_m: float,
     count: int = 128,
     resample: bool = True,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
@@ -90,7 +90,7 @@ def augmented_batch(
 
     Args:
         points: (B, M, 3) centred, metres. height_m: (B,) not clamped. weight_g: (B,).
-        count: points to sample.
+        highest_m: clamp of the height. count: points to sample.
         resample: sample anew from a random first point, with jitter; False takes the sampling of a prediction, which
             turns and flips leave as it is.
 
@@ -111,7 +111,7 @@ def augmented_batch(
         sampled = _sample_batch(np.ascontiguousarray(moved.transpose(0, 2, 1)), start, count)
     return (
         sampled,
-        np.clip(height, 0.0, MAX_HEIGHT_M).astype(np.float32),
+        np.clip(height, 0.0, highest_m).astype(np.float32),
         (weight_g * scale**3).astype(np.float32),
     )
 

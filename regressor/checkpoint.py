@@ -38,7 +38,8 @@ class InputSpec(_Part):
     points: int = 1024
     frame: str = "level: z away from the camera along the belt's normal, metres, centred on the mean of all points"
     order: str = "farthest-point sampling in selection order, lowest index on ties"
-    height: str = "clamp(belt distance - min z, 0, 0.08) metres, before centring"
+    height: str = "clamp(belt distance - min z, 0, max_height_m) metres, before centring"
+    max_height_m: float = Field(0.08, gt=0)
     radii_m: tuple[float, float] = (0.2, 0.4)
     neighbours: int = 64
     neighbour_rule: str = "first 64 in index order with squared distance < radius squared"
@@ -76,6 +77,7 @@ class Sidecar(_Part):
     belt_distance_m: Range = Range(low=0.25, high=0.6)
     weight_g: Range = Range(low=10.0, high=700.0)
     length_mm: Range = Range(low=25.0, high=180.0)
+    volume_share: float = Field(0.0, ge=0, lt=1)
     disagreement_factor: float = Field(1.6, gt=1)
     shared_sd_share: float = Field(0.9, ge=0, le=1)
     interval: dict[str, Any] | None = None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from regressor.train import Training, TrainSettings
+    from regressor.recipe import TrainSettings
     from regressor.weighfiles import FileResult
 
 
@@ -177,6 +177,7 @@ def train(
     """
     import torch
 
+    from regressor.trainbar import TrainingBar
     from regressor.trainrun import RunOptions
     from regressor.trainrun import train as run
 
@@ -206,7 +207,7 @@ def train(
         max_validation_views=max_validation_views,
         command=shlex.join(["tuberline", *sys.argv[1:]]),
     )
-    with _TrainingBar() as bar:
+    with TrainingBar() as bar:
         sidecar = run(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
     figures = sidecar.metrics["validation"]
     sys.stderr.write(f"{out / 'weights.safetensors'}: MAE {figures['mae_g']:.1f} g per view on the validation set\n")
@@ -215,49 +216,11 @@ def train(
 def _recipe(recipe: str, *, shear: float | None, **given: Any) -> TrainSettings:
     from dataclasses import replace
 
-    from regressor.train import TrainSettings
+    from regressor.recipe import TrainSettings
 
     settings = TrainSettings.paper() if recipe == "paper" else TrainSettings()
     settings = replace(settings, **{key: value for key, value in given.items() if value is not None})
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))
-
-
-class _TrainingBar:
-    """A progress bar in plain words on stderr."""
-
-    def __init__(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True)
-        )
-        self._task = self._bar.add_task("reading views", total=None)
-
-    def __enter__(self) -> _TrainingBar:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def prepared(self, what: str, done: int) -> None:
-        """`done` views of the `what` set are prepared."""
-        self._bar.update(self._task, description=f"preparing {what} views: {done}")
-
-    def step(self, training: Training) -> None:
-        """One more step is made."""
-        progress = training.progress
-        words = f"step {progress.step}, {progress.seconds / progress.step:.2f} s each, loss {progress.loss:.2f}"
-        self._bar.update(self._task, description=words, completed=training.share, total=1.0)
-
-    def validated(self, training: Training, metrics: dict[str, Any]) -> None:
-        """A validation is done."""
-        figures = metrics["validation"]
-        self._bar.console.print(
-            f"after {training.progress.seconds / 60:.1f} min, {training.progress.step} steps: validation MAE "
-            f"{figures['mae_g']:.2f} g, RMSE {figures['rmse_g']:.2f} g, bias {figures['bias_g']:+.2f} g per view"
-        )
 
 
 def import_checkpoint(
@@ -351,3 +314,26 @@ def evaluate(
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
         Console().print(Markdown(markdown(measured, title=title)))
+
+
+def export(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
+    """Export weights to ONNX, with their sidecar beside them.
+
+    Parameters
+    ----------
+    out
+        The .onnx file to write.
+    weights
+        A .safetensors or an upstream .pth file; default: the shipped ones.
+    batch
+        Fix the batch size; default: any.
+    """
+    from conveyor.errors import InputError
+    from regressor.checkpoint import load_checkpoint
+    from regressor.export import export_onnx
+
+    if out.suffix != ".onnx":
+        raise InputError(f"--out {out} must end in .onnx")
+    model, sidecar = load_checkpoint(weights)
+    export_onnx(out, model, sidecar, batch=batch)
+    sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")

@@ -19,6 +19,7 @@ from regressor.volume import NAMES, TYPICAL_RULE
 from regressor.weigher import Weighed, Weigher
 
 NETWORK = "PointRAFT"
+SHIPPED = "PointRAFT with visible volume (as weighed)"
 VOLUME_RULE = "volume rule (fallback)"
 LINEAR_BOX = "linear on box L, W, h (the paper's baseline)"
 PRODUCT = "k L W h"
@@ -32,7 +33,7 @@ class Evaluation:
     """n views, weighed by every method.
 
     Attributes:
-        predicted: method to (n,) grams. low_g, high_g: (n,) the network's 90 % interval.
+        predicted: method to (n,) grams. low_g, high_g: (n,) the 90 % interval as weighed.
         weight_g: (n,) truth. tuber, and `groups` (name of a grouping to (n,) labels): (n,) str.
         flags: how many views carried each. refused: views that could not be weighed, by reason.
         shared_sd_share: of the weights' sidecar, for the intervals of fused tubers.
@@ -98,7 +99,8 @@ def _collect(
     rule = weigher.sidecar.fitted_volume_rule or TYPICAL_RULE
     surface, box = features[:, : len(NAMES)], features[:, len(NAMES) :]
     predicted = {
-        NETWORK: np.array([answer.weight_g for answer in answers]),
+        SHIPPED: np.array([answer.weight_g for answer in answers]),
+        NETWORK: np.array([answer.network_g or answer.weight_g for answer in answers]),
         VOLUME_RULE: rule.weights_g(surface),
         VISIBLE_VOLUME: cross_validated(fit_linear, surface[:, :1], weight_g, tuber),
         PRODUCT: cross_validated(fit_product, surface[:, 2:5], weight_g, tuber),
@@ -145,7 +147,7 @@ def method_scores(result: Evaluation) -> dict[str, dict[str, float]]:
     }
 
 
-def group_scores(result: Evaluation, method: str = NETWORK) -> dict[str, dict[str, dict[str, float]]]:
+def group_scores(result: Evaluation, method: str = SHIPPED) -> dict[str, dict[str, dict[str, float]]]:
     """Figures of one method per grouping and label, with the coverage of its intervals."""
     values = result.predicted[method]
     held = (result.weight_g >= result.low_g) & (result.weight_g <= result.high_g)
@@ -161,7 +163,7 @@ def group_scores(result: Evaluation, method: str = NETWORK) -> dict[str, dict[st
 
 def coverage(result: Evaluation) -> dict[str, float]:
     """Share of views, and of tubers with their views fused, whose truth lies in the 90 % interval."""
-    values = result.predicted[NETWORK]
+    values = result.predicted[SHIPPED]
     _, owner = np.unique(result.tuber, return_inverse=True)
     count = np.bincount(owner)
 

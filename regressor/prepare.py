@@ -1,7 +1,7 @@
 """From a view of a tuber to what the network takes: a clean, level, centred cloud and the tuber's height.
 
-The order follows the reference: clean, height above the belt from the raw cloud (clamped to 0..80 mm), centre on the
-mean of all points, sample. Two things are ours. A tilted camera's cloud is first turned so that its z axis is the
+The order follows the reference: clean, height above the belt from the raw cloud, centre on the mean of all points,
+sample. Two things are ours. A tilted camera's cloud is first turned so that its z axis is the
 belt's normal (the identity for a camera that looks straight down). And strays are removed by a test on the depth
 image instead of DBSCAN: see `clean_depth`.
 """
@@ -61,10 +61,9 @@ class PreparedCloud:
     surface: SurfaceFeatures
     flags: tuple[str, ...]
 
-    @property
-    def clamped_height_m(self) -> float:
-        """The height the network sees, metres."""
-        return min(max(self.height_m, 0.0), MAX_HEIGHT_M)
+    def clamped_height_m(self, highest_m: float = MAX_HEIGHT_M) -> float:
+        """The height the network sees, metres: 0 to 80 mm as in the paper, or what its weights were trained with."""
+        return min(max(self.height_m, 0.0), highest_m)
 
 
 def prepare_view(view: View) -> PreparedCloud:
@@ -161,8 +160,6 @@ def _finish(level: NDArray[np.float64], distance_m: float, surface: SurfaceFeatu
     flags = []
     if len(points) <= NETWORK_POINTS:
         flags.append("few_points")
-    if not 0.0 <= height_m <= MAX_HEIGHT_M:
-        flags.append("height_clamped")
     if float(np.linalg.norm(np.ptp(points, axis=0))) >= MAX_EXTENT_M:
         flags.append("extent")
     return PreparedCloud(points, height_m, distance_m, surface, tuple(flags))

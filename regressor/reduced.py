@@ -52,17 +52,17 @@ def reduced_forward(
     """
     neighbours = points[:, : resolution.neighbours]
     centroids = points[:, : resolution.centroids]
-    stage1 = _stage(model.sa1_module.conv.local_nn, neighbours, neighbours, compute)
+    stage1 = edge_features(model.sa1_module.conv.local_nn, neighbours, neighbours, compute)
     pairs = torch.cat([stage1, neighbours], dim=2)
-    stage2 = _stage(model.sa2_module.conv.local_nn, pairs, centroids, compute)
-    described = _global_stage(model.sa3_module.nn, torch.cat([stage2, centroids], dim=2), compute)
+    stage2 = edge_features(model.sa2_module.conv.local_nn, pairs, centroids, compute)
+    described = global_feature(model.sa3_module.nn, torch.cat([stage2, centroids], dim=2), compute)
     if model.height_embed is not None:
         described = torch.cat([described, model.height_embed(heights_m[:, None])], dim=1)
     out: Tensor = model.regression_head(described)
     return out[:, 0]
 
 
-def _stage(mlp: SharedMlp, inputs: Tensor, centroids: Tensor, compute: torch.dtype | None) -> Tensor:
+def edge_features(mlp: SharedMlp, inputs: Tensor, centroids: Tensor, compute: torch.dtype | None) -> Tensor:
     """(B, C, F) features of (B, C, 3) `centroids`: max over K shared neighbours with `inputs` (B, K, G + 3)."""
     first, second, third = mlp.linear(0), mlp.linear(1), mlp.linear(2)
     from_source = inputs @ first.weight.T
@@ -93,7 +93,7 @@ def _normed(x: Tensor, bias: Tensor, norm: nn.BatchNorm1d) -> Tensor:
     if norm.running_mean is None or norm.running_var is None or norm.num_batches_tracked is None:
         raise ValueError("batch norm without running statistics cannot be used here")
     if not norm.training:
-        centre = norm.running_mean - bias
+        centre = norm.running_mean - bias.detach()
         return nn.functional.batch_norm(x, centre, norm.running_var, norm.weight, norm.bias, False, 0.0, norm.eps)
     momentum = norm.momentum or 0.0
     mean, variance = torch.zeros_like(norm.running_mean), torch.zeros_like(norm.running_var)
@@ -134,7 +134,7 @@ def _update_running(norm: nn.BatchNorm1d, mean: Tensor, variance: Tensor, rows: 
         norm.running_var.lerp_(variance.detach().to(norm.running_var.dtype) * rows / max(rows - 1, 1), momentum)
 
 
-def _global_stage(mlp: SharedMlp, inputs: Tensor, compute: torch.dtype | None) -> Tensor:
+def global_feature(mlp: SharedMlp, inputs: Tensor, compute: torch.dtype | None) -> Tensor:
     """(B, O): a shared MLP over (B, C, G) `inputs`, then the max over C."""
     x = inputs.flatten(0, 1)
     for index in range(len(mlp.norms)):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from regressor.evaluate import LINEAR_BOX, NETWORK, Evaluation, coverage, group_scores, method_scores
+from regressor.evaluate import LINEAR_BOX, NETWORK, SHIPPED, Evaluation, coverage, group_scores, method_scores
 
 COLUMNS = ("mae_g", "rmse_g", "bias_g", "r2", "tuber_mae_g", "tuber_rmse_g", "load_bias_percent")
 
@@ -64,7 +64,7 @@ def markdown(measured: dict[str, Any], *, title: str) -> str:
         f"tubers; mean width {held['mean_width_g']:.1f} g.",
         f"Flags: {_counts(measured['flags'])}. Refused: {_counts(measured['refused'])}.",
         "",
-        "## PointRAFT by group",
+        "## As weighed, by group",
         "",
         "| grouping | group | views | tubers | MAE g | RMSE g | bias g | coverage % |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
@@ -90,7 +90,7 @@ def _write_metrics(path: Path, measured: dict[str, Any]) -> None:
             writer.writerows([method, "all", "all", name, value] for name, value in figures.items())
         for grouping, table in measured["groups"].items():
             for label, figures in table.items():
-                writer.writerows([NETWORK, grouping, label, name, value] for name, value in figures.items())
+                writer.writerows([SHIPPED, grouping, label, name, value] for name, value in figures.items())
 
 
 def _write_views(path: Path, result: Evaluation) -> None:
@@ -114,18 +114,19 @@ def write_plots(result: Evaluation, out: Path) -> list[Path]:
     truth = result.weight_g
     figure, (scatter, cumulative, over) = plt.subplots(1, 3, figsize=(15, 4.6), constrained_layout=True)
     top = float(truth.max()) * 1.05
-    for name in (LINEAR_BOX, NETWORK):
-        values = result.predicted[name]
-        scatter.plot(truth, values, ".", markersize=3, alpha=0.5, label=name)
+    colours = {name: f"C{i}" for i, name in enumerate(result.predicted)}
+    for name in (LINEAR_BOX, SHIPPED):
+        scatter.plot(truth, result.predicted[name], ".", color=colours[name], markersize=3, alpha=0.5, label=name)
     scatter.plot([0, top], [0, top], "k-", linewidth=0.8)
     scatter.set(xlabel="weight on the scale [g]", ylabel="estimated [g]", xlim=(0, top), ylim=(0, top))
     for name, values in result.predicted.items():
         error = np.sort(np.abs(values - truth))
-        cumulative.plot(error, np.linspace(0, 100, len(error)), label=name)
+        cumulative.plot(error, np.linspace(0, 100, len(error)), color=colours[name], label=name)
         edges = np.quantile(truth, np.linspace(0, 1, 11))
         inside = np.clip(np.digitize(truth, edges) - 1, 0, 9)
         middle = [truth[inside == i].mean() for i in range(10)]
-        over.plot(middle, [np.abs(values - truth)[inside == i].mean() for i in range(10)], "o-", label=name)
+        mean = [np.abs(values - truth)[inside == i].mean() for i in range(10)]
+        over.plot(middle, mean, "o-", color=colours[name], label=name)
     cumulative.set(xlabel="absolute error [g]", ylabel="views [%]", xlim=(0, 80), ylim=(0, 100))
     over.set(xlabel="weight on the scale [g]", ylabel="mean absolute error [g]", ylim=(0, None))
     for axes in (scatter, cumulative, over):

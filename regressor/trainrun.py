@@ -18,8 +18,10 @@ from regressor.cloudset import CloudSet, load_cloudset
 from regressor.interval import calibrate, shared_share
 from regressor.metrics import scores
 from regressor.pointraft import PointRaft
-from regressor.train import Training, TrainSettings, load_state, run_training
-from regressor.volume import VolumeRule, fit_volume_rule
+from regressor.recipe import TrainSettings
+from regressor.train import Training
+from regressor.trainloop import load_state, run_training
+from regressor.volume import VolumeRule, best_share, blend, fit_volume_rule
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
@@ -123,18 +125,27 @@ def _identity(data: CloudSet) -> NDArray[np.str_]:
 
 
 def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: VolumeRule, options: RunOptions) -> Sidecar:
-    """What the weights take, were made from and are worth on the validation set."""
+    """What the weights take, were made from and are worth on the validation set.
+
+    Validation figures are a little kind: the volume rule's share and the intervals were chosen on the same views.
+    """
     data, validation, progress = training.data, training.validation, training.progress
-    residual = predicted - validation.weight_g
+    by_volume = rule.weights_g(validation.features)
+    share = best_share(predicted, by_volume, validation.weight_g)
+    blended = blend(predicted, by_volume, share)
+    residual = blended - validation.weight_g
     spread = np.maximum(validation.weight_g, 50.0)
     return Sidecar(
         name=options.name,
-        input=InputSpec(height_embedding=training.settings.height_embedding),
+        input=InputSpec(
+            height_embedding=training.settings.height_embedding, max_height_m=training.settings.max_height_m
+        ),
         belt_distance_m=_range(data.belt_distance_m, 0.02),
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
         shared_sd_share=shared_share(residual / spread, validation.tuber),
-        interval=calibrate(predicted, validation.weight_g).to_json(),
+        volume_share=share,
+        interval=calibrate(blended, validation.weight_g).to_json(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,
@@ -146,7 +157,11 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             "settings": asdict(training.settings),
             "numbers": {"share_done": round(training.share, 4), "train_loss": round(progress.loss, 4)},
         },
-        metrics={"validation": scores(predicted, validation.weight_g, validation.tuber)},
+        metrics={
+            "validation": scores(blended, validation.weight_g, validation.tuber),
+            "validation_network": scores(predicted, validation.weight_g, validation.tuber),
+            "validation_volume": scores(by_volume, validation.weight_g, validation.tuber),
+        },
     )
 
 

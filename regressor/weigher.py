@@ -16,7 +16,7 @@ from regressor.fast import FastPointRaft
 from regressor.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
 from regressor.pointraft import PointRaft
 from regressor.prepare import PreparedCloud, RefusedCloud, prepare_view
-from regressor.volume import TYPICAL_RULE
+from regressor.volume import TYPICAL_RULE, blend
 
 VOLUME_MODEL = "volume"
 INTERVAL_Z = 1.645
@@ -24,11 +24,16 @@ INTERVAL_Z = 1.645
 
 @dataclass(frozen=True, slots=True)
 class Weighed:
-    """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual."""
+    """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual.
+
+    `network_g` and `volume_g` are what it is made of: the network's answer (None without one) and the volume rule's.
+    """
 
     weight_g: float
     low_g: float
     high_g: float
+    network_g: float | None
+    volume_g: float
     method: Literal["pointraft", "volume"]
     model: str
     flags: tuple[str, ...]
@@ -37,8 +42,9 @@ class Weighed:
 class Weigher:
     """One set of weights, ready to weigh; without a network it weighs by volume. One instance per worker.
 
-    Flags: 'few_points' (at most 1024), 'height_clamped' (outside 0..80 mm), 'extent' (0.2 m or more), 'belt_distance',
-    'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the visible volume says otherwise).
+    Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
+    weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
+    visible volume says otherwise).
     """
 
     def __init__(self, model: PointRaft | None, sidecar: Sidecar) -> None:
@@ -62,17 +68,21 @@ class Weigher:
         by_volume_g = self._volume.weight_g(cloud.surface)
         if self._network is None:
             return self._by_volume(by_volume_g, cloud.flags)
-        weight_g = self._network.weigh(self._group(cloud.points), cloud.clamped_height_m)
-        if not np.isfinite(weight_g) or weight_g <= 0:
+        height_m = cloud.clamped_height_m(self.sidecar.input.max_height_m)
+        network_g = self._network.weigh(self._group(cloud.points), height_m)
+        if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
+        weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
         low, high = self._bounds(weight_g)
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
             high_g=round(high, 3),
+            network_g=round(network_g, 3),
+            volume_g=round(by_volume_g, 3),
             method="pointraft",
             model=self.sidecar.model_id,
-            flags=(*cloud.flags, *self._out_of_range(cloud, weight_g, by_volume_g)),
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g)),
         )
 
     def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
@@ -81,6 +91,8 @@ class Weigher:
             weight_g=round(weight_g, 3),
             low_g=round(weight_g / factor, 3),
             high_g=round(weight_g * factor, 3),
+            network_g=None,
+            volume_g=round(weight_g, 3),
             method="volume",
             model=VOLUME_MODEL,
             flags=flags,
@@ -93,13 +105,14 @@ class Weigher:
         low, high = self._interval.bounds_g(np.array([weight_g]))
         return float(low[0]), float(high[0])
 
-    def _out_of_range(self, cloud: PreparedCloud, weight_g: float, by_volume_g: float) -> tuple[str, ...]:
+    def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
         sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
         checks = {
+            "height_clamped": 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
             "belt_distance": sidecar.belt_distance_m.holds(cloud.belt_distance_m),
             "size": sidecar.length_mm.holds(cloud.surface.length_mm),
-            "weight": sidecar.weight_g.holds(weight_g),
-            "volume_disagrees": 1 / factor <= weight_g / by_volume_g <= factor,
+            "weight": sidecar.weight_g.holds(network_g),
+            "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
         }
         return tuple(name for name, fine in checks.items() if not fine)
 

@@ -11,13 +11,19 @@ REMEMBERED = 300
 
 @dataclass(slots=True)
 class FrameAge:
-    """Age of frames beyond the quickest of the last ones: what they waited on the way, not what the clocks differ."""
+    """Age of frames beyond the quickest of the last ones: what they waited on the way, not what the clocks differ.
 
+    `speed`: how many times faster than its clock says a recording is sent; 0: at once, so that nothing can be said.
+    """
+
+    speed: float = 1.0
     _delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
     def age_ms(self, captured_ns: int, arrived_ns: int) -> float:
         """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts anew."""
-        delay_ns = arrived_ns - captured_ns
+        if self.speed <= 0:
+            return 0.0
+        delay_ns = arrived_ns - (captured_ns if self.speed == 1.0 else round(captured_ns / self.speed))
         if self._delays_ns and abs(delay_ns - self._delays_ns[-1]) > CLOCK_JUMP_NS:
             self._delays_ns.clear()
         self._delays_ns.append(delay_ns)

@@ -18,6 +18,7 @@ class FrameBalance:
     processed: int = 0
     duplicates: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    _overwritten: int = 0
 
     def known_range(self, first_seq: int | None, last_seq: int | None) -> None:
         """What the camera says that it published."""
@@ -31,9 +32,22 @@ class FrameBalance:
         if seq <= self.newest_seq:
             self.duplicates += 1
             return False
+        skipped = seq - self.newest_seq - 1 if self.newest_seq >= 0 else 0
+        self._book_overwritten(skipped)
         self.newest_seq = seq
         self.known_range(seq, seq)
         return True
+
+    def overwritten(self, n: int) -> None:
+        """The receiving ring has overwritten `n` more messages; those that were frames show as skipped numbers."""
+        self._overwritten += n
+
+    def _book_overwritten(self, skipped: int) -> None:
+        """Skipped frames that the ring overwrote did arrive: they are our drops, not gaps of the link."""
+        booked = min(skipped, self._overwritten)
+        if booked:
+            self.dropped["overwritten"] += booked
+            self._overwritten -= booked
 
     @property
     def received(self) -> int:

@@ -108,11 +108,12 @@ class CameraRun:
         self.frames.known_range(info.first_seq, info.last_seq)
         here = info.last_seq is None or self.frames.newest_seq >= info.last_seq
         silent = now_s - self._heard_s >= EMPTY_S
-        if info.state in ("ended", "failed") and (silent or (here and info.state == "ended")):
+        # A camera that waits sends a frame again until it is done: silence means a bad link or a process that was
+        # stopped for a while, never a frame to give up. Only what its source refused will not come.
+        missing = 0 if info.last_seq is None else info.last_seq - self.frames.newest_seq
+        sure = not info.waits or info.state == "failed" or missing <= sum(info.refused.values())
+        if info.state in ("ended", "failed") and ((silent and sure) or (here and info.state == "ended")):
             self.end(now_s)
-        elif info.waits and silent and not here and info.last_seq is not None:
-            self._done_seq = max(self._done_seq, info.last_seq)
-            self._heard_s = now_s
 
     def end(self, now_s: float) -> None:
         """Nothing more comes: decide what is still open. The final mark follows when all views are answered."""
@@ -191,11 +192,12 @@ class CameraRun:
 
     def _mark(self, *, final: bool) -> Mark:
         complete_m = self.core.travel_m if final else self.core.complete_travel_m()
-        waiting_m = self.weighing.earliest_travel_m()
-        if waiting_m is not None:
-            complete_m = min(complete_m, math.nextafter(waiting_m, -math.inf))
-        before = self.log.last_mark
         complete_ns = self._newest_ns if final else self.core.complete_ns(complete_m)
+        waiting = self.weighing.earliest()
+        if waiting is not None:
+            complete_ns = min(complete_ns, waiting[0] - 1)
+            complete_m = min(complete_m, math.nextafter(waiting[1], -math.inf))
+        before = self.log.last_mark
         place_m = self.core.row_place_m(complete_m)
         if before is not None:
             complete_ns, place_m = max(complete_ns, before.complete_ns), min(place_m, before.complete_place_x_m)

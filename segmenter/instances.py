@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from segmenter.belt import BeltGeometry
+from segmenter.edges import LEAST_ROWS, cut_by_unseen
 from segmenter.flood import flood, instance_sums, regrow, relabel
 from segmenter.heights import HeightMap
 from segmenter.place import centre_in_belt
@@ -51,7 +52,7 @@ class Instances:
         area_mm2: (n,) visible area, projected onto the belt.
         volume_ml: (n,) under the visible surface down to the belt.
         height_mm: (n,) highest point but for the last percent.
-        cut: (n, 4) bool: touches the top, bottom, left, right border.
+        cut: (n, 4) bool: touches the top, bottom, left, right border of the image, or of what was seen of it.
         box: (n, 4) int: first and last row, first and last column, cells.
         contact: (n,) share of the outline that touches another instance.
         refused: what looked like load but cannot be a tuber, by reason.
@@ -91,7 +92,7 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     labels, n = flood(relief, foreground, settings.least_dynamics_mm, settings.dynamics_share)
     regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
     sew(labels, n, smooth_mm, cell_mm, settings.seam)
-    return _describe(labels, n, smooth_mm, heights.stride, belt, settings)
+    return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
 
 
 def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> Instances:
@@ -103,7 +104,7 @@ def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> I
     names, flat = np.unique(coarse, return_inverse=True)
     labels = flat.reshape(coarse.shape).astype(np.int32) + (0 if names[0] == 0 else 1)
     n = int(labels.max(initial=0))
-    return _describe(labels, n, heights.height_mm, stride, belt, None)
+    return _describe(labels, n, heights.height_mm, heights.seen, stride, belt, None)
 
 
 def full_resolution(instances: Instances, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -121,6 +122,7 @@ def _describe(
     labels: NDArray[np.int32],
     n: int,
     height_mm: NDArray[np.float32],
+    seen: NDArray[np.uint8],
     stride: int,
     belt: BeltGeometry,
     settings: SplitSettings | None,
@@ -132,16 +134,20 @@ def _describe(
     sums, histogram = instance_sums(
         labels, n, height_mm, a, b, c, t, stride, stride * stride / (k.fx * k.fy) * 1e6, margin
     )
+    cut = (sums[:, 5:9] > 0) | (cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS)
     gone = sums[:, 0] == 0
     low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
     flat = ~gone & ~low & (sums[:, 15] < settings.min_height_mm) if settings else np.zeros(n + 1, bool)
     refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
+    cut = sums[:, 5:9] > 0
+    if settings:
+        cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     keep = ~(gone | low | flat)
     keep[0] = False
     names = np.zeros(n + 1, np.int32)
     names[keep] = np.arange(1, int(keep.sum()) + 1)
     relabel(labels, names)
-    sums, histogram = sums[keep], histogram[keep]
+    sums, histogram, cut = sums[keep], histogram[keep], cut[keep]
     cells = sums[:, 0]
     half = (stride - 1) / 2
     centroid = np.stack([sums[:, 1] / cells * stride + half, sums[:, 2] / cells * stride + half], axis=1)
@@ -157,7 +163,7 @@ def _describe(
         area_mm2=sums[:, 3],
         volume_ml=sums[:, 4] / 1000.0,
         height_mm=top_mm,
-        cut=sums[:, 5:9] > 0,
+        cut=cut,
         box=sums[:, 9:13].astype(np.int64),
         contact=sums[:, 13] / np.maximum(sums[:, 14], 1),
         refused=refused,

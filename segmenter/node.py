@@ -42,7 +42,10 @@ class SegmenterNode:
         self._waits = config.camera(camera).waits
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
-        self._age = FrameAge()
+        source = config.camera(camera)
+        self._age = FrameAge(source.speed if source.source == "recording" else 1.0)
+        self._oldest_ms = 0.0
+        self._overwritten = 0
         self._progress_s = self._travel_s = self._reported_s = 0.0
         self._sent_progress: object = None
         self._works: dict[str, LatestPublisher] = {}
@@ -124,11 +127,15 @@ class SegmenterNode:
             counters.add("frames_of_older_runs")
             return
         drop = ""
-        if (
-            not self._waits
-            and self._age.age_ms(frame.captured_ns, time.monotonic_ns()) > self._config.segmenter.max_age_ms
-        ):
-            drop = "too_old"
+        if not self._waits:
+            age_ms = self._age.age_ms(frame.captured_ns, time.monotonic_ns())
+            self._note_overwritten(camera_run)
+            if age_ms > self._config.segmenter.max_age_ms:
+                drop = "too_old"
+            else:
+                self._oldest_ms = max(self._oldest_ms, age_ms)
+                counters.gauge("frame_age_ms", age_ms)
+                counters.gauge("frame_age_max_ms", self._oldest_ms)
         started_s = time.perf_counter()
         result = camera_run.frame(frame, now_s, drop=drop)
         if result is None:
@@ -142,6 +149,11 @@ class SegmenterNode:
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
             self._travel_s = now_s
             self._travel.put(camera_run.travel(frame.captured_ns))
+
+    def _note_overwritten(self, camera_run: CameraRun) -> None:
+        overwritten = self._node.counters.get("frame_dropped_overwritten")
+        camera_run.frames.overwritten(overwritten - self._overwritten)
+        self._overwritten = overwritten
 
     def _take_info(self, info: CameraInfo, now_s: float) -> None:
         if info.run in self._runs:

@@ -42,18 +42,20 @@ def outline_size_m(belt: BeltGeometry, outline_px: NDArray[np.float32], height_m
     return max(sides) / 1000.0, min(sides) / 1000.0
 
 
-def free_ellipse_centre(outline_px: NDArray[np.float32], *, width: int, margin: float) -> tuple[float, float] | None:
-    """Centre (u, v) of the ellipse through the free part of an outline cut by the left or right border.
+def free_ellipse_centre(
+    outline_px: NDArray[np.float32], *, first_u: float, last_u: float, margin: float
+) -> tuple[float, float] | None:
+    """Centre (u, v) of the ellipse through the free part of an outline cut at its left or right.
 
     Args:
         outline_px: (N, 2) float32 pixels (u, v).
-        width: of the image, pixels.
-        margin: outline closer to the border than this is the cut, not the tuber, pixels.
+        first_u, last_u: columns of the cuts, pixels; far outside where that side is not cut.
+        margin: outline closer to a cut than this is the cut, not the tuber, pixels.
 
     Returns:
         None where too little of the outline is free for an ellipse that means anything.
     """
-    free = outline_px[(outline_px[:, 0] > margin) & (outline_px[:, 0] < width - 1 - margin)]
+    free = outline_px[(outline_px[:, 0] > first_u + margin) & (outline_px[:, 0] < last_u - margin)]
     if len(free) < 12:
         return None
     (u, v), axes, _ = cv2.fitEllipseDirect(np.ascontiguousarray(free))

@@ -1,7 +1,7 @@
 """Seams between neighbouring instances, and slivers sewn back on.
 
 A lump on a knobby tuber can get a peak of its own. What tells it from a small neighbour is the seam: a lump shares
-much of its outline with one instance, and along that seam the surface neither dips towards the belt nor jumps. """
+much of its outline with one instance, and along that seam the surface neither dips towards the belt nor jumps."""
 
 from __future__ import annotations
 

@@ -20,15 +20,14 @@ def completed_centres(instances: Instances, belt: BeltGeometry) -> NDArray[np.fl
     outline.
     """
     centres = instances.centre_m.copy()
-    width = belt.intrinsics.width
     for index in np.flatnonzero(instances.cut[:, 2:].any(axis=1) & ~instances.cut[:, :2].any(axis=1)).tolist():
-        found = _ellipse_centre(instances, index, width)
+        found = _ellipse_centre(instances, index)
         if found is not None:
             centres[index] = centre_in_belt(belt, *found, float(instances.height_mm[index]) / 1000.0)
     return centres
 
 
-def _ellipse_centre(instances: Instances, index: int, width: int) -> tuple[float, float] | None:
+def _ellipse_centre(instances: Instances, index: int) -> tuple[float, float] | None:
     i0, i1, j0, j1 = (int(value) for value in instances.box[index])
     inside = (instances.labels[i0 : i1 + 1, j0 : j1 + 1] == index + 1).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -36,7 +35,13 @@ def _ellipse_centre(instances: Instances, index: int, width: int) -> tuple[float
     cells = largest[:, 0].astype(np.float32) + np.array([j0, i0], np.float32)
     stride = instances.stride
     outline = cells * stride + (stride - 1) / 2
-    found = free_ellipse_centre(outline.astype(np.float32), width=width, margin=2.5 * stride)
+    left, right = (bool(side) for side in instances.cut[index, 2:])
+    found = free_ellipse_centre(
+        outline.astype(np.float32),
+        first_u=float(outline[:, 0].min()) if left else -np.inf,
+        last_u=float(outline[:, 0].max()) if right else np.inf,
+        margin=2.5 * stride,
+    )
     if found is None:
         return None
     u, v = found

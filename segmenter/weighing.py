@@ -67,9 +67,12 @@ class Weighing:
         done = [track_id for track_id, waiting in self._waiting.items() if waiting.done]
         return [_finished(self._waiting.pop(track_id)) for track_id in done]
 
-    def earliest_travel_m(self) -> float | None:
-        """Belt travel at the earliest crossing still waited for."""
-        return min((waiting.closed.track.travel_m for waiting in self._waiting.values()), default=None)
+    def earliest(self) -> tuple[int, float] | None:
+        """(capture time, belt travel) before which no crossing is still waited for; None where none is."""
+        tracks = [waiting.closed.track for waiting in self._waiting.values()]
+        if not tracks:
+            return None
+        return min(track.crossed_ns for track in tracks), min(track.travel_m for track in tracks)
 
 
 def _finished(waiting: _Waiting) -> Track:

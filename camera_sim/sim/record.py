@@ -23,12 +23,13 @@ def record_scene(
     layout: Layout | None = None,
     masks: bool = False,
     color: bool = False,
+    faults: tuple[str, ...] = (),
     on_frame: OnFrame = lambda done, total: None,
 ) -> dict[str, Any]:
     """Write the scene of `settings` as a folder recording under `out`; returns its truth."""
     layout = layout or layout_named(settings.scene)
     world = build_world(settings, layout)
-    sources = simulated_sources(world, settings, layout, masks=masks, color=color)
+    sources = simulated_sources(world, settings, layout, masks=masks, color=color, faults=faults)
     total = sum(source.description.frames or 0 for source in sources)
     done = 0
     out.mkdir(parents=True, exist_ok=True)
@@ -40,6 +41,11 @@ def record_scene(
                 done += 1
                 on_frame(done, total)
     write_line_file(out, [camera.name for camera in world.cameras], belt_speed_mps=settings.speed_mps)
-    truth = truth_of(world, sources) | {"scene": settings.scene, "seed": settings.seed, "preset": settings.preset.name}
+    truth = truth_of(world, sources) | {
+        "scene": settings.scene,
+        "seed": settings.seed,
+        "preset": settings.preset.name,
+        "faults": list(faults),
+    }
     (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
     return truth

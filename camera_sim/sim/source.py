@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camera_sim.sim.faults import plan_faults
 from camera_sim.sim.paint import paint_jpeg
 from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
@@ -34,6 +35,7 @@ class SimulatedSource:
         index: int = 0,
         masks: bool = False,
         color: bool = False,
+        faults: tuple[str, ...] = (),
     ) -> None:
         self._world = world
         self._camera = camera
@@ -42,7 +44,9 @@ class SimulatedSource:
         self._color = color
         self._key = (settings.seed, 20 + index)
         count = int((world.motion.duration_s - camera.phase_s) * camera.fps)
-        self._missing = _missing_frames(np.random.default_rng([*self._key, 0]), count, layout.dropped)
+        self._faults = plan_faults(
+            np.random.default_rng([*self._key, 0]), frames=count, fps=camera.fps, names=faults, dropped=layout.dropped
+        )
         self._count = count
         self._bank: NoiseBank | None = None
 
@@ -60,17 +64,23 @@ class SimulatedSource:
             belt_distance_m=distance_m,
             belt_from_camera=None if plain else believed,
             fps=self._camera.fps,
-            frames=self._count - len(self._missing),
+            frames=self._count - len(self._faults.missing),
         )
 
     def time_s(self, seq: int) -> float:
         """Capture time of frame `seq` after the belt's start, seconds."""
         return self._camera.phase_s + seq / self._camera.fps
 
+    def travel_range_m(self) -> tuple[float, float]:
+        """Belt travel at the first and at the last frame."""
+        numbers = [seq for seq in range(self._count) if seq not in self._faults.missing]
+        first, last = (self._world.motion.travel_at(self.time_s(seq)) for seq in (numbers[0], numbers[-1]))
+        return first, last
+
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """All frames but the dropped ones, in order."""
         for seq in range(after + 1, self._count):
-            if seq not in self._missing:
+            if seq not in self._faults.missing:
                 yield self.frame(seq, run=run)
 
     def frame(self, seq: int, *, run: str) -> Frame:
@@ -78,9 +88,10 @@ class SimulatedSource:
         settings, k = self._settings, self._camera.optics.intrinsics
         if self._bank is None:
             self._bank = NoiseBank(np.random.default_rng([*self._key, 1]), height=k.height, width=k.width)
-        travel = self._world.motion.travel_at(self.time_s(seq))
-        canvas = render(self._world, self._camera, travel)
-        rng = np.random.default_rng([*self._key, 2, seq])
+        picture, time_s = self._faults.picture_of(seq), self.time_s(self._faults.time_of(seq))
+        travel = self._world.motion.travel_at(time_s)
+        canvas = render(self._world, self._camera, self._world.motion.travel_at(self.time_s(picture)))
+        rng = np.random.default_rng([*self._key, 2, picture])
         depth = measure(
             (1 / canvas.inverse_depth).astype(np.float32),
             focal_px=k.fx,
@@ -94,7 +105,7 @@ class SimulatedSource:
             camera=d.name,
             run=run,
             seq=seq,
-            captured_ns=EPOCH_NS + round(self.time_s(seq) * 1e9),
+            captured_ns=EPOCH_NS + round(time_s * 1e9) + self._faults.clock_shift_ns(seq),
             travel_m=round(travel, 5) if settings.given_travel else None,
             depth_scale_m=settings.unit_m,
             intrinsics=k,
@@ -112,11 +123,17 @@ class SimulatedSource:
 
 
 def simulated_sources(
-    world: World, settings: SceneSettings, layout: Layout, *, masks: bool = False, color: bool = False
+    world: World,
+    settings: SceneSettings,
+    layout: Layout,
+    *,
+    masks: bool = False,
+    color: bool = False,
+    faults: tuple[str, ...] = (),
 ) -> list[SimulatedSource]:
     """A source for each camera of the world."""
     return [
-        SimulatedSource(world, camera, settings, layout=layout, index=n, masks=masks, color=color)
+        SimulatedSource(world, camera, settings, layout=layout, index=n, masks=masks, color=color, faults=faults)
         for n, camera in enumerate(world.cameras)
     ]
 
@@ -147,8 +164,7 @@ def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Bo
     at = crossing_travel_m(body, camera)
     if at is None:
         return False
-    numbers = [seq for seq in range(source._count) if seq not in source._missing]
-    first, last = (world.motion.travel_at(source.time_s(seq)) for seq in (numbers[0], numbers[-1]))
+    first, last = source.travel_range_m()
     return first <= at <= last
 
 
@@ -169,12 +185,3 @@ def _truth_row(body: Body, cameras: list[str]) -> dict[str, Any]:
         "season": tuber.stock.season,
         "cameras": cameras,
     }
-
-
-def _missing_frames(rng: np.random.Generator, count: int, share: float) -> frozenset[int]:
-    """Frame numbers that never arrive: half of them alone, half in bursts of five; never the first or the last."""
-    missing: set[int] = set()
-    while len(missing) < share * count:
-        start = int(rng.integers(1, max(2, count - 6)))
-        missing |= set(range(start, start + (5 if rng.random() < 1 / 6 else 1)))
-    return frozenset(missing)

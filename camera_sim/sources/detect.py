@@ -10,11 +10,12 @@ from typing import Literal
 from camera_sim.sources.base import CameraDescription, RecordedSource, Source
 from conveyor.errors import InputError
 
-Kind = Literal["folder", "mcap", "3dpotatotwin"]
+Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag"]
 LOOKED_FOR = (
     "a folder recording (<camera>/camera.json and frames.csv, or such a camera folder itself)",
     "an MCAP recording (*.mcap)",
     "a 3DPotatoTwin folder (1_rgbd/1_image)",
+    "a ROS bag (*.bag, *.db3, ROS 2 *.mcap, or a bag's folder with metadata.yaml)",
 )
 
 
@@ -46,6 +47,10 @@ def camera_names(path: Path) -> tuple[str, ...]:
         from camera_sim.sources.mcap_source import mcap_channels
 
         return tuple(channel.camera for channel in mcap_channels(path) if channel.messages)
+    if kind == "rosbag":
+        from camera_sim.sources.rosbag import bag_cameras
+
+        return bag_cameras(path)
     from camera_sim.sources.potatotwin import seasons
 
     return seasons(path)
@@ -84,14 +89,25 @@ def recording_kind(path: Path) -> Kind:
     if not path.exists():
         raise InputError(f"{path} does not exist")
     if path.is_file():
+        if path.suffix in (".bag", ".db3"):
+            return "rosbag"
         with path.open("rb") as file:
             if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
-                return "mcap"
+                return _mcap_kind(path)
     elif (path / "1_rgbd" / "1_image").is_dir():
         return "3dpotatotwin"
+    elif (path / "metadata.yaml").is_file():
+        return "rosbag"
     elif _folders(path):
         return "folder"
     raise InputError(f"{path} is no recording Tuberline knows; looked for: " + "; ".join(LOOKED_FOR))
+
+
+def _mcap_kind(path: Path) -> Kind:
+    """Ours where it has a channel of ours; a ROS 2 bag where it has others."""
+    from camera_sim.sources.mcap_source import foreign_channels, mcap_channels
+
+    return "rosbag" if not mcap_channels(path) and foreign_channels(path) else "mcap"
 
 
 def _choose(path: Path, known: list[str], camera: str | None) -> str:
@@ -116,6 +132,10 @@ def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
         from camera_sim.sources.mcap_source import McapSource
 
         return McapSource(path, camera)
+    if kind == "rosbag":
+        from camera_sim.sources.rosbag import RosBagSource
+
+        return RosBagSource(path, camera)
     from camera_sim.sources.potatotwin import PotatoTwinSource
 
     return PotatoTwinSource(path, camera)

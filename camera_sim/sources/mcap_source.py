@@ -53,6 +53,13 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     return tuple(sorted(found, key=lambda channel: channel.camera))
 
 
+def foreign_channels(path: Path) -> bool:
+    """The file has channels that are not ours."""
+    with _reader(path) as reader:
+        summary = reader.get_summary()
+    return any(channel.message_encoding != ENCODING for channel in summary.channels.values())
+
+
 def mcap_attachments(path: Path) -> dict[str, bytes]:
     """The recording's own JSON files by name."""
     with _reader(path) as reader:

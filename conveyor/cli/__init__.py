@@ -26,6 +26,9 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Watch a line": {
         "status": ("conveyor.cli.status:status", "Totals and nodes of a running line, once."),
         "top": ("conveyor.cli.top:top", "The same, live."),
+        "health": ("conveyor.cli.doctor:health", "Is the router, or one node, well? For probes."),
+        "metrics": ("conveyor.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
+        "watch": ("viewer.commands:watch", "Watch a running line: Rerun's window or a web page."),
         "audit": ("aggregator.commands:audit", "The balance sheet of a run: nothing lost silently."),
         "ledger": ("aggregator.commands:ledger", "Check, repair or export a ledger."),
     },
@@ -54,6 +57,10 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Set up": {
         "config": ("conveyor.cli.config:config", "Check, show or explain a line's configuration."),
         "topics": ("conveyor.cli.topics:topics", "The table of topics."),
+        "certs": ("conveyor.cli.certs:certs", "A site's own certificates, one per node."),
+        "access": ("conveyor.cli.access:access", "Who may do what: the router's rules, from the table of topics."),
+        "doctor": ("conveyor.cli.doctor:doctor", "What is wrong with a line or this machine, and how to mend it."),
+        "bundle": ("conveyor.cli.doctor:bundle", "Pack what a helper needs to see; no private keys."),
     },
 }
 

@@ -20,6 +20,8 @@ from conveyor.supervisor import Supervisor
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
+MOST_RESTARTS = 6
+"""A node that crashed so often will not get through this recording."""
 
 
 def replay(
@@ -118,10 +120,15 @@ def replay_recording(
 
 
 def recording_cameras(recording: Path) -> list[str]:
-    """Names of the cameras in a recording of any known format."""
-    from camera_sim.sources import camera_names
+    """Names of the cameras in a recording of any known format. Each camera's first frame is read, so that a recording
+    that cannot be used is refused before anything is started or written.
+    """
+    from camera_sim.sources import camera_names, open_source
 
-    return list(camera_names(recording))
+    names = list(camera_names(recording))
+    for name in names:
+        next(iter(open_source(recording, camera=name).frames(run="check")), None)
+    return names
 
 
 def prepare_out(out: Path) -> None:
@@ -215,6 +222,9 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
 
 
 def _raise_failures(supervisor: Supervisor) -> None:
+    for name, restarts in supervisor.restarts.items():
+        if restarts >= MOST_RESTARTS:
+            raise TuberlineError(f"{name} crashed {restarts} times; it last said:\n{supervisor.log_tail(name)}")
     for name, code in supervisor.failures.items():
         tail = supervisor.log_tail(name)
         said = [line for line in tail.splitlines() if line.startswith("tuberline: ")]

@@ -51,7 +51,11 @@ def print_score(console: Console, score: dict[str, Any]) -> None:
     )
     console.print(table)
     console.print(
-        f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; "
-        f"per tuber MAE {score['mae_g']:.1f} g, RMSE {score['rmse_g']:.1f} g, bias {score['bias_g']:+.1f} g",
+        f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; per tuber "
+        f"MAE {_grams(score['mae_g'])}, RMSE {_grams(score['rmse_g'])}, bias {_grams(score['bias_g'], sign='+')}",
         highlight=False,
     )
+
+
+def _grams(value: float | None, *, sign: str = "") -> str:
+    return "unknown" if value is None else f"{value:{sign}.1f} g"

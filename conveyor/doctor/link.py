@@ -62,7 +62,7 @@ def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
         elif left < LATE_DAYS:
             found.append(warning("certificates", f"{info.path} expires in {left:.0f} days", renew))
         key = info.path.with_suffix(".key")
-        if key.is_file() and stat.S_IMODE(key.stat().st_mode) & 0o077:
+        if key.is_file() and stat.S_IMODE(key.stat().st_mode) & 0o007:
             found.append(fault("certificates", f"{key} can be read by others", f"chmod 600 {key}"))
         if info.common_name == f"router@{config.name}" and router_address(config.link)[0] not in info.hosts:
             found.append(

@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,19 @@ class Segmenters:
             for entry in self.told.logs[camera][max(0, self.acknowledged(camera)) : upto]:
                 out.put(entry)
 
+    def deliver(self, upto: int | None = None) -> None:
+        """Send entries, and again every second, until they are acknowledged."""
+        sent_s = float("-inf")
+
+        def acknowledged() -> bool:
+            nonlocal sent_s
+            if time.monotonic() - sent_s > 1.0:
+                sent_s = time.monotonic()
+                self.send(upto)
+            return self.all_acknowledged(upto)
+
+        wait_until(acknowledged, what=f"entries up to {upto} acknowledged", timeout_s=40)
+
     def all_acknowledged(self, upto: int | None = None) -> bool:
         return all(self.acknowledged(camera) >= len(log[:upto]) for camera, log in self.told.logs.items())
 
@@ -97,15 +111,13 @@ def test_killed_in_the_middle_it_counts_everything_once(line: tuple[LineConfig, 
         segmenters = Segmenters(node, told)
         tubers = ReliableSubscriber(node, topics.TUBER, Tuber)
         wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
-        segmenters.send(14)
-        wait_until(lambda: segmenters.all_acknowledged(14), what="14 entries acknowledged")
+        segmenters.deliver(14)
         process.kill()
         segmenters.send(18)
         process.start()
         with Observer(config.link, line="t") as observer:
             wait_until(lambda: "aggregator/aggregator" in observer.alive(), what="the second process", timeout_s=40)
-            segmenters.send(18)
-            wait_until(lambda: segmenters.all_acknowledged(18), what="18 entries acknowledged")
+            segmenters.deliver(18)
             answered: dict[str, Any] = observer.query(topics.QUERY_TOTALS)
             first = observer.query(topics.QUERY_TUBERS, parameters="limit=3")
             assert [tuber["tuber_id"] for tuber in first] == [1, 2, 3][: answered["count"]]
@@ -113,8 +125,7 @@ def test_killed_in_the_middle_it_counts_everything_once(line: tuple[LineConfig, 
             assert all(tuber["tuber_id"] > 1 for tuber in rest)
             with pytest.raises(Exception, match="limit=many: give a whole number"):
                 observer.query(topics.QUERY_TUBERS, parameters="limit=many")
-            segmenters.send()
-            wait_until(lambda: segmenters.all_acknowledged(), what="everything acknowledged")
+            segmenters.deliver()
             wait_until(lambda: (totals := observer.totals()) and totals.final, what="final totals")
     code, said = process.end()
     assert code == 0, said
@@ -135,8 +146,7 @@ def test_a_finished_run_is_refused_in_words(line: tuple[LineConfig, Path], proce
     with Node("segmenter", "cam0", config=config, run="story") as node:
         segmenters = Segmenters(node, told)
         wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
-        segmenters.send()
-        wait_until(lambda: segmenters.all_acknowledged(), what="everything acknowledged")
+        segmenters.deliver()
     assert process.end()[0] == 0
     process.start()
     code, said = process.end()
@@ -151,8 +161,7 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
     with Node("segmenter", "cam0", config=config, run="story") as node:
         segmenters = Segmenters(node, told)
         wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
-        segmenters.send(12)
-        wait_until(lambda: segmenters.all_acknowledged(12), what="12 entries acknowledged")
+        segmenters.deliver(12)
     process.popen.terminate()
     assert process.end()[0] == 0
     summary = json.loads((config.aggregator.out / "summary.json").read_text())

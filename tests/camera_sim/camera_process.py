@@ -80,6 +80,19 @@ class OtherSide:
         self.seen += new
         return new
 
+    def follow(self, last_seq: int, *, done_seq: int) -> None:
+        """Take everything up to `last_seq`, saying only what arrived without a gap after `done_seq` is done."""
+
+        def all_here() -> bool:
+            nonlocal done_seq
+            self.take(0.1)
+            while done_seq + 1 in self.seen:
+                done_seq += 1
+            self.done(done_seq)
+            return done_seq >= last_seq
+
+        wait_until(all_here, what=f"frame {last_seq}; seen: {sorted(set(self.seen))}")
+
 
 @contextmanager
 def other_side(config: LineConfig) -> Iterator[OtherSide]:

@@ -33,13 +33,9 @@ def test_a_replay_waits_for_the_segmenter_and_loses_nothing(
         wait_until(
             lambda: (c := side.counters()) and c.gauges.get("waiting_for_segmenter_s", 0) > 0.5, what="it to wait"
         )
-        assert side.take() == []
-        assert side.seen == [0, 1, 2]
-        deadline = time.monotonic() + 20
-        while side.seen[-1] < frames - 1 and time.monotonic() < deadline:
-            side.done(side.seen[-1])
-            side.take(0.5)
-        side.done(frames - 1)
+        side.take()
+        assert set(side.seen) == {0, 1, 2}  # perhaps more than once, but none beyond the window
+        side.follow(frames - 1, done_seq=2)
         info = side.wait_for_state("ended")
         assert sorted(set(side.seen)) == list(range(frames))
         assert (info.published, info.first_seq, info.last_seq, info.refused) == (frames, 0, frames - 1, {})
@@ -58,7 +54,7 @@ def test_unacknowledged_frames_come_again_and_a_killed_camera_goes_on_where_it_w
         side.done(-1)
         with process(config, tmp_path, "camera", "--camera", "front") as camera:
             wait_until(lambda: side.take(0.1) is not None and side.seen.count(1) >= 2, what="frame 1 twice")
-            assert side.seen[:4] == [0, 1, 0, 1]
+            assert set(side.seen) == {0, 1}
             side.done(1)
             wait_until(lambda: side.take(0.1) is not None and 3 in side.seen, what="frame 3")
             camera.kill()
@@ -66,11 +62,9 @@ def test_unacknowledged_frames_come_again_and_a_killed_camera_goes_on_where_it_w
         side.seen.clear()
         with process(config, tmp_path, "camera", "--camera", "front"):
             wait_until(lambda: side.take(0.1) is not None and side.seen, what="frames of the second process")
-            assert side.seen[0] == 3  # frame 2 was done, frame 3 not
-            side.done(frames - 1)
-            wait_until(lambda: side.take(0.1) is not None and frames - 1 in side.seen, what="the last frame")
+            side.follow(frames - 1, done_seq=2)
             side.wait_for_state("ended")
-        assert sorted(set(side.seen)) == list(range(3, frames))
+        assert sorted(set(side.seen)) == list(range(3, frames))  # frame 2 was done, frame 3 not
 
 
 def test_without_waiting_nobody_holds_it_up_and_late_joiners_learn_that_it_ended(

@@ -30,7 +30,7 @@ def _always_ready(side: OtherSide) -> None:
 def test_what_a_camera_published_is_recorded_frame_by_frame(
     link: LinkConfig, small_recording: Path, tmp_path: Path
 ) -> None:
-    config, out = line(link, path=small_recording, speed=8.0, waits=True), tmp_path / "line.mcap"
+    config, out = line(link, path=small_recording, speed=2.0, waits=True), tmp_path / "line.mcap"
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
         wait_until(lambda: side.counters("recorder"), what="the recorder")
         with process(config, tmp_path, "camera", "--camera", "front"):
@@ -55,21 +55,24 @@ def test_a_killed_recorder_loses_at_most_its_last_chunk(
     link: LinkConfig, small_settings: SceneSettings, tmp_path: Path
 ) -> None:
     record_scene(tmp_path / "long", replace(small_settings, tubers=30, fps=30.0))
-    config, out = line(link, path=tmp_path / "long", speed=0, waits=True), tmp_path / "line.mcap"
+    config, out = line(link, path=tmp_path / "long", speed=1.0, waits=True), tmp_path / "line.mcap"
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
         wait_until(lambda: side.counters("recorder"), what="the recorder")
         with process(config, tmp_path, "camera", "--camera", "front"):
             _always_ready(side)
-            info = side.wait_for_state("ended")
             wait_until(
-                lambda: (c := side.counters("recorder")) and c.values.get("frames_written") == info.published,
-                what="all frames written",
+                lambda: (c := side.counters("recorder")) and c.values.get("frames_written", 0) > 30,
+                what="30 frames written",
             )
-        recorder.kill()
-        recorder.wait(5)
+            counters = side.counters("recorder")
+            recorder.kill()
+            recorder.wait(5)
     saved = recover(out, tmp_path / "mended.mcap")
     frames_per_chunk = (1 << 20) // (320 * 180 * 2) + 1
     assert not saved.whole
-    assert info.published - saved.messages["camera/front/frame"] <= frames_per_chunk
-    mended = [item.seq for item in open_source(tmp_path / "mended.mcap").frames(run="r")]
-    assert mended == list(range(len(mended)))
+    assert counters is not None
+    assert saved.messages["camera/front/frame"] >= counters.values["frames_written"] - frames_per_chunk
+    original = {item.seq: item.encode() for item in open_source(tmp_path / "long").frames(run="r")}
+    mended = list(open_source(tmp_path / "mended.mcap").frames(run="r"))
+    assert [item.seq for item in mended] == sorted({item.seq for item in mended})
+    assert all(item.encode() == original[item.seq] for item in mended)

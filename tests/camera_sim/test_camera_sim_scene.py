@@ -5,11 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from camera_sim.sim.faults import check_faults
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SCENES, SceneSettings, build_world, layout_named
@@ -162,3 +164,27 @@ def test_truth_file_has_the_keys_of_the_format(small_recording: Path) -> None:
     assert truth["distractors"] == 0
     needed = {"id", "weight_g", "length_mm", "width_mm", "height_mm", "place_x_m", "place_y_m", "cameras"}
     assert needed <= set(truth["tubers"][0])
+
+
+def test_faults_are_injected_by_name(small_settings: SceneSettings) -> None:
+    settings = replace(small_settings, tubers=12)
+    layout = layout_named("touching")
+    world = build_world(settings, layout)
+    plain = list(simulated_sources(world, settings, layout)[0].frames(run="a"))
+
+    def faulty(name: str) -> list:
+        return list(simulated_sources(world, settings, layout, faults=(name,))[0].frames(run="a"))
+
+    assert len(plain) - len(faulty("dropped")) >= 0.1 * len(plain)
+    twice = [
+        (a, b) for a, b in pairwise(faulty("duplicated")) if a.captured_ns == b.captured_ns and a.travel_m == b.travel_m
+    ]
+    assert twice
+    assert all(np.array_equal(a.depth, b.depth) and b.seq == a.seq + 1 for a, b in twice)
+    still = [(a, b) for a, b in pairwise(faulty("frozen")) if np.array_equal(a.depth, b.depth)]
+    assert len(still) == int(0.7 * settings.fps)
+    assert all(b.captured_ns > a.captured_ns and b.travel_m > a.travel_m for a, b in still)
+    jumps = np.diff([frame.captured_ns for frame in faulty("clock-jump")]) / 1e9
+    assert sorted(np.round(jumps[np.abs(jumps) > 1]).astype(int)) == [-45, 45]
+    with pytest.raises(InputError, match="--inject fire is unknown; known: dropped, duplicated, frozen, clock-jump"):
+        check_faults(("fire",))

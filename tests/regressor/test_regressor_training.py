@@ -16,15 +16,17 @@ from regressor.augment import Augmentation, augmented_batch
 from regressor.checkpoint import load_checkpoint
 from regressor.cloudset import CloudSet, load_cloudset
 from regressor.pointraft import PointRaft
+from regressor.recipe import TrainSettings
 from regressor.reduced import Resolution, reduced_forward
 from regressor.sampling import farthest_points
-from regressor.train import Training, TrainSettings, class_weights, load_state, predict, save_state
+from regressor.train import Training, class_weights, predict
+from regressor.trainloop import load_state, save_state
 from regressor.trainrun import RunOptions, load_sets, train
 from regressor.volume import fit_volume_rule
 from regressor.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 
-QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, settle_batches=2)
+QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +87,9 @@ def test_scale_changes_height_and_weight_with_it() -> None:
     rng = np.random.default_rng(3)
     points = rng.normal(size=(5, 384, 3)).astype(np.float32) * 0.02
     settings = replace(Augmentation.none(), scale=0.1)
-    moved, height, weight = augmented_batch(points, np.full(5, 0.05), np.full(5, 100.0), rng, settings, resample=False)
+    moved, height, weight = augmented_batch(
+        points, np.full(5, 0.05), np.full(5, 100.0), rng, settings, highest_m=0.08, resample=False
+    )
     factor = np.linalg.norm(moved[:, 5], axis=1) / np.linalg.norm(points[:, 5], axis=1)
     assert height == pytest.approx(0.05 * factor, rel=1e-5)
     assert weight == pytest.approx(100 * factor**3, rel=1e-5)
@@ -96,7 +100,9 @@ def test_turns_and_flips_keep_distances_and_height() -> None:
     rng = np.random.default_rng(4)
     points = rng.normal(size=(3, 384, 3)).astype(np.float32) * 0.02
     settings = Augmentation(jitter_m=0, plane_shear=0, scale=0)
-    moved, height, weight = augmented_batch(points, np.full(3, 0.09), np.full(3, 9.0), rng, settings, resample=False)
+    moved, height, weight = augmented_batch(
+        points, np.full(3, 0.09), np.full(3, 9.0), rng, settings, highest_m=0.08, resample=False
+    )
     distance = np.linalg.norm(points[:, 1:128] - points[:, :1], axis=2)
     assert np.linalg.norm(moved[:, 1:] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
     assert height == pytest.approx([0.08] * 3)
@@ -184,7 +190,7 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert loaded.training["tubers"] == 20
     rule = fit_volume_rule(data.features, data.weight_g)
     assert rule.weights_g(data.features) == pytest.approx(data.weight_g, rel=0.15)
-    assert predict(model, data).shape == (40,)
+    assert predict(model, data, highest_m=0.08).shape == (40,)
     assert Weigher(model, loaded).sidecar.interval_rule is not None
     with pytest.raises(InputError, match="--resume"):
         train(

@@ -42,18 +42,21 @@ class Scene:
     noise_m: float = 0.0
     holes: float = 0.0
     seed: int = 0
+    _rays: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        k, m = self.intrinsics, self.belt_from_camera
+        u, v = np.meshgrid(np.arange(k.width), np.arange(k.height))
+        self._rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1) @ m[:3, :3].T
 
     def render(self, travel_m: float, index: int = 0) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
         """((H, W) uint16 depth in units of `scale_m`, (H, W) uint16 labels: body number + 1) at a belt travel."""
-        k, m = self.intrinsics, self.belt_from_camera
-        u, v = np.meshgrid(np.arange(k.width), np.arange(k.height))
-        rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones(u.shape)], axis=-1) @ m[:3, :3].T
-        origin = m[:3, 3]
+        rays, origin = self._rays, self.belt_from_camera[:3, 3]
         z = -origin[2] / rays[..., 2]
-        labels = np.zeros(u.shape, np.uint16)
+        labels = np.zeros(z.shape, np.uint16)
         for number, body in enumerate(self.bodies, start=1):
             centre = np.array([body.place_x_m + travel_m, body.y_m, body.c_m])
-            if abs(centre[0] - origin[0]) > 1.5:
+            if abs(centre[0] - origin[0]) > 0.8:
                 continue
             near = _box(self, centre, body)
             if near is None:

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from segmenter_scene import SMALL
 
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
 from segmenter.dispatch import Dispatcher, DispatchSettings
-from segmenter_scene import SMALL
 
 
 def view(track: int, rank: int) -> View:

@@ -134,9 +134,10 @@ def test_the_file_shrinks_when_little_of_it_is_needed(tmp_path: Path, monkeypatc
 
 def test_a_log_that_nobody_commits_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("segmenter.tracklog.MAX_UNCOMMITTED", 3)
-    with TrackLog(None, camera="front", run="r1") as log, pytest.raises(LedgerError, match="is it running"):
-        for n in range(1, 6):
-            log.append([track(n)])
+    with TrackLog(None, camera="front", run="r1") as log:
+        log.append([track(1), track(2), track(3)])
+        with pytest.raises(LedgerError, match="is it running"):
+            log.append([track(4)])
 
 
 def test_finished_means_final_and_committed() -> None:

@@ -1,0 +1,81 @@
+"""Recipes of a training: the paper's and ours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from regressor.augment import Augmentation
+from regressor.pointraft import DROPOUT
+from regressor.prepare import MAX_HEIGHT_M
+from regressor.reduced import FULL, Resolution
+
+OURS = Augmentation()
+
+
+@dataclass(frozen=True, slots=True)
+class TrainSettings:
+    """A recipe. The defaults are ours; `paper()` is the paper's.
+
+    Attributes:
+        epochs: passes over the training set; minutes: stop by the clock instead (epochs is then ignored).
+        final_lr: learning rate at the end, as a share of `lr`; it falls exponentially (`schedule` 'exponential', the
+            paper's 0.97 per epoch over 50 epochs) or along a cosine.
+        natural_share: last share of the training that draws clouds as they come instead of balanced by weight class.
+        warm_share, wide_share: share of the training at 32 neighbours and 32 centroids, and from there on with all
+            neighbours but 32 centroids; the rest runs at full resolution.
+        average: decay of the moving average of the weights that is evaluated and shipped; 0 ships the last ones.
+        max_height_m: clamp of the height above the belt. The paper's 80 mm hide how tall an upright tuber is.
+        frozen_share: last share of the training with batch-norm statistics fixed at their average.
+        compute: 'float32', or 'bfloat16' for the wide products.
+    """
+
+    epochs: float = 50.0
+    minutes: float | None = None
+    batch: int = 32
+    lr: float = 1e-3
+    weight_decay: float = 1e-4
+    schedule: str = "cosine"
+    final_lr: float = 0.01
+    beta_g: float = 20.0
+    dropout: float = 0.1
+    balanced: bool = True
+    natural_share: float = 0.3
+    warm_share: float = 0.4
+    wide_share: float = 0.45
+    average: float = 0.999
+    height_embedding: bool = True
+    max_height_m: float = 0.16
+    frozen_share: float = 0.2
+    compute: str = "float32"
+    seed: int = 133
+    augmentation: Augmentation = OURS
+
+    @classmethod
+    def paper(cls) -> TrainSettings:
+        """The paper's recipe, with augmentation fresh in every epoch."""
+        return cls(
+            schedule="exponential",
+            final_lr=0.97**50,
+            dropout=DROPOUT,
+            natural_share=0.0,
+            warm_share=0.0,
+            wide_share=0.0,
+            average=0.0,
+            max_height_m=MAX_HEIGHT_M,
+            frozen_share=0.0,
+            augmentation=Augmentation.paper(),
+        )
+
+    def resolution(self, share: float) -> Resolution:
+        """Resolution after `share` (0..1) of the training."""
+        if share < self.warm_share:
+            return Resolution(32, 32)
+        return Resolution(64, 32) if share < self.warm_share + self.wide_share else FULL
+
+    def learning_rate(self, share: float) -> float:
+        """Learning rate after `share` (0..1) of the training."""
+        if self.schedule == "exponential":
+            return self.lr * float(self.final_lr**share)
+        return self.lr * float(self.final_lr + (1 - self.final_lr) * 0.5 * (1 + np.cos(np.pi * share)))

@@ -1,0 +1,57 @@
+"""Where the view really ends: a stereo camera measures nothing in a band along its left border; a tuber that reaches
+into that band is cut there although it does not touch the image's border.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEAST_ROWS = 3
+"""So many rows (or columns) of an instance must end at the unseen band: one ragged cell is no cut."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], reach: int) -> NDArray[np.int64]:
+    """How many rows or columns of each label lie first or last of all that was seen.
+
+    Args:
+        labels: (h, w) int32, 0 = none, otherwise 1..n.
+        n: number of labels.
+        seen: (h, w) uint8, 1 where the camera measured.
+        reach: cells between a label and the end of what was seen that still count as touching.
+
+    Returns:
+        (n + 1, 4) int64: columns at the top and bottom end, rows at the left and right end.
+    """
+    rows, columns = labels.shape
+    touching = np.zeros((n + 1, 4), np.int64)
+    for i in range(rows):
+        first, last = -1, -1
+        for j in range(columns):
+            if seen[i, j]:
+                first = j if first < 0 else first
+                last = j
+        if first >= 0:
+            _note(labels[i, first : min(first + reach + 1, columns)], touching[:, 2])
+            _note(labels[i, max(last - reach, 0) : last + 1], touching[:, 3])
+    for j in range(columns):
+        first, last = -1, -1
+        for i in range(rows):
+            if seen[i, j]:
+                first = i if first < 0 else first
+                last = i
+        if first >= 0:
+            _note(labels[first : min(first + reach + 1, rows), j], touching[:, 0])
+            _note(labels[max(last - reach, 0) : last + 1, j], touching[:, 1])
+    return touching
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _note(cells: NDArray[np.int32], touching: NDArray[np.int64]) -> None:
+    """Count the first label among a few cells, once."""
+    for label in cells:
+        if label > 0:
+            touching[label] += 1
+            return

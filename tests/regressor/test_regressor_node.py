@@ -1,0 +1,78 @@
+"""The regressor's process over a real router: it announces itself when warm, answers each view, counts, and stops."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conveyor import topics
+from conveyor.config import LineConfig, LinkConfig, RegressorConfig, dump_toml
+from conveyor.delivery import KeptSubscriber, LatestPublisher, Presence, ReliableSubscriber
+from conveyor.errors import ConfigError
+from conveyor.messages import Counters, Weight
+from conveyor.node import Node
+from regressor.node import run_regressor
+from regressor.weigher import Weigher, weigh_view
+from tests.conftest import wait_until
+from tests.regressor.ellipsoids import ellipsoid_view
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.fixture
+def node(link: LinkConfig) -> Iterator[Node]:
+    with Node("segmenter", "front", config=LineConfig(link=link), run="run") as node:
+        yield node
+
+
+@pytest.fixture
+def worker(node: Node, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`tuberline regressor` as its own process, announced when this returns."""
+    path = tmp_path / "line.toml"
+    path.write_text(dump_toml(node.config))
+    presence = Presence(node, "regressor")
+    arguments = ["regressor", "--config", str(path), "--name", "r1", "--run", "run"]
+    process = subprocess.Popen([sys.executable, "-m", "conveyor", *arguments])
+    wait_until(lambda: presence.names() == {"r1"}, what="the worker's token", timeout_s=60)
+    yield process
+    process.kill()
+    process.wait(10)
+
+
+def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: subprocess.Popen[bytes]) -> None:
+    answers = ReliableSubscriber(node, topics.WEIGHT, Weight, camera="front")
+    counters = KeptSubscriber(node, topics.COUNTERS, Counters, role="regressor", name="*")
+    work = LatestPublisher(node, topics.VIEW, regressor="r1")
+    wait_until(lambda: work.has_listener, what="the worker's subscription")
+    view = ellipsoid_view(name="t1/0")
+    empty = replace(ellipsoid_view(name="t2/0"), depth=np.zeros((9, 9), np.uint16))
+    for sent in (view, empty, view):
+        work.put(sent)
+    got = [answers.get(20.0) for _ in range(3)]
+    expected = [weigh_view(Weigher.load(), sent, regressor="r1") for sent in (view, empty, view)]
+    assert got == expected
+
+    def counted() -> bool:
+        values = next((message.values for message in counters.latest().values()), {})
+        return [
+            values.get(name)
+            for name in ("view_received", "views_weighed", "views_refused_empty_cloud", "views_duplicate")
+        ] == [3, 2, 1, 1]
+
+    wait_until(counted, what="the worker's counters")
+    os.kill(worker.pid, signal.SIGTERM)
+    assert worker.wait(4) == 0
+
+
+def test_a_device_that_cannot_be_used_is_refused() -> None:
+    config = LineConfig(regressor=RegressorConfig(device="cuda"))
+    with pytest.raises(ConfigError, match=r"regressor.device is 'cuda'"):
+        run_regressor(config, name="r1", run="run")

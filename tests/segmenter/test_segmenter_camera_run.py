@@ -1,0 +1,300 @@
+"""One camera's run without sockets: what is logged, what the marks promise, and how a killed process is followed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segmenter_scene import SMALL, Body, Scene, scattered
+
+from conveyor.messages import CameraInfo, Frame, Mark, Track, TrackEntry, View, Weight
+from segmenter.age import FrameAge
+from segmenter.balance import FrameBalance
+from segmenter.camera_run import CameraRun, RunSettings
+from segmenter.dispatch import DispatchSettings
+from segmenter.pipeline import Settings
+
+STEP_M = 0.0133
+BODIES = scattered(12, seed=3)
+FRAMES = 62
+SETTINGS = RunSettings(
+    core=Settings(), dispatch=DispatchSettings(), weigh_deadline_s=30.0, max_pending_views=100, window=4
+)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    scene = Scene(BODIES, noise_m=0.001)
+    return [scene.frame(i, i * STEP_M) for i in range(FRAMES)]
+
+
+def info(*, state: str = "ended", last_seq: int = FRAMES - 1, waits: bool = True) -> CameraInfo:
+    return CameraInfo("front", "r1", state, "test", 30.0, waits, SMALL, 0.001, 0, last_seq, last_seq + 1, {})  # type: ignore[arg-type]
+
+
+def weight(view: View, grams: float = 100.0, regressor: str = "a") -> Weight:
+    return Weight(
+        view.view_id,
+        view.track_id,
+        "front",
+        "r1",
+        view.seq,
+        "weighed",
+        grams,
+        90.0,
+        110.0,
+        "pointraft",
+        "m",
+        (),
+        regressor,
+    )
+
+
+def entries(run: CameraRun, now_s: float = 0.0) -> list[TrackEntry]:
+    run.log.resend()
+    return run.log.due(now_s)
+
+
+def play(run: CameraRun, frames: list[Frame], *, names: set[str], start_s: float = 0.0) -> list[View]:
+    """Frames in, every view answered at once; returns the views."""
+    views = []
+    for i, frame in enumerate(frames):
+        run.frame(frame, start_s + i / 30)
+        for name, view in run.tick(start_s + i / 30, names):
+            views.append(view)
+            run.weight(weight(view, regressor=name))
+    return views
+
+
+def finish(run: CameraRun, now_s: float, names: set[str], **of_info: int) -> list[View]:
+    views = []
+    run.info(info(**of_info), now_s)
+    for _ in range(200):
+        for name, view in run.tick(now_s, names):
+            views.append(view)
+            run.weight(weight(view, regressor=name))
+    return views
+
+
+def test_the_log_holds_every_tuber_once_with_its_weights_and_a_final_mark(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    views = play(run, frames, names={"a", "b"}) + finish(run, 3.0, {"a", "b"})
+    log = entries(run, 3.0)
+    assert [e.n for e in log] == list(range(1, len(log) + 1))
+    tracks = [e.track for e in log if e.track is not None]
+    marks = [e.mark for e in log if e.mark is not None]
+    assert len(tracks) == len(BODIES)
+    assert len({t.track_id for t in tracks}) == len(BODIES)
+    assert all(t.views_sent == len(t.views) == 3 and t.views[0].weight_g == 100.0 for t in tracks)
+    assert len(views) == 3 * len(BODIES)
+    last = marks[-1]
+    assert last.final
+    assert log[-1].mark == last
+    assert last.frames["published"] == last.frames["received"] == last.frames["processed"] == FRAMES
+    assert last.views == {"sent": 36, "weighed": 36, "outstanding": 0}
+    assert last.tracks["counted"] == len(BODIES)
+    assert last.looked_at_m == last.travelled_m == pytest.approx((FRAMES - 1) * STEP_M)
+
+
+def test_marks_never_promise_what_a_later_entry_breaks(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    held: list[tuple[str, View]] = []
+    for i, frame in enumerate(frames):
+        run.frame(frame, i / 30)
+        held += run.tick(i / 30, {"a"})
+        if i % 7 == 0 and held:
+            name, view = held.pop(0)
+            run.weight(weight(view, regressor=name))
+    run.info(info(), 3.0)
+    for i in range(300):
+        held += run.tick(3.0 + i * 0.001, {"a"})
+        if held:
+            name, view = held.pop(0)
+            run.weight(weight(view, regressor=name))
+    promised_ns, promised_place_m = -1, np.inf
+    for entry in entries(run, 4.0):
+        if entry.mark is not None:
+            assert entry.mark.complete_ns >= promised_ns
+            assert entry.mark.complete_place_x_m <= promised_place_m
+            promised_ns, promised_place_m = entry.mark.complete_ns, entry.mark.complete_place_x_m
+        if entry.track is not None:
+            assert entry.track.crossed_ns > promised_ns
+            assert entry.track.place_x_m < promised_place_m
+    assert run.log.last_mark is not None
+    assert run.log.last_mark.final
+
+
+def test_frames_balance_with_gaps_duplicates_and_drops(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    for i, frame in enumerate(frames[:40]):
+        if i in (5, 6, 20):
+            continue
+        run.frame(frame, i / 30, drop="too_old" if i in (9, 10) else "")
+        run.frame(frame, i / 30)
+    run.info(info(last_seq=42, waits=False), 1.4)
+    assert not run.ended
+    run.info(info(last_seq=42, waits=False), 4.0)
+    assert run.ended
+    report = run.frames.report()
+    assert report == {"published": 43, "received": 37, "processed": 35, "gaps": 6, "dropped_too_old": 2}
+    assert run.frames.duplicates == 37
+
+
+def test_progress_is_held_while_too_many_views_wait(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", replace(SETTINGS, max_pending_views=15), None)
+    run.open()
+    assert run.progress().done_seq == -1
+    done = []
+    for i, frame in enumerate(frames):
+        run.frame(frame, i / 30)
+        run.tick(i / 30, set())
+        done.append(run.progress().done_seq)
+    assert done[10] == 10
+    assert done[-1] < FRAMES - 1
+    for i in range(60):
+        for name, view in run.tick(3.0 + i * 0.01, {"a"}):
+            run.weight(weight(view, regressor=name))
+    assert run.progress().done_seq == FRAMES - 1
+
+
+def test_without_a_regressor_tubers_are_logged_after_the_deadline_with_the_reason(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", replace(SETTINGS, weigh_deadline_s=5.0), None)
+    run.open()
+    play(run, frames, names=set())
+    finish(run, 3.0, set())
+    assert not [e for e in entries(run, 3.0) if e.track is not None]
+    run.tick(9.0, set())
+    tracks = [e.track for e in entries(run, 9.0) if e.track is not None]
+    assert len(tracks) == len(BODIES)
+    assert all(t.views == () and t.views_lost == {"weigh_deadline": 3} and t.visible_volume_ml > 20 for t in tracks)
+    assert run.log.last_mark is not None
+    assert run.log.last_mark.views == {"sent": 36, "weighed": 0, "outstanding": 0, "lost_weigh_deadline": 36}
+
+
+def test_a_refused_view_is_lost_with_the_regressors_reason(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    for i, frame in enumerate(frames):
+        run.frame(frame, i / 30)
+        for name, view in run.tick(i / 30, {"a"}):
+            answer = weight(view, regressor=name)
+            if view.rank == 1:
+                answer = replace(answer, status="refused", weight_g=None, low_g=None, high_g=None, reason="few_points")
+            run.weight(answer)
+    tracks = [e.track for e in entries(run, 3.0) if e.track is not None]
+    assert tracks
+    assert all(t.views_lost == {"refused_few_points": 1} and len(t.views) == 2 for t in tracks)
+
+
+@pytest.mark.parametrize("killed_after", [20, 33, 45])
+def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(
+    frames: list[Frame], tmp_path: Path, killed_after: int
+) -> None:
+    path = tmp_path / "front.log"
+    first = CameraRun("front", "r1", SETTINGS, path)
+    first.open()
+    play(first, frames[:killed_after], names={"a"})
+    second = CameraRun("front", "r1", SETTINGS, path)
+    second.open()
+    behind = second.progress().done_seq
+    assert behind <= killed_after
+    play(second, frames[killed_after:], names={"a"}, start_s=5.0)
+    finish(second, 9.0, {"a"})
+    log = entries(second, 9.0)
+    assert [e.n for e in log] == list(range(1, len(log) + 1))
+    places = np.array([[e.track.place_x_m, e.track.y_m] for e in log if e.track is not None])
+    gaps = np.hypot(*(np.array([[b.place_x_m, b.y_m] for b in BODIES])[:, None] - places[None]).transpose(2, 0, 1))
+    assert gaps.min(axis=1).max() < 0.003, "a tuber was lost with the process"
+    assert gaps.min(axis=0).max() < 0.003, "something else was counted"
+    mark = second.log.last_mark
+    assert mark is not None
+    assert mark.final
+    assert mark.frames["published"] == FRAMES
+    assert mark.frames["received"] + mark.frames["gaps"] == FRAMES
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, abs=1e-6)
+    lost = sum(n for name, n in mark.views.items() if name.startswith("lost_"))
+    assert mark.views["sent"] == mark.views["weighed"] + lost + mark.views["outstanding"]
+    gone = sum(n for name, n in mark.tracks.items() if name.startswith("discarded_"))
+    assert mark.tracks["opened"] == mark.tracks["counted"] + gone + mark.tracks["open"]
+
+
+def test_silence_makes_no_gap_where_the_camera_waits(frames: list[Frame]) -> None:
+    """A busy machine or a cut link kept a frame away for 2 s and it was given up, though the camera sends it again."""
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    run.frame(frames[0], 0.0)
+    for now_s in (1.0, 30.0):
+        run.info(info(state="streaming", last_seq=1), now_s)
+        assert run.progress().done_seq == 0
+    run.frame(frames[1], 30.1)
+    assert run.progress().done_seq == 1
+    assert run.frames.gaps == 0
+
+
+def test_a_restarted_segmenter_does_not_end_before_the_replay_has_come_back(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", replace(SETTINGS, replays=True), None)
+    run.open()
+    run.info(info(), 0.0)
+    run.info(info(), 10.0)
+    assert not run.ended
+    play(run, frames, names={"a"}, start_s=10.0)
+    run.info(info(), 13.0)
+    assert run.ended
+    assert run.frames.gaps == 0
+
+
+def test_a_replay_ends_though_its_last_frames_could_not_be_read(frames: list[Frame]) -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    play(run, frames[:-2], names={"a"})
+    ended = replace(info(), published=FRAMES - 2, refused={"damaged": 2})
+    run.info(ended, 2.1)
+    assert not run.ended
+    run.info(ended, 5.0)
+    assert run.ended
+    assert run.frames.gaps == 2
+
+
+def test_an_empty_recording_ends_with_a_final_mark() -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    scene = Scene([Body(-3.0, 0.0)])
+    for i in range(4):
+        run.frame(scene.frame(i, i * 0.01), i / 30)
+    run.info(info(last_seq=3), 1.0)
+    run.tick(1.0, set())
+    mark = run.log.last_mark
+    assert isinstance(mark, Mark)
+    assert mark.final
+    assert mark.tracks == {"opened": 0, "counted": 0, "open": 0}
+    assert not [e for e in entries(run, 1.0) if isinstance(e.track, Track)]
+
+
+def test_frames_that_the_ring_overwrote_are_drops_and_the_rest_are_gaps() -> None:
+    """They were counted as gaps of the link, though we dropped them ourselves."""
+    balance = FrameBalance()
+    balance.receive(0)
+    balance.overwritten(3)
+    balance.receive(3)
+    balance.receive(4)
+    balance.receive(8)
+    assert balance.dropped == {"overwritten": 3}
+    balance.processed = 4
+    assert balance.report() == {"published": 9, "received": 7, "processed": 4, "gaps": 2, "dropped_overwritten": 3}
+
+
+def test_the_age_of_a_frame_is_told_on_the_clock_it_is_sent_by() -> None:
+    """At five times real time the camera's clock ran ahead so fast that no frame was ever called old."""
+    late_ms = 700.0
+    for speed in (1.0, 5.0):
+        age = FrameAge(speed)
+        for i in range(30):
+            captured_ns = i * 33_000_000
+            late = late_ms if i == 29 else 0.0
+            told_ms = age.age_ms(captured_ns, round(captured_ns / speed + late * 1e6))
+        assert told_ms == pytest.approx(late_ms, abs=0.01)
