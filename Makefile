@@ -3,13 +3,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO_STAMP := $(VENV)/.installed-demo
 
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .PHONY: demo test lint bench docs chaos soak fuzz install clean
 
-demo: $(STAMP)
+demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
 
 test: $(STAMP)
@@ -30,9 +31,13 @@ bench: $(STAMP)
 install: $(STAMP)
 
 # torch first and by its pinned version: pip then takes one CPU build instead of gigabytes of CUDA packages.
-$(STAMP): pyproject.toml constraints.txt
+$(DEMO_STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer]'
+	touch $@
+
+$(STAMP): $(DEMO_STAMP)
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,bags,deploy,export,train,dev]'
 	touch $@
 

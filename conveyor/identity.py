@@ -70,8 +70,9 @@ def own_files(folder: Path, node: str) -> tuple[Path, Path, Path]:
         certificate, key = folder / f"{stem}.pem", folder / f"{stem}.key"
         if certificate.is_file() and key.is_file():
             return folder / CA_FILE, certificate, key
+    stems = " nor ".join(f"{stem}.pem" for stem in dict.fromkeys((own.stem, own.role)))
     wanted = f"{own.role}/{own.name}" if own.name != SHARED else own.role
     raise LinkError(
-        f"no certificate for {node} in {folder}: neither {own.stem}.pem nor {own.role}.pem with its .key is there; "
+        f"no certificate for {node} in {folder}: no {stems} with its .key is there; "
         f"make one with `tuberline certs add {wanted}` and copy both here"
     )

@@ -337,3 +337,65 @@ def export(*, out: Path, weights: Path | None = None, batch: int | None = None) 
     model, sidecar = load_checkpoint(weights)
     export_onnx(out, model, sidecar, batch=batch)
     sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")
+
+
+def ablate(
+    *names: str,
+    data: Path,
+    val: Path,
+    test: Path,
+    out: Path,
+    epochs: float | None = None,
+    minutes: float | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
+    max_views: int | None = None,
+    seed: int = 133,
+) -> None:
+    """Train the paper's ablations with one recipe and compare them in one table.
+
+    Parameters
+    ----------
+    names
+        Of full, no-height, no-dropout, 512-points, 2048-points; default: all.
+    data
+        Training views, as for `train`.
+    val
+        Validation views.
+    test
+        Views to compare on.
+    out
+        Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained again.
+    epochs
+        Per variant.
+    minutes
+        Per variant, by the clock.
+    compute
+        As for `train`.
+    max_views
+        Compare on the first so many.
+    seed
+        Of everything random.
+    """
+    import torch
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from regressor.ablate import VARIANTS, markdown
+    from regressor.ablate import ablate as run
+    from regressor.trainbar import TrainingBar
+    from regressor.trainrun import RunOptions
+
+    torch.set_num_threads(1)
+    settings = _recipe("tuberline", shear=None, epochs=epochs, minutes=minutes, compute=compute, seed=seed)
+    command = shlex.join(["tuberline", *sys.argv[1:]])
+    options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command)
+    with TrainingBar() as bar:
+        table = run(
+            names or tuple(VARIANTS),
+            settings,
+            options,
+            test=test,
+            max_views=max_views,
+            on_step=lambda name, training: bar.step(training),
+        )
+    Console().print(Markdown(markdown(table)))

@@ -20,6 +20,7 @@ from regressor.grouping import CENTROIDS_2
 from regressor.pointraft import NEIGHBOURS, PointRaft, SharedMlp
 from regressor.reduced import edge_features, global_feature
 
+POINTS = 1024
 OPSET = 17
 
 
@@ -55,6 +56,8 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
     Raises:
         InputError: the extra 'export' is not installed.
     """
+    if sidecar.input.points != POINTS:
+        raise InputError(f"{sidecar.model_id} takes {sidecar.input.points} points; export knows networks of {POINTS}")
     try:
         import onnx  # noqa: F401
     except ImportError as error:

@@ -25,7 +25,7 @@ CENTROIDS_2 = 128
 
 @dataclass(frozen=True, slots=True)
 class SharedGroups:
-    """All (n, 3) float32, metres: 64 neighbours, 64 first-stage centroids, 128 second-stage centroids."""
+    """All (n, 3) float32, metres: 64 neighbours, 64 first-stage and 128 second-stage centroids (more for > 1024 points)."""
 
     neighbours: NDArray[np.float32]
     centroids1: NDArray[np.float32]
@@ -58,7 +58,7 @@ def group_prefix(cloud: NDArray[np.float32], *, points: int = CLOUD_POINTS) -> S
     """
     used = min(len(cloud), points)
     count1, count2 = stage_counts(used)
-    first = cloud[farthest_points(cloud, min(used, max(NEIGHBOURS, CENTROIDS_2)))]
+    first = cloud[farthest_points(cloud, min(used, max(NEIGHBOURS, count2)))]
     groups = _padded(first[:NEIGHBOURS], first[: min(NEIGHBOURS, count1)], first[:count2])
     if radius_is_free(groups, cloud):
         return groups
@@ -110,7 +110,9 @@ def _padded(
     neighbours: NDArray[np.float32], centroids1: NDArray[np.float32], centroids2: NDArray[np.float32]
 ) -> SharedGroups:
     return SharedGroups(
-        _repeat(neighbours, NEIGHBOURS), _repeat(centroids1, NEIGHBOURS), _repeat(centroids2, CENTROIDS_2)
+        _repeat(neighbours, NEIGHBOURS),
+        _repeat(centroids1, NEIGHBOURS),
+        _repeat(centroids2, max(CENTROIDS_2, len(centroids2))),
     )
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from regressor.augment import Augmentation
-from regressor.pointraft import DROPOUT
+from regressor.grouping import CLOUD_POINTS, stage_counts
+from regressor.pointraft import DROPOUT, NEIGHBOURS
 from regressor.prepare import MAX_HEIGHT_M
-from regressor.reduced import FULL, Resolution
+from regressor.reduced import Resolution
 
 OURS = Augmentation()
 
@@ -26,8 +27,9 @@ class TrainSettings:
         warm_share, wide_share: share of the training at 32 neighbours and 32 centroids, and from there on with all
             neighbours but 32 centroids; the rest runs at full resolution.
         average: decay of the moving average of the weights that is evaluated and shipped; 0 ships the last ones.
+        points: of a cloud that the network is given: 1024, or 512 or 2048 as in the paper's ablation.
         max_height_m: clamp of the height above the belt. The paper's 80 mm hide how tall an upright tuber is.
-        frozen_share: last share of the training with batch-norm statistics fixed at their average.
+        frozen_share: last share of the training with batch-norm statistics fixed at their average: it halved the loss.
         compute: 'float32', or 'bfloat16' for the wide products.
     """
 
@@ -41,16 +43,22 @@ class TrainSettings:
     beta_g: float = 20.0
     dropout: float = 0.1
     balanced: bool = True
-    natural_share: float = 0.3
-    warm_share: float = 0.4
-    wide_share: float = 0.45
+    natural_share: float = 0.45
+    warm_share: float = 0.0
+    wide_share: float = 0.97
     average: float = 0.999
     height_embedding: bool = True
+    points: int = CLOUD_POINTS
     max_height_m: float = 0.16
-    frozen_share: float = 0.2
+    frozen_share: float = 0.35
     compute: str = "float32"
     seed: int = 133
     augmentation: Augmentation = OURS
+
+    @property
+    def full(self) -> Resolution:
+        """The network's own resolution: all neighbours, and the second-stage centroids of a cloud of `points`."""
+        return Resolution(NEIGHBOURS, stage_counts(self.points)[1])
 
     @classmethod
     def paper(cls) -> TrainSettings:
@@ -72,7 +80,7 @@ class TrainSettings:
         """Resolution after `share` (0..1) of the training."""
         if share < self.warm_share:
             return Resolution(32, 32)
-        return Resolution(64, 32) if share < self.warm_share + self.wide_share else FULL
+        return Resolution(64, 32) if share < self.warm_share + self.wide_share else self.full
 
     def learning_rate(self, share: float) -> float:
         """Learning rate after `share` (0..1) of the training."""

@@ -19,9 +19,9 @@ from torch import Tensor, nn
 from conveyor.errors import InputError
 from regressor.augment import augmented_batch
 from regressor.cloudset import CloudSet
-from regressor.pointraft import PointRaft
+from regressor.pointraft import NEIGHBOURS, PointRaft
 from regressor.recipe import TrainSettings
-from regressor.reduced import reduced_forward
+from regressor.reduced import FULL, Resolution, reduced_forward
 
 CLASS_G = 50.0
 CLASSES = 10
@@ -116,6 +116,7 @@ class Training:
             rng,
             self.settings.augmentation,
             highest_m=self.settings.max_height_m,
+            count=max(NEIGHBOURS, self.settings.full.centroids),
             resample=not (natural and self.settings.natural_share > 0),
         )
         points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)) for array in arrays)
@@ -190,16 +191,18 @@ def predict(
     data: CloudSet,
     *,
     highest_m: float,
+    resolution: Resolution = FULL,
     batch: int = 32,
     compute: torch.dtype | None = None,
 ) -> NDArray[np.float64]:
-    """(n,) grams by the readable parameters on the reduced graph, full resolution."""
+    """(n,) grams on the reduced graph."""
     model.eval()
     out = []
     with torch.inference_mode():
         for begin in range(0, len(data), batch):
             rows = slice(begin, begin + batch)
             heights = np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)
-            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, :128]))
-            out.append(reduced_forward(model, points, torch.from_numpy(heights), compute=compute).numpy())
+            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, : max(NEIGHBOURS, resolution.centroids)]))
+            weights = reduced_forward(model, points, torch.from_numpy(heights), resolution=resolution, compute=compute)
+            out.append(weights.numpy())
     return np.concatenate(out).astype(np.float64)

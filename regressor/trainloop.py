@@ -63,6 +63,7 @@ def _validate(
         model,
         training.validation,
         highest_m=training.settings.max_height_m,
+        resolution=training.settings.full,
         compute=None if final else training.compute,
     )
     residual = torch.from_numpy(predicted - training.validation.weight_g)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from regressor.checkpoint import InputSpec, Range, Sidecar, save_checkpoint
 from regressor.cloudset import CloudSet, load_cloudset
+from regressor.grouping import stage_counts
 from regressor.interval import calibrate, shared_share
 from regressor.metrics import scores
 from regressor.pointraft import PointRaft
@@ -138,7 +139,10 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
     return Sidecar(
         name=options.name,
         input=InputSpec(
-            height_embedding=training.settings.height_embedding, max_height_m=training.settings.max_height_m
+            points=training.settings.points,
+            centroids=stage_counts(training.settings.points),
+            height_embedding=training.settings.height_embedding,
+            max_height_m=training.settings.max_height_m,
         ),
         belt_distance_m=_range(data.belt_distance_m, 0.02),
         weight_g=_range(data.weight_g, 0.0),

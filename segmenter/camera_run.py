@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,20 +63,19 @@ class CameraRun:
         if mark is None or (self.settings.replays and not mark.final):
             return
         self.ended = mark.final
-        row_m = mark.complete_place_x_m
         self.core = Segmenter(
             self.settings.core,
             resume=Resume(
                 complete_ns=mark.complete_ns,
-                complete_travel_m=-row_m,
+                complete_place_x_m=mark.complete_place_x_m,
                 travel_m=mark.travel_m,
                 looked_at_m=mark.looked_at_m,
                 travelled_m=mark.travelled_m,
             ),
         )
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
-        self._base_views = _lost_with_process(mark.views, "outstanding")
-        self._base_tracks = _lost_with_process(mark.tracks, "open")
+        self._base_views = _views_left(mark.views, self.log.since_mark)
+        self._base_tracks = _tracks_left(mark.tracks, logged=len(self.log.since_mark))
         self._done_seq = self.frames.newest_seq
 
     def close(self) -> None:
@@ -163,11 +163,13 @@ class CameraRun:
         )
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """The balance sheets: frames, views, tracks."""
+        """The balance sheets: frames, views, tracks. A track counts once it is in the log; until then it is open."""
+        tracks, waiting = self.core.track_counts(), len(self.weighing)
+        logged = {**tracks, "counted": tracks["counted"] - waiting, "open": tracks["open"] + waiting}
         return {
             "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0},
             "views": _sum(self.dispatcher.balance(), self._base_views),
-            "tracks": _sum(self.core.track_counts(), self._base_tracks),
+            "tracks": _sum(logged, self._base_tracks),
         }
 
     def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
@@ -217,12 +219,27 @@ class CameraRun:
         )
 
 
-def _lost_with_process(sheet: dict[str, int], open_name: str) -> dict[str, int]:
-    """An earlier process's sheet with what was still open in it booked as lost with that process."""
-    lost = "lost_restart" if open_name == "outstanding" else "discarded_restart"
-    still_open = sheet.get(open_name, 0)
-    closed = {name: n for name, n in sheet.items() if name != open_name}
-    return {**closed, lost: closed.get(lost, 0) + still_open}
+def _tracks_left(sheet: dict[str, int], *, logged: int) -> dict[str, int]:
+    """A dead process's sheet: `logged` tracks were counted after it was written, the rest of the open ones are lost."""
+    still_open = sheet.get("open", 0)
+    left = {name: n for name, n in sheet.items() if name != "open"}
+    left["opened"] = left.get("opened", 0) + max(0, logged - still_open)
+    left["counted"] = left.get("counted", 0) + logged
+    left["discarded_restart"] = left.get("discarded_restart", 0) + max(0, still_open - logged)
+    return left
+
+
+def _views_left(sheet: dict[str, int], logged: list[Track]) -> dict[str, int]:
+    """A dead process's sheet with the answers of the tracks it logged since; other views without answer are lost."""
+    weighed = sum(len(track.views) for track in logged)
+    lost = Counter(name for track in logged for name in Counter(track.views_lost).elements())
+    answered = weighed + lost.total()
+    outstanding = sheet.get("outstanding", 0)
+    left = {name: n for name, n in sheet.items() if name != "outstanding"}
+    left["sent"] = left.get("sent", 0) + max(0, answered - outstanding)
+    left["weighed"] = left.get("weighed", 0) + weighed
+    left["lost_restart"] = left.get("lost_restart", 0) + max(0, outstanding - answered)
+    return _sum(left, {f"lost_{reason}": n for reason, n in lost.items()})
 
 
 def _sum(sheet: dict[str, int], base: dict[str, int]) -> dict[str, int]:

@@ -23,11 +23,15 @@ VANISHED_FRAMES = 4
 class CountSettings:
     """What a track must show to be a tuber.
 
-    Attributes: min_frames: fewest frames, or all there were. min_share: of the frames in which its place was in view:
-        slivers of knobby tubers show up in fewer. min_area_mm2, min_height_mm: medians over frames that no border
-        cuts. min_width_m: haulm is thinner. max_slender: highest height over width; seam_slender: where more than
-        seam_share of a small one's outline is seam. sliver_area_mm2: small in that sense. same_share: two tracks
-        closer than this share of the larger one's radius are one tuber.
+    Attributes:
+        min_frames: fewest frames, or all there were.
+        min_share: of the frames in which its place was in view; slivers of knobby tubers show up in fewer.
+        min_area_mm2, min_height_mm: medians over frames that no border cuts.
+        min_width_m: haulm is thinner.
+        min_volume_ml: under the visible surface; the smallest tuber of three seasons, 16 g, has 18 ml.
+        max_slender: highest height over width.
+        seam_slender: the same where more than `seam_share` of the outline is seam, for those under `sliver_area_mm2`.
+        same_share: two tracks closer than this share of the larger one's radius are one tuber.
     """
 
     min_frames: int = 3
@@ -35,6 +39,7 @@ class CountSettings:
     min_area_mm2: float = 450.0
     min_height_mm: float = 18.0
     min_width_m: float = 0.016
+    min_volume_ml: float = 12.0
     max_slender: float = 1.75
     seam_slender: float = 1.35
     seam_share: float = 0.4
@@ -86,6 +91,8 @@ def refusal(
         return "fragment"
     if np.median([h.area_mm2 for h in inner]) < settings.min_area_mm2:
         return "small"
+    if np.median([h.volume_ml for h in inner]) < settings.min_volume_ml:
+        return "tiny"
     if np.median([h.height_mm for h in inner]) < settings.min_height_mm:
         return "flat"
     u, _ = tracker.belt.project(at.x_m, at.y_m, track.height_mm / 2000.0)

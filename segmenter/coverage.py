@@ -1,7 +1,8 @@
 """How much of the belt was really looked at.
 
 A piece of belt passes the centre row unlooked-at when, between two processed frames, the belt moved on by more than
-the view less one tuber: what lay there was whole in neither of them.
+the view less one tuber: what lay there was whole in neither of them. After a restart what the dead process saw is gone
+with it, but for what it logged: only the half of the view beyond the centre row can make good for that.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ class Coverage:
     looked_at_m: float = 0.0
     travelled_m: float = 0.0
     _highest_m: float | None = None
+    _resumed: bool = False
 
     def step(self, travel_m: float) -> None:
         """Take the travel of one more processed frame. Belt that runs back and forth is counted once."""
@@ -30,8 +32,11 @@ class Coverage:
             return
         self._highest_m = travel_m
         self.travelled_m += moved_m
-        self.looked_at_m += min(moved_m, max(0.0, self.view_m - LONGEST_TUBER_M))
+        reach_m = max(0.0, self.view_m - LONGEST_TUBER_M)
+        self.looked_at_m += min(moved_m, reach_m / 2 if self._resumed else reach_m)
+        self._resumed = False
 
     def resume(self, *, looked_at_m: float, travelled_m: float, travel_m: float) -> None:
-        """Carry on from the figures of an earlier process of the same run."""
+        """Carry on from the figures of an earlier process of the same run, which logged all up to `travel_m`."""
         self.looked_at_m, self.travelled_m, self._highest_m = looked_at_m, travelled_m, travel_m
+        self._resumed = True

@@ -22,6 +22,24 @@ def _find(parent: NDArray[np.int32], node: Any) -> Any:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _falling(levels: NDArray[np.int32], count: int, top: int) -> NDArray[np.int32]:
+    """Cells with a level above 0, highest level first: a counting sort."""
+    starts = np.zeros(top + 2, np.int64)
+    for level in levels:
+        if level > 0:
+            starts[top - level + 1] += 1
+    for index in range(1, top + 2):
+        starts[index] += starts[index - 1]
+    order = np.empty(count, np.int32)
+    for cell in range(len(levels)):
+        level = levels[cell]
+        if level > 0:
+            order[starts[top - level]] = cell
+            starts[top - level] += 1
+    return order
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def flood(
     relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
 ) -> tuple[NDArray[np.int32], int]:
@@ -39,65 +57,52 @@ def flood(
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
     rows, columns = relief_mm.shape
-    levels = np.zeros(rows * columns, np.int32)
+    width = columns + 2
+    levels = np.zeros((rows + 2) * width, np.int32)
+    relief = np.zeros((rows + 2) * width, np.float32)
     count, top = 0, 0
     for i in range(rows):
         for j in range(columns):
             if foreground[i, j]:
-                level = max(0, int(relief_mm[i, j] / LEVEL_MM))
-                levels[i * columns + j] = level + 1
-                top = max(top, level + 1)
+                cell = (i + 1) * width + j + 1
+                relief[cell] = relief_mm[i, j]
+                level = max(0, int(relief_mm[i, j] / LEVEL_MM)) + 1
+                levels[cell] = level
+                top = max(top, level)
                 count += 1
-    starts = np.zeros(top + 2, np.int64)
-    for level in levels:
-        if level > 0:
-            starts[top - level + 1] += 1
-    for index in range(1, top + 2):
-        starts[index] += starts[index - 1]
-    order = np.empty(count, np.int32)
-    for index in range(rows * columns):
-        level = levels[index]
-        if level > 0:
-            order[starts[top - level]] = index
-            starts[top - level] += 1
-    parent = np.full(rows * columns, -1, np.int32)
-    peak = np.zeros(rows * columns, np.float32)
+    order = _falling(levels, count, top)
+    around = np.array([-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1], np.int32)
+    parent = np.full((rows + 2) * width, -1, np.int32)
     for cell in order:
-        i, j = cell // columns, cell % columns
-        here = relief_mm[i, j]
         home, highest = -1, np.float32(-1.0)
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                y, x = i + di, j + dj
-                flooded = (di or dj) and 0 <= y < rows and 0 <= x < columns and parent[y * columns + x] >= 0
-                if flooded and relief_mm[y, x] > highest:
-                    highest = relief_mm[y, x]
-                    home = y * columns + x
+        for step in around:
+            near = cell + step
+            if parent[near] >= 0 and relief[near] > highest:
+                highest = relief[near]
+                home = near
         if home < 0:
             parent[cell] = cell
-            peak[cell] = here
             continue
         root = _find(parent, home)
         parent[cell] = root
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                y, x = i + di, j + dj
-                if (di or dj) and 0 <= y < rows and 0 <= x < columns and parent[y * columns + x] >= 0:
-                    other = _find(parent, y * columns + x)
-                    if other != root:
-                        low, high = (other, root) if peak[other] < peak[root] else (root, other)
-                        if peak[low] - here < max(least_mm, share * peak[low]):
-                            parent[low] = high
-                            root = high
+        for step in around:
+            near = cell + step
+            if parent[near] >= 0 and parent[near] != root:
+                other = _find(parent, near)
+                if other != root:
+                    low, high = (other, root) if relief[other] < relief[root] else (root, other)
+                    if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
+                        parent[low] = high
+                        root = high
     labels = np.zeros((rows, columns), np.int32)
-    names = np.zeros(rows * columns, np.int32)
+    names = np.zeros((rows + 2) * width, np.int32)
     n = 0
     for cell in order:
         root = _find(parent, cell)
         if names[root] == 0:
             n += 1
             names[root] = n
-        labels[cell // columns, cell % columns] = names[root]
+        labels[cell // width - 1, cell % width - 1] = names[root]
     return labels, n
 
 

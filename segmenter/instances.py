@@ -21,6 +21,8 @@ from segmenter.place import centre_in_belt
 from segmenter.seams import SeamSettings, sew
 
 QUANTUM_MM = 0.5
+LEAST_SEEN = 0.5
+"""Where less of the image has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,14 +136,14 @@ def _describe(
     sums, histogram = instance_sums(
         labels, n, height_mm, a, b, c, t, stride, stride * stride / (k.fx * k.fy) * 1e6, margin
     )
-    cut = (sums[:, 5:9] > 0) | (cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS)
+    cut = sums[:, 5:9] > 0
+    if seen.mean() > LEAST_SEEN:
+        cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     gone = sums[:, 0] == 0
     low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
     flat = ~gone & ~low & (sums[:, 15] < settings.min_height_mm) if settings else np.zeros(n + 1, bool)
     refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
     cut = sums[:, 5:9] > 0
-    if settings:
-        cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     keep = ~(gone | low | flat)
     keep[0] = False
     names = np.zeros(n + 1, np.int32)

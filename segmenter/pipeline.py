@@ -21,7 +21,7 @@ from segmenter.sides import completed_centres
 from segmenter.track import State, TrackState
 from segmenter.tracker import Tracker, TrackSettings
 from segmenter.travel import TravelEstimator
-from segmenter.views import Candidate, cut_out, slot_offsets
+from segmenter.views import Candidate, cut_out, size_m, slot_offsets
 
 FITTED_OVER = 15
 CHECK_EVERY = 30
@@ -61,13 +61,21 @@ class StepResult:
 
 @dataclass(frozen=True, slots=True)
 class Resume:
-    """Where an earlier process of the same run left off: all that crossed at or before `complete` is in the log."""
+    """Where an earlier process of the same run left off: all that crossed at or before `complete` is in the log.
+
+    `travel_m` is what it saw last; what had crossed since `complete` it took with it.
+    """
 
     complete_ns: int
-    complete_travel_m: float
+    complete_place_x_m: float
     travel_m: float
     looked_at_m: float
     travelled_m: float
+
+    def unlogged_m(self, row_x_m: float) -> float:
+        """Belt that had passed the centre row, at `row_x_m`, since counting began and is not in the log."""
+        unlogged_m = self.travel_m - (row_x_m - self.complete_place_x_m)
+        return min(max(0.0, unlogged_m), self.travelled_m)
 
 
 class Segmenter:
@@ -161,7 +169,7 @@ class Segmenter:
     def complete_travel_m(self) -> float:
         """All tubers that crossed the centre row at or before this travel have been closed."""
         if self.tracker is None:
-            return self._resume.complete_travel_m if self._resume else float("-inf")
+            return -self._resume.complete_place_x_m if self._resume else float("-inf")
         horizon_m = self.travel_m - self.settings.track.decide_m - HORIZON_MARGIN_M
         for track in self.tracker.tracks:
             if track.state is State.OPEN:
@@ -255,11 +263,13 @@ class Segmenter:
             self._estimator = TravelEstimator(belt)
             if self._resume is not None:
                 self._estimator.start_at(self._resume.travel_m)
-                self.history.anchor = (self._resume.complete_ns, self._resume.complete_travel_m)
+                unlogged_m = self._resume.unlogged_m(self.row_place_m(0.0))
+                complete_m = self._resume.travel_m - unlogged_m
+                self.history.anchor = (self._resume.complete_ns, complete_m)
                 self._coverage.resume(
-                    looked_at_m=self._resume.looked_at_m,
-                    travelled_m=self._resume.travelled_m,
-                    travel_m=self._resume.travel_m,
+                    looked_at_m=max(0.0, self._resume.looked_at_m - unlogged_m),
+                    travelled_m=self._resume.travelled_m - unlogged_m,
+                    travel_m=complete_m,
                 )
         return self.tracker, self._coverage, self._estimator
 
@@ -309,7 +319,7 @@ class Segmenter:
             reason = refusal(track, at, tracker, self.history, self.settings.count, self.travel_m)
             if reason in ("few_frames", "fragment") and in_view and not everything:
                 continue
-            done = None if reason else self._closed_track(track, at, frame)
+            done = None if reason else self._closed_track(track, at, frame, tracker)
             if isinstance(done, ClosedTrack):
                 track.state = State.COUNTED
                 self.counted += 1
@@ -320,13 +330,13 @@ class Segmenter:
             track.shelf.clear()
         return closed
 
-    def _closed_track(self, track: TrackState, at: Crossing, frame: Frame) -> ClosedTrack | str:
+    def _closed_track(self, track: TrackState, at: Crossing, frame: Frame, tracker: Tracker) -> ClosedTrack | str:
         """The track as a message with its views; a reason where its views show that it is no tuber."""
         chosen = track.shelf.choose(track.area_mm2)
         if not chosen:
             return "no_view"
-        sized = [c for c in chosen if c.whole] or chosen
-        length_m, width_m = (float(np.median([getattr(c, side) for c in sized])) for side in ("length_m", "width_m"))
+        sizes = [size_m(c, tracker.belt) for c in chosen if c.whole] or [size_m(c, tracker.belt) for c in chosen]
+        length_m, width_m = (float(np.median(side)) for side in zip(*sizes, strict=True))
         track_id = f"{frame.run}/{frame.camera}/{track.first_seq}-{track.number}"
         usual = [h for h in track.hits if h.whole] or track.hits
         height_mm = float(np.median([h.height_mm for h in usual]))

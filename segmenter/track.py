@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-
-import numpy as np
+from statistics import median
 
 from segmenter.views import ViewShelf
 
@@ -79,5 +78,5 @@ class TrackState:
             self.frames += 1
             self.hits.append(hit)
             recent = [h.area_mm2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_mm2]
-            self.area_mm2 = float(np.median(recent))
-            self.height_mm = float(np.median([h.height_mm for h in self.hits[-15:]]))
+            self.area_mm2 = median(recent)
+            self.height_mm = median(h.height_mm for h in self.hits[-15:])

@@ -39,6 +39,7 @@ class TrackLog:
         self._path = path
         self._file: BinaryIO | None = None
         self._entries: deque[TrackEntry] = deque()
+        self._since_mark: list[TrackEntry] = []
         self._next = 1
         self._unsent_from = 1
         self._progress_s: float | None = None
@@ -63,6 +64,11 @@ class TrackLog:
         return self._next - 1
 
     @property
+    def since_mark(self) -> list[Track]:
+        """Tracks logged after the last mark."""
+        return [entry.track for entry in self._since_mark if entry.track is not None]
+
+    @property
     def uncommitted(self) -> int:
         """Entries the aggregator has not confirmed."""
         return len(self._entries)
@@ -84,7 +90,6 @@ class TrackLog:
                 f"committed (limit {MAX_UNCOMMITTED}): is it running, and can it write its ledger?"
             )
         for item in items:
-            is_track = isinstance(item, Track)
             entry = TrackEntry(
                 camera=self.camera,
                 run=self.run,
@@ -95,8 +100,7 @@ class TrackLog:
             self._write(entry.encode())
             self._entries.append(entry)
             self._next += 1
-            if not is_track:
-                self.last_mark = entry.mark
+            self._note(entry)
         self._sync()
 
     def commit(self, n: int) -> None:
@@ -163,8 +167,14 @@ class TrackLog:
         self._own(entry.camera, entry.run, path)
         self._entries.append(entry)
         self._next = max(self._next, entry.n + 1)
+        self._note(entry)
+
+    def _note(self, entry: TrackEntry) -> None:
+        """A process that starts again needs the last mark and what came after it, committed or not."""
         if entry.mark is not None:
             self.last_mark = entry.mark
+            self._since_mark = []
+        self._since_mark.append(entry)
 
     def _own(self, camera: str, run: str, path: Path) -> None:
         if (camera, run) != (self.camera, self.run):
@@ -195,10 +205,9 @@ class TrackLog:
         self._file.close()
         with fresh.open("wb") as file:
             file.write(MAGIC)
-            keep: list[Committed | TrackEntry] = [Committed(camera=self.camera, run=self.run, n=self.committed)]
-            if self.last_mark is not None and not any(e.mark is not None for e in self._entries):
-                keep.insert(0, TrackEntry(camera=self.camera, run=self.run, n=self.committed, mark=self.last_mark))
-            for item in [*keep, *self._entries]:
+            needed = {entry.n: entry for entry in [*self._since_mark, *self._entries]}
+            committed = Committed(camera=self.camera, run=self.run, n=self.committed)
+            for item in [committed, *(needed[n] for n in sorted(needed))]:
                 payload = item.encode()
                 file.write(_PREFIX.pack(len(payload), zlib.crc32(payload)) + payload)
             file.flush()

@@ -19,6 +19,8 @@ from segmenter.instances import Instances
 from segmenter.place import outline_size_m
 
 KEPT_PER_SLOT = 3
+NEAR_M = 0.025
+"""Within this of its wanted position every view is a candidate; farther off, only one that is this much nearer."""
 LEAST_HEIGHT_M = 0.004
 """Pixels of a crop lower than this are belt at the rim of the mask."""
 
@@ -31,7 +33,8 @@ class Candidate:
         seq, captured_ns: of the frame. offset_m: belt x past the centre row.
         u0, v0, depth: first pixel of the crop and the (h, w) uint16 depth, zero outside the mask.
         belt_from_camera: (4, 4) as of that frame.
-        area_mm2, contact, whole: as in `Hit`. length_m, width_m: smallest rectangle around the outline.
+        inside: (rows, columns) bool, its cells on the analysis raster of `stride` pixels.
+        area_mm2, height_mm, contact, whole: as in `Hit`.
     """
 
     seq: int
@@ -41,11 +44,12 @@ class Candidate:
     v0: int
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+    stride: int
     area_mm2: float
+    height_mm: float
     contact: float
     whole: bool
-    length_m: float
-    width_m: float
 
 
 class ViewShelf:
@@ -81,12 +85,14 @@ class ViewShelf:
         self._slots = [[] for _ in self._offsets_m]
 
     def _beats(self, slot: list[Candidate], index: int, offset_m: float, whole: bool) -> bool:
-        if len(slot) < KEPT_PER_SLOT:
+        away_m = abs(offset_m - self._offsets_m[index])
+        if len(slot) < KEPT_PER_SLOT and (away_m <= NEAR_M or not slot):
             return True
         last = slot[-1]
         if whole != last.whole:
             return whole
-        return abs(offset_m - self._offsets_m[index]) < abs(last.offset_m - self._offsets_m[index])
+        better_m = abs(last.offset_m - self._offsets_m[index]) - away_m
+        return better_m > (0.0 if away_m <= NEAR_M else NEAR_M)
 
     def _cost(self, candidate: Candidate, index: int, usual_area_mm2: float) -> tuple[float, int]:
         """Metres away from the slot, with what makes a view worse expressed in metres."""
@@ -119,9 +125,6 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
     depth = np.where(mask & high, crop, 0).astype(np.uint16)
     if not depth.any():
         return None
-    outline = _outline_px(inside, i0, j0, stride)
-    length_m, width_m = outline_size_m(belt, outline, float(instances.height_mm[index]) / 1000.0)
-    cell_m = belt.footprint_mm() * stride / 1000.0
     return Candidate(
         seq=frame.seq,
         captured_ns=frame.captured_ns,
@@ -130,12 +133,22 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
         v0=v0,
         depth=depth,
         belt_from_camera=belt.belt_from_camera,
+        inside=inside,
+        stride=stride,
         area_mm2=float(instances.area_mm2[index]),
+        height_mm=float(instances.height_mm[index]),
         contact=float(instances.contact[index]),
         whole=not bool(instances.cut[index].any()),
-        length_m=length_m + cell_m,
-        width_m=width_m + cell_m,
     )
+
+
+def size_m(candidate: Candidate, belt: BeltGeometry) -> tuple[float, float]:
+    """(length, width) of the smallest rectangle around a candidate's outline, metres."""
+    stride = candidate.stride
+    outline = _outline_px(candidate.inside, candidate.v0 // stride, candidate.u0 // stride, stride)
+    length_m, width_m = outline_size_m(belt, outline, candidate.height_mm / 1000.0)
+    cell_m = belt.footprint_mm() * stride / 1000.0
+    return length_m + cell_m, width_m + cell_m
 
 
 def _outline_px(inside: NDArray[np.bool_], i0: int, j0: int, stride: int) -> NDArray[np.float32]:

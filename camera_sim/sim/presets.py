@@ -1,9 +1,9 @@
 """How hard the simulated world is: 'easy', 'field' or a mix of both.
 
-The paper's linear baseline (box length, width, height) errs by 23.0 g on its 859 real tubers. True axes give that form
-20.8 g on the 569 real tubers with public axes and 22.9 g on simulated ones of the same seasons, so the real views lie
-between 'easy' (25 g) and 'field' (about 28 g): 'field' is a little harder than the paper's data. That compares one
-baseline only; nothing here proves that a network trained on these views transfers.
+The linear baseline of PointRAFT (box length, width, height) errs by 23.0 g on its 859 real tubers. On tubers of the
+same seasons and refitted 20 times by tuber, it errs by 24-26 g on 'easy' and 30-33 g on 'field' (true axes: 22.5 g):
+'easy' is about as hard for it as the real harvester's data, 'field' clearly harder. That compares one baseline only;
+nothing here proves that a network trained on these views transfers.
 """
 
 from __future__ import annotations

@@ -221,11 +221,11 @@ def _tried(check: str, work: Callable[[], str], mend: str) -> Finding:
 def _print(findings: list[Finding]) -> None:
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     colours = {Level.OK: "green", Level.WARNING: "yellow", Level.FAULT: "red"}
-    table = Table("", "check", "finding", "mend")
+    console = Console(soft_wrap=True, highlight=False)
     for finding in findings:
-        mark = f"[{colours[finding.level]}]{finding.level.value}[/]"
-        table.add_row(mark, finding.check, escape(finding.text), escape(finding.mend))
-    Console().print(table)
+        mark = f"[{colours[finding.level]}]{finding.level.value:8}[/]"
+        console.print(f"{mark}[bold]{escape(finding.check)}[/]: {escape(finding.text)}")
+        if finding.mend:
+            console.print(f"        mend: {escape(finding.mend)}")

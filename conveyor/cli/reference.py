@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 from conveyor.cli import build_app
@@ -20,7 +21,7 @@ COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
 def pages() -> dict[str, str]:
     """Text of each page by its name in docs/."""
     return {
-        "commands.md": COMMANDS_HEAD + build_app().generate_docs(output_format="markdown").rstrip() + "\n",
+        "commands.md": COMMANDS_HEAD + _commands() + "\n",
         "topics.md": TOPICS_HEAD + markdown_table(),
     }
 
@@ -29,3 +30,14 @@ def write_pages(docs: Path) -> None:
     """Write all pages into the folder `docs`."""
     for name, text in pages().items():
         (docs / name).write_text(text, encoding="utf-8")
+
+
+def _commands() -> str:
+    """The command tree as Markdown. Cyclopts puts the running program's name into the usage of sub-commands, so it is
+    made to believe that it is `tuberline`.
+    """
+    program, sys.argv = sys.argv, ["tuberline"]
+    try:
+        return build_app().generate_docs(output_format="markdown").rstrip()
+    finally:
+        sys.argv = program

@@ -95,6 +95,7 @@ def _journal(line: str) -> bytes:
     """The newest lines of this line's units, where systemd keeps them."""
     if shutil.which("journalctl") is None:
         return b""
-    command = ["journalctl", "--no-pager", "-q", "-n", str(JOURNAL_LINES), "-u", f"tuberline-*@{line}*"]
+    units = ["--namespace=+tuberline", "-u", f"tuberline-*@{line}.service", "-u", f"tuberline-*@{line}:*.service"]
+    command = ["journalctl", "--no-pager", "-q", "-n", str(JOURNAL_LINES), *units]
     done = subprocess.run(command, capture_output=True, check=False, timeout=20)
     return done.stdout

@@ -31,8 +31,8 @@ def check_port(link: LinkConfig, *, timeout_s: float = 2.0) -> list[Finding]:
             fault(
                 "router port",
                 f"{host}:{port} does not answer: {error.strerror or error}",
-                f"start the router (`tuberline router` or tuberline-router.service), open port {port} in its host's "
-                "firewall, or mend link.router",
+                f"start the router (`tuberline router` or tuberline-router@LINE.service), open port {port} in the "
+                "firewall of its host, or mend link.router",
             )
         ]
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from tests.deploy.deploy_site import Site, make_certs, running_site, site_config
+from conveyor.access import router_access
+from conveyor.config import LineConfig
+from conveyor.session import open_router
+from tests.deploy.deploy_site import Site, make_certs, site_config
 
 
 @pytest.fixture(scope="session")
@@ -19,8 +24,19 @@ def site_certs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def site_config_running(site_certs: Path) -> Iterator[LineConfig]:
+    """The config of a line with TLS and access control whose router runs; one router for a file of tests."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        config = site_config(int(probe.getsockname()[1]), site_certs)
+    router = open_router(config.link, access_control=router_access(config))
+    yield config
+    router.close()
+
+
 @pytest.fixture
-def site(site_certs: Path, free_port: int) -> Iterator[Site]:
-    """A line with TLS and access control whose router runs."""
-    with running_site(site_config(free_port, site_certs), site_certs) as site:
-        yield site
+def site(site_config_running: LineConfig, site_certs: Path) -> Iterator[Site]:
+    """That line; sessions that joined are closed after each test."""
+    with ExitStack() as stack:
+        yield Site(site_config_running, site_certs, stack)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
+from regressor.ablate import ablate
 from regressor.augment import Augmentation, augmented_batch
 from regressor.checkpoint import load_checkpoint
 from regressor.cloudset import CloudSet, load_cloudset
@@ -200,3 +201,27 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
             on_step=lambda training: None,
             on_validated=lambda training, metrics: None,
         )
+
+
+def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) -> None:
+    settings = replace(QUICK, epochs=0.2)
+    options = _options(packs, tmp_path / "out")
+    steps: list[str] = []
+
+    def run() -> dict[str, dict[str, float]]:
+        names = ("no-height", "2048-points")
+        return ablate(
+            names, settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: steps.append(name)
+        )
+
+    table = run()
+    assert set(steps) == set(table) == {"no-height", "2048-points"}
+    model, sidecar = load_checkpoint(tmp_path / "out" / "no-height" / "weights.safetensors")
+    assert model.height_embed is None
+    assert not sidecar.input.height_embedding
+    assert load_checkpoint(tmp_path / "out" / "2048-points" / "weights.safetensors")[1].input.centroids == (1024, 256)
+    count = len(steps)
+    assert run() == table
+    assert len(steps) == count
+    with pytest.raises(InputError, match="known: full, no-height"):
+        ablate(("no-hight",), settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from segmenter_scene import SMALL, Body, Scene, scattered
 
+from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import CameraInfo, Frame, Mark, Track, TrackEntry, View, Weight
 from segmenter.age import FrameAge
 from segmenter.balance import FrameBalance
@@ -298,3 +299,63 @@ def test_the_age_of_a_frame_is_told_on_the_clock_it_is_sent_by() -> None:
             late = late_ms if i == 29 else 0.0
             told_ms = age.age_ms(captured_ns, round(captured_ns / speed + late * 1e6))
         assert told_ms == pytest.approx(late_ms, abs=0.01)
+
+
+def killed_and_back(
+    frames: list[Frame], tmp_path: Path, *, killed_after: int, back_at: int, answered: int = FRAMES
+) -> tuple[list[TrackEntry], Mark]:
+    """A process that dies after `killed_after` frames, of which `answered` had answers, and one that begins later."""
+    path = tmp_path / "front.log"
+    first = CameraRun("front", "r1", SETTINGS, path)
+    first.open()
+    answered = min(answered, killed_after)
+    play(first, frames[:answered], names={"a"})
+    play(first, frames[answered:killed_after], names=set(), start_s=answered / 30)
+    second = CameraRun("front", "r1", SETTINGS, path)
+    second.open()
+    play(second, frames[back_at:], names={"a"}, start_s=back_at / 30)
+    finish(second, 9.0, {"a"}, last_seq=frames[-1].seq)
+    mark = second.log.last_mark
+    assert mark is not None
+    return entries(second, 9.0), mark
+
+
+@pytest.mark.parametrize("row_x_m", [-0.3, 0.0, 0.3])
+def test_a_camera_up_or_down_the_belt_goes_on_where_it_was(tmp_path: Path, row_x_m: float) -> None:
+    """Only a camera whose centre row lies at x = 0 went on where it was; others lost tubers or logged them twice."""
+    pose = straight_down_belt_from_camera(0.46)
+    pose[0, 3] += row_x_m
+    bodies = [replace(body, place_x_m=body.place_x_m + row_x_m) for body in BODIES]
+    scene = Scene(bodies, noise_m=0.001, belt_from_camera=pose)
+    frames = [scene.frame(i, i * STEP_M) for i in range(FRAMES)]
+    log, _ = killed_and_back(frames, tmp_path, killed_after=33, back_at=33)
+    places = [(t.place_x_m, t.y_m) for e in log if (t := e.track) is not None]
+    for body in bodies:
+        near = [p for p in places if np.hypot(p[0] - body.place_x_m, p[1] - body.y_m) < 0.005]
+        assert 1 <= len(near) <= 2, (body, places)
+
+
+def test_belt_that_passed_a_dead_process_was_not_looked_at(tmp_path: Path) -> None:
+    """What the dead process had seen and not logged, and all that left the view meanwhile, was called looked at."""
+    bodies = scattered(45, seed=4)
+    scene = Scene(bodies, noise_m=0.001)
+    frames = [scene.frame(i, i * STEP_M) for i in range(150)]
+    log, mark = killed_and_back(frames, tmp_path, killed_after=50, back_at=105)
+    counted = {t.track_id for e in log if (t := e.track) is not None}
+    share = mark.looked_at_m / mark.travelled_m
+    assert mark.travelled_m == pytest.approx(149 * STEP_M)
+    assert len(counted) < 40
+    assert share == pytest.approx(len(counted) / len(bodies), abs=0.1)
+
+
+@pytest.mark.parametrize("answered", [20, 33, 50])
+def test_what_the_sheet_calls_counted_is_in_the_log(frames: list[Frame], tmp_path: Path, answered: int) -> None:
+    """Tracks that waited for weights when their process died were counted and in no log: the audit did not balance."""
+    log, mark = killed_and_back(frames, tmp_path, killed_after=50, back_at=58, answered=answered)
+    assert mark.tracks["counted"] == len([e for e in log if e.track is not None])
+    assert mark.tracks["open"] == mark.views["outstanding"] == 0
+    gone = sum(n for name, n in mark.tracks.items() if name.startswith("discarded_"))
+    assert mark.tracks["opened"] == mark.tracks["counted"] + gone
+    lost = sum(n for name, n in mark.views.items() if name.startswith("lost_"))
+    assert mark.views["sent"] == mark.views["weighed"] + lost
+    assert mark.views["weighed"] >= sum(len(e.track.views) for e in log if e.track is not None)
