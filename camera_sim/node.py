@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from typing import Literal
@@ -18,6 +19,8 @@ from conveyor.node import Node
 INFO_EVERY_S = 0.5
 STALL_AFTER_S = 10.0
 POLL_S = 0.05
+NUMBERING_S = 1.0
+"""A camera that waits for nobody asks this long how far the run got, so that a restarted one numbers on from there."""
 
 
 class CameraNode:
@@ -106,8 +109,12 @@ class CameraNode:
         self._node.log.warning("the segmenter started again: going back to frame %d", after + 1)
 
     def _done_before(self) -> int:
-        """Wait for a segmenter that listens; the newest frame it has done where this process was restarted, else -1."""
-        while self._waits and not self._node.stop.is_set():
+        """The newest frame the segmenter has done in this run already, where this process was restarted; else -1.
+
+        With `waits` a segmenter that listens is waited for; without, only long enough to learn where to number on.
+        """
+        give_up_s = time.monotonic() + (math.inf if self._waits else NUMBERING_S)
+        while time.monotonic() < give_up_s and not self._node.stop.is_set():
             if self._frames.has_listener:
                 for progress in self._progress.latest().values():
                     self._done_seq = progress.done_seq if progress.run == self._node.run else -1

@@ -179,7 +179,7 @@ def load_config(path: Path) -> LineConfig:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"config {path} cannot be read: {error.strerror or error}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # among them numbers too long and lists too deep to read
         raise ConfigError(f"config {path} is not TOML: {error}") from error
     return parse_config(raw, where=str(path), base=path.resolve().parent)
 

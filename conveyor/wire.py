@@ -114,7 +114,7 @@ def _array(data: bytes, offset: int, descriptor: Any) -> tuple[str, NDArray[Any]
         codec, size = descriptor["codec"], int(descriptor["size"])
     except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise MessageError(f"array descriptor {descriptor!r} is not usable: {error!r}") from error
-    if dtype_name not in DTYPES:
+    if not isinstance(dtype_name, str) or dtype_name not in DTYPES:
         raise MessageError(f"array '{name}' has dtype {dtype_name!r}; allowed: {', '.join(DTYPES)}")
     dtype = np.dtype(DTYPES[dtype_name]).newbyteorder("<")
     if len(shape) > 4 or any(n < 0 for n in shape):

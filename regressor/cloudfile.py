@@ -71,7 +71,9 @@ def _read_numpy(path: Path) -> NDArray[np.float64]:
                         + (", ".join(f"{key} {file[key].shape}" for key in file.files) or "none")
                     )
                 loaded = file["points" if "points" in fitting else fitting[0]]
-    except (OSError, ValueError, EOFError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # NumPy lets errors of zip, zlib, tokenizer and memory through for broken files
         raise InputError(f"cloud {path} is not a NumPy file: {error}") from error
     if loaded.ndim != 2 or loaded.shape[1] != 3 or loaded.dtype.kind not in "fiu":
         raise InputError(f"cloud {path} holds {loaded.dtype} {loaded.shape}; expected numbers of shape (N, 3)")
@@ -127,11 +129,13 @@ def _ply_header(data: bytes, path: Path) -> tuple[str, int, list[str], list[str]
                 return form, count, names, kinds, offset
             case ["format", name, *_]:
                 form = name
-            case ["element", name, number] if number.isdigit():
+            case ["element", name, number] if number.isdigit() and len(number) <= 12:
                 if name != "vertex" and not names:
                     raise InputError(f"cloud {path}: the vertex element must come first, found '{name}'")
                 element, count = name, int(number) if name == "vertex" else count
             case ["property", kind, name] if element == "vertex" and kind in _PLY_TYPES:
+                if name in names:
+                    raise InputError(f"cloud {path} names the vertex property '{name}' twice")
                 names.append(name)
                 kinds.append(_PLY_TYPES[kind])
             case ["property", *rest] if element == "vertex":

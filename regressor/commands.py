@@ -12,7 +12,6 @@ from cyclopts import Parameter
 
 if TYPE_CHECKING:
     from regressor.recipe import TrainSettings
-    from regressor.weighfiles import FileResult
 
 
 def regressor(*, config: Path, name: str, run: str) -> None:
@@ -76,32 +75,14 @@ def weigh(
     if json:
         sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
     else:
-        _print_weights(results)
+        from rich.console import Console
+
+        from regressor.tables import weight_table
+
+        Console().print(weight_table(results))
     failed = [result.error for result in results if result.error]
     if failed:
         raise InputError("\n".join(failed))
-
-
-def _print_weights(results: list[FileResult]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("file", "weight", "90 % interval", "height", "points", "by", "flags")
-    for result in results:
-        answer = result.weighed
-        if answer is None:
-            table.add_row(result.path.name, "[red]not weighed", "", "", str(result.points), "", "")
-            continue
-        table.add_row(
-            result.path.name,
-            f"[bold]{answer.weight_g:.1f} g",
-            f"{answer.low_g:.1f} to {answer.high_g:.1f} g",
-            f"{result.height_mm:.1f} mm",
-            str(result.points),
-            answer.model,
-            ", ".join(answer.flags),
-        )
-    Console().print(table)
 
 
 def train(

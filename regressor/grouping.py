@@ -25,7 +25,7 @@ CENTROIDS_2 = 128
 
 @dataclass(frozen=True, slots=True)
 class SharedGroups:
-    """All (n, 3) float32, metres: 64 neighbours, 64 first-stage and 128 second-stage centroids (more for > 1024 points)."""
+    """(n, 3) float32, metres: 64 neighbours, 64 first-stage and 128 (for 2048 points: 256) second-stage centroids."""
 
     neighbours: NDArray[np.float32]
     centroids1: NDArray[np.float32]

@@ -105,3 +105,42 @@ def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = Fa
     for name, value in score.items():
         table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
     Console(stderr=True).print(table)
+
+
+def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) -> None:
+    """Measure where the belt is, from a recording of it, empty or running.
+
+    Parameters
+    ----------
+    recording
+        Folder recording (one folder per camera).
+    frames
+        How many of the first frames to use.
+    json
+        Print the calibrations as JSON on stdout, belt_from_camera included.
+    """
+    from segmenter.calibrate import calibrate_recording
+
+    results = calibrate_recording(recording, frames=frames)
+    if json:
+        sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        "camera", "frames", "belt distance m", "spread mm", "tilt deg", "residual mm", "belt seen", "off by mm"
+    )
+    for r in results:
+        off = "-" if r.disagreement_mm is None else f"{r.disagreement_mm:+.1f}"
+        table.add_row(
+            r.camera,
+            f"{r.frames} of {r.asked}",
+            f"{r.belt_distance_m:.4f}",
+            f"{r.spread_mm:.2f}",
+            f"{r.tilt_deg:.2f}",
+            f"{r.residual_mm:.2f}",
+            f"{r.belt_share:.0%}",
+            off,
+        )
+    Console(stderr=True).print(table)

@@ -29,8 +29,10 @@ class CountSettings:
         min_area_mm2, min_height_mm: medians over frames that no border cuts.
         min_width_m: haulm is thinner.
         min_volume_ml: under the visible surface; the smallest tuber of three seasons, 16 g, has 18 ml.
-        max_slender: highest height over width.
-        seam_slender: the same where more than `seam_share` of the outline is seam, for those under `sliver_area_mm2`.
+        max_slender, contact_share: a piece split off a tuber is more slender (height over width) than this and shares
+            more than this of its outline with another.
+        seam_slender, seam_share: or this.
+        sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; one that stands free is a tuber on end.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
     """
 
@@ -41,9 +43,11 @@ class CountSettings:
     min_width_m: float = 0.016
     min_volume_ml: float = 12.0
     max_slender: float = 1.75
+    contact_share: float = 0.3
     seam_slender: float = 1.35
     seam_share: float = 0.4
-    sliver_area_mm2: float = 1400.0
+    sliver_area_mm2: float = 1500.0
+    sliver_height_m: float = 0.035
     same_share: float = 0.6
 
 
@@ -85,7 +89,8 @@ def refusal(
         return "vanished"
     looks = tracker.looks_at(track, history, travel_m)
     inner = [h for h in track.hits if not h.ends_cut]
-    if len(inner) < min(settings.min_frames, max(1, looks)):
+    # Where frames are few, those that showed it cut by a border were no chance to see it whole.
+    if len(inner) < min(settings.min_frames, max(1, looks - (len(track.hits) - len(inner)))):
         return "few_frames"
     if len(inner) < settings.min_share * looks:
         return "fragment"
@@ -111,10 +116,10 @@ def shape_refusal(track: TrackState, *, width_m: float, height_m: float, setting
         return "thin"
     slender = height_m / width_m
     contact = float(np.median([h.contact for h in track.hits]))
-    small = track.area_mm2 < settings.sliver_area_mm2
-    if slender > settings.max_slender or (small and contact > settings.seam_share and slender > settings.seam_slender):
-        return "sliver"
-    return ""
+    if height_m < settings.sliver_height_m or track.area_mm2 > settings.sliver_area_mm2:
+        return ""
+    mostly_seam = contact > settings.seam_share and slender > settings.seam_slender
+    return "sliver" if mostly_seam or (contact > settings.contact_share and slender > settings.max_slender) else ""
 
 
 def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> bool:

@@ -150,7 +150,7 @@ def _folders(path: Path) -> dict[str, Path]:
         return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
     try:
         names = [str(name) for name in json.loads(line.read_text(encoding="utf-8"))["cameras"]]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (ValueError, RecursionError, KeyError, TypeError) as error:
         raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
     for name in names:
         if not (path / name / "camera.json").is_file():

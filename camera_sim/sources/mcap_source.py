@@ -20,7 +20,9 @@ from camera_sim.sources.mcap_format import ATTACHMENTS, ENCODING, camera_of, top
 from conveyor.errors import InputError, MessageError
 from conveyor.messages import Frame
 
-DAMAGE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError, MemoryError)
+DAMAGE = (
+    McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError, MemoryError, OverflowError
+)  # fmt: skip
 """What the MCAP library raises on files that are cut or damaged."""
 
 

@@ -46,15 +46,16 @@ class RealSenseSource:
         return self._description
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """Frames as they come, until nobody asks for more. Numbers start at 0 with the device's first frame."""
+        """Frames as they come, until nobody asks for more. The device's first frame is number `after` + 1."""
         first: int | None = None
+        newest = after
         try:
             while True:
                 depth = self._next_depth()
                 first = int(depth.get_frame_number()) if first is None else first
-                seq = int(depth.get_frame_number()) - first
-                if seq > after:
-                    after = seq
+                seq = after + 1 + int(depth.get_frame_number()) - first
+                if seq > newest:
+                    newest = seq
                     yield self._frame(depth, seq, run)
         finally:
             self._pipeline.stop()

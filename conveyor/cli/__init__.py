@@ -52,9 +52,12 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Model": {
         "train": ("regressor.commands:train", "Train PointRAFT."),
         "evaluate": ("regressor.commands:evaluate", "Evaluate weights and baselines on views with known weights."),
+        "ablate": ("regressor.commands:ablate", "Train or load the paper's ablations and compare them."),
+        "export": ("regressor.commands:export", "Export the network to ONNX."),
         "import-checkpoint": ("regressor.commands:import_checkpoint", "Take over the authors' checkpoint."),
     },
     "Set up": {
+        "calibrate": ("conveyor.cli.calibrate:calibrate", "Measure the geometry of a line."),
         "config": ("conveyor.cli.config:config", "Check, show or explain a line's configuration."),
         "topics": ("conveyor.cli.topics:topics", "The table of topics."),
         "certs": ("conveyor.cli.certs:certs", "A site's own certificates, one per node."),

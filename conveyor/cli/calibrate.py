@@ -1,0 +1,8 @@
+"""`tuberline calibrate`: what a line must know of its own geometry."""
+
+from __future__ import annotations
+
+from cyclopts import App
+
+calibrate = App(name="calibrate", help="Measure the geometry of a line.")
+calibrate.command("segmenter.commands:calibrate_belt", name="belt", help="Fit the belt's plane to a recording.")

@@ -1,0 +1,90 @@
+"""Belt calibration from a recording of the belt, empty or running: where the belt is, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from conveyor.errors import InputError
+from segmenter.folder import camera_folders, folder_frames
+from segmenter.plane import PlaneFit, fit_plane, plane_pose
+
+LEAST_FITS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class BeltCalibration:
+    """Where one camera's belt lies.
+
+    Attributes:
+        frames: fitted ones; asked: frames looked at.
+        belt_distance_m: along the optical axis; spread_mm: standard deviation of the single frames' distances.
+        tilt_deg: between the optical axis and the belt's normal; residual_mm: RMS of the belt around the plane.
+        belt_share: median share of the image that shows belt.
+        belt_from_camera: (4, 4) as nested lists, x along the image's +v.
+        given_distance_m: what the recording says, or None; disagreement_mm: seen minus given.
+    """
+
+    camera: str
+    frames: int
+    asked: int
+    belt_distance_m: float
+    spread_mm: float
+    tilt_deg: float
+    residual_mm: float
+    belt_share: float
+    belt_from_camera: list[list[float]]
+    given_distance_m: float | None
+    disagreement_mm: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def calibrate_recording(recording: Path, *, frames: int = 30) -> list[BeltCalibration]:
+    """One calibration per camera of a folder recording, from up to `frames` of its first frames.
+
+    Raises:
+        InputError: the recording cannot be used, or too little belt is seen in it.
+    """
+    return [_camera(folder, frames) for folder in camera_folders(recording)]
+
+
+def _camera(folder: Path, frames: int) -> BeltCalibration:
+    fits: list[PlaneFit] = []
+    asked, given_m = 0, None
+    for frame in folder_frames(folder):
+        if asked >= frames:
+            break
+        asked += 1
+        given_m = frame.belt_distance_m
+        fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics)
+        if fit is not None:
+            fits.append(fit)
+    if len(fits) < min(LEAST_FITS, asked) or not fits:
+        raise InputError(
+            f"{folder}: a belt is seen in {len(fits)} of {asked} frames only; record a stretch with a visible belt, "
+            "best an empty one"
+        )
+    a, b, c = (float(value) for value in np.median([fit.inverse_depth for fit in fits], axis=0))
+    tilt_deg = float(np.degrees(np.arccos(c / np.linalg.norm([a, b, c]))))
+    residual_m = float(np.median([fit.residual_m for fit in fits]))
+    share = float(np.median([fit.share for fit in fits]))
+    middle = PlaneFit((a, b, c), 1 / c, tilt_deg, residual_m, share)
+    return BeltCalibration(
+        camera=folder.name,
+        frames=len(fits),
+        asked=asked,
+        belt_distance_m=middle.distance_m,
+        spread_mm=float(np.std([fit.distance_m for fit in fits])) * 1000,
+        tilt_deg=tilt_deg,
+        residual_mm=residual_m * 1000,
+        belt_share=share,
+        belt_from_camera=plane_pose(middle).round(9).tolist(),
+        given_distance_m=given_m,
+        disagreement_mm=None if given_m is None else (middle.distance_m - given_m) * 1000,
+    )

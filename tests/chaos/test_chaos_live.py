@@ -1,0 +1,118 @@
+"""Cameras that wait for nobody: a flooded line sheds by plan, a dead segmenter's belt is missing in the open."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.chaos.harness import DisturbedLine, live_run
+from tests.integration.conftest import tuberline
+
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
+MAX_AGE_MS = 500.0
+
+
+def score_of(out: Path, recording: Path) -> dict[str, Any]:
+    """The run against the truth, by place."""
+    scored: dict[str, Any] = json.loads(tuberline("score", out, "--truth", recording / "truth.json", "--json").stdout)
+    return scored
+
+
+def sheet_of(summary: dict[str, Any]) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
+    """The only camera's sheets, after checking that they and the ledger balance."""
+    assert summary["balanced"], summary["differences"]
+    (sheet,) = summary["cameras"].values()
+    frames, views, tracks = sheet["frames"], sheet["views"], sheet["tracks"]
+    dropped = sum(n for name, n in frames.items() if name.startswith("dropped_"))
+    assert frames["published"] == frames["processed"] + dropped + frames["gaps"]
+    lost = sum(n for name, n in views.items() if name.startswith("lost_"))
+    assert views["sent"] == views["weighed"] + lost
+    return frames, views, tracks
+
+
+def oldest_until_final(line: DisturbedLine) -> float:
+    """The age of the oldest frame that was processed, milliseconds, as last reported."""
+    oldest_ms = [0.0]
+
+    def finished() -> bool:
+        oldest_ms.append(line.gauge("frame_age_max_ms"))
+        return line.supervisor.finished("aggregator")
+
+    line.wait(finished, what="the summary", timeout_s=150)
+    return max(oldest_ms)
+
+
+def test_five_times_too_many_frames_are_dropped_and_every_tuber_is_weighed(
+    live_recording: Path, tmp_path: Path
+) -> None:
+    ages: list[float] = []
+    summary = live_run(live_recording, tmp_path / "run", lambda line: ages.append(oldest_until_final(line)), speed=5.0)
+    frames, views, tracks = sheet_of(summary)
+    assert frames["dropped_overwritten"] > 0
+    assert frames["processed"] < frames["published"]
+    assert 0.0 < max(ages) <= MAX_AGE_MS
+    assert views["weighed"] >= tracks["counted"] > 0
+    score = score_of(tmp_path / "run", live_recording)
+    assert score["double_counted"] == 0
+    assert score["count"] / score["true_count"] >= summary["totals"]["coverage"] - 0.1
+
+
+def test_a_regressor_that_cannot_keep_up_costs_views_and_no_tuber(live_recording: Path, tmp_path: Path) -> None:
+    def throttle(line: DisturbedLine) -> None:
+        """It gets a fifth of the time."""
+        while not line.supervisor.finished("aggregator"):
+            line.signal("regressor-r1", signal.SIGSTOP)
+            line.go_on(0.2)
+            line.signal("regressor-r1", signal.SIGCONT)
+            line.go_on(0.05)
+
+    settings = {"segmenter": {"max_pending_views": 8}}
+    summary = live_run(live_recording, tmp_path / "run", throttle, regressors=1, settings=settings)
+    frames, views, tracks = sheet_of(summary)
+    assert views["lost_shed"] > 0
+    assert views["weighed"] >= tracks["counted"] > 0
+    assert frames["processed"] > 0.6 * frames["published"]
+    rows = tuberline("ledger", "export", tmp_path / "run" / "ledger.db", "--canonical").stdout
+    assert '"volume"' not in rows, "a tuber was logged without a view weighed"
+    assert score_of(tmp_path / "run", live_recording)["double_counted"] == 0
+
+
+def test_belt_that_passed_a_dead_segmenter_is_told(live_recording: Path, tmp_path: Path) -> None:
+    def kill(line: DisturbedLine) -> None:
+        line.wait_count("frames_processed", 8)
+        line.kill("segmenter-front")
+
+    summary = live_run(live_recording, tmp_path / "run", kill, speed=0.4)
+    frames, _, tracks = sheet_of(summary)
+    assert summary["restarts"]["segmenter-front"] == 1
+    assert frames["gaps"] > 0
+    assert tracks["discarded_restart"] > 0
+    score = score_of(tmp_path / "run", live_recording)
+    assert score["double_counted"] == score["false"] == 0
+    totals = summary["totals"]
+    assert score["count"] < score["true_count"]
+    assert totals["coverage"] < 1.0
+    assert totals["coverage"] == pytest.approx(score["count"] / score["true_count"], abs=0.2)
+    assert totals["weight_g"] < totals["estimated_weight_g"]
+    width_g, estimated_width_g = (totals[f"{kind}high_g"] - totals[f"{kind}low_g"] for kind in ("", "estimated_"))
+    assert estimated_width_g / totals["estimated_weight_g"] > width_g / totals["weight_g"]
+
+
+def test_what_grew_old_while_the_segmenter_stood_still_is_not_processed(live_recording: Path, tmp_path: Path) -> None:
+    ages: list[float] = []
+
+    def freeze(line: DisturbedLine) -> None:
+        line.wait_count("frames_processed", 8)
+        line.freeze("segmenter-front", 1.5)
+        ages.append(oldest_until_final(line))
+
+    summary = live_run(live_recording, tmp_path / "run", freeze)
+    frames, _, _ = sheet_of(summary)
+    assert frames.get("dropped_too_old", 0) + frames.get("dropped_overwritten", 0) + frames["gaps"] > 0
+    assert max(ages) <= MAX_AGE_MS
+    assert summary["totals"]["coverage"] < 1.0
+    assert score_of(tmp_path / "run", live_recording)["double_counted"] == 0

@@ -1,0 +1,88 @@
+"""The commands on a folder recording written here: tracks, pictures, scores and calibration, and clear errors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from segmenter_scene import SMALL, Scene, scattered
+
+from conveyor.errors import InputError
+from segmenter.commands import calibrate_belt, evaluate_segmentation, segment
+from segmenter.folder import camera_folders, folder_frames
+
+STEP_M = 0.0133
+BODIES = scattered(6, seed=8)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Forty frames of six tubers, with masks."""
+    root = tmp_path_factory.mktemp("recording")
+    folder = root / "front"
+    for name in ("depth", "mask"):
+        (folder / name).mkdir(parents=True)
+    scene = Scene(BODIES, noise_m=0.001)
+    rows = ["seq,captured_ns,travel_m"]
+    for seq in range(40):
+        depth, labels = scene.render(seq * STEP_M, seq)
+        cv2.imwrite(str(folder / "depth" / f"{seq:06d}.png"), depth)
+        cv2.imwrite(str(folder / "mask" / f"{seq:06d}.png"), labels)
+        rows.append(f"{seq},{seq * 33_333_333},{seq * STEP_M}")
+    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+    k = SMALL
+    camera = {"name": "front", "width": k.width, "height": k.height, "fx": k.fx, "fy": k.fy, "cx": k.cx, "cy": k.cy}
+    camera |= {"depth_scale_m": 0.001, "belt_distance_m": 0.46, "belt_from_camera": None, "fps": 30}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    return root
+
+
+def test_segment_counts_and_draws(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "deep" / "frame.png"
+    segment(recording, picture=picture, json=True)
+    (camera,) = json.loads(capsys.readouterr().out)
+    crossed = [b for b in BODIES if -39 * STEP_M < b.place_x_m < 0]
+    assert len(camera["tracks"]) == len(crossed) == 6
+    assert camera["looked_at_m"] == pytest.approx(39 * STEP_M)
+    image = cv2.imread(str(picture))
+    assert image.shape == (SMALL.height, SMALL.width, 3)
+    assert image.std() > 20
+
+
+def test_evaluate_segmentation_scores_the_masks(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    evaluate_segmentation(recording, every=4, json=True)
+    score = json.loads(capsys.readouterr().out)
+    assert score["f1_50"] > 0.98
+    assert score["panoptic_quality"] > 0.9
+    assert score["frames"] == 10
+    assert 0 < score["split_ms"] < score["whole_step_ms"] * 2
+
+
+def test_calibrate_belt_measures_distance_and_tilt(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    calibrate_belt(recording, json=True)
+    (camera,) = json.loads(capsys.readouterr().out)
+    assert camera["belt_distance_m"] == pytest.approx(0.46, abs=0.0005)
+    assert camera["tilt_deg"] < 0.2
+    assert camera["disagreement_mm"] == pytest.approx(0, abs=0.5)
+    assert np.array(camera["belt_from_camera"]).shape == (4, 4)
+
+
+def test_errors_name_the_file_and_what_it_lacks(recording: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no folder recording: it has no <camera>/camera\.json"):
+        camera_folders(tmp_path)
+    broken = tmp_path / "broken"
+    (broken / "depth").mkdir(parents=True)
+    (broken / "camera.json").write_text('{"width": 424, "height": 240, "depth_scale_m": 0.001}')
+    with pytest.raises(InputError, match=r"camera\.json lacks fx, fy, cx, cy"):
+        next(folder_frames(broken))
+    (broken / "camera.json").write_text((recording / "front" / "camera.json").read_text())
+    (broken / "frames.csv").write_text("seq,captured_ns,travel_m\n0,0,\n")
+    (broken / "depth" / "000000.png").write_bytes(b"\x89PNG\r\n\x1a\n torn")
+    with pytest.raises(InputError, match=r"000000\.png cannot be read as an image: it is missing or damaged"):
+        next(folder_frames(broken))
+    (broken / "frames.csv").write_text("number\n1\n")
+    with pytest.raises(InputError, match=r"frames\.csv must have the columns seq, captured_ns, travel_m"):
+        next(folder_frames(broken))
