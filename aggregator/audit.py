@@ -68,11 +68,16 @@ def audit_run(db: sqlite3.Connection, run: RunRow) -> Audit:
     per_camera = dict(
         db.execute("SELECT camera, count(*) FROM entry WHERE run = ? AND kind = 'track' GROUP BY camera", (run.run,))
     )
+    repeats = dict(
+        db.execute(
+            "SELECT camera, count(*) FROM observation WHERE run = ? AND role = 'repeat' GROUP BY camera", (run.run,)
+        )
+    )
     for camera, mark in marks.items():
-        if mark.final:
-            counted = mark.tracks.get("counted", 0)
+        if mark.final:  # a replay that went back to its first frame has logged tracks again, and counted them once
+            counted, logged = mark.tracks.get("counted", 0), per_camera.get(camera, 0) - repeats.get(camera, 0)
             equations[camera].append(
-                Equation("tracks counted by the camera = tracks in the ledger", counted, per_camera.get(camera, 0))
+                Equation("tracks counted by the camera = tracks in the ledger, repeats aside", counted, logged)
             )
     pending = _pending(db, run.run)
     (tubers,) = db.execute("SELECT count(*) FROM tuber WHERE run = ?", (run.run,)).fetchone()

@@ -21,7 +21,7 @@ from conveyor.messages import Tuber
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How far a run was from the truth. Errors are counted minus true; None where nothing was matched."""
+    """How far a run was from the truth. Errors are counted minus true; None where nothing was matched or passed."""
 
     true_count: int
     count: int
@@ -50,19 +50,19 @@ class Score:
     false_ids: tuple[int, ...]
 
     @property
-    def count_error_percent(self) -> float:
+    def count_error_percent(self) -> float | None:
         """(counted - true) / true."""
-        return 100.0 * (self.count - self.true_count) / self.true_count
+        return _error_percent(self.count, self.true_count)
 
     @property
-    def weight_error_percent(self) -> float:
+    def weight_error_percent(self) -> float | None:
         """(weight as seen - true) / true."""
-        return 100.0 * (self.weight_g - self.true_weight_g) / self.true_weight_g
+        return _error_percent(self.weight_g, self.true_weight_g)
 
     @property
-    def estimated_error_percent(self) -> float:
+    def estimated_error_percent(self) -> float | None:
         """(weight as estimated for the whole belt - true) / true."""
-        return 100.0 * (self.estimated_weight_g - self.true_weight_g) / self.true_weight_g
+        return _error_percent(self.estimated_weight_g, self.true_weight_g)
 
     def as_dict(self) -> dict[str, Any]:
         """For machines."""
@@ -84,8 +84,6 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
     if not 1 <= match_mm <= 500:
         raise InputError(f"--match-mm {match_mm:g}: give 1 to 500 mm")
     true_tubers = read_truth(truth)
-    if not true_tubers:
-        raise InputError(f"truth {truth} holds no tuber: there is nothing to compare with")
     ledger = ledger_file(path)
     with reading(ledger) as db:
         chosen = the_run(db, ledger, run)
@@ -145,6 +143,11 @@ def score_tubers(
         double_ids=tuple(tubers[i].tuber_id for i in found.doubles),
         false_ids=tuple(tubers[i].tuber_id for i in found.false),
     )
+
+
+def _error_percent(found: float, true: float) -> float | None:
+    """None where nothing passed: then any error is infinitely large."""
+    return 100.0 * (found - true) / true if true else None
 
 
 def _weight_errors(tubers: Sequence[Tuber], truth: Sequence[TrueTuber], found: Comparison) -> dict[str, float | None]:

@@ -12,14 +12,14 @@ def score_table(score: Score) -> Table:
     """A run against the truth."""
     table = Table("against the truth", "", title=None)
     rows = [
-        ("tubers", f"{score.count} counted, {score.true_count} true ({score.count_error_percent:+.1f} %)"),
+        ("tubers", f"{score.count} counted, {score.true_count} true ({_signed(score.count_error_percent)} %)"),
         ("of these", f"{score.missed} missed, {score.double_counted} counted twice, {score.false} false"),
         (
             "load as seen",
             f"{score.weight_g / 1000:.3f} kg, true {score.true_weight_g / 1000:.3f} kg "
-            f"({score.weight_error_percent:+.2f} %), 90 %: {score.low_g / 1000:.3f} to {score.high_g / 1000:.3f}",
+            f"({_signed(score.weight_error_percent)} %), 90 %: {score.low_g / 1000:.3f} to {score.high_g / 1000:.3f}",
         ),
-        ("load as estimated", f"{score.estimated_weight_g / 1000:.3f} kg ({score.estimated_error_percent:+.2f} %)"),
+        ("load as estimated", f"{score.estimated_weight_g / 1000:.3f} kg ({_signed(score.estimated_error_percent)} %)"),
         ("belt seen", "unknown" if score.coverage is None else f"{100 * score.coverage:.1f} %"),
         ("per tuber", f"MAE {_number(score.mae_g)} g, RMSE {_number(score.rmse_g)} g, bias {_number(score.bias_g)} g"),
         ("truth inside the 90 % interval", f"{_number(score.interval_hit_percent)} % of tubers"),
@@ -32,6 +32,10 @@ def score_table(score: Score) -> Table:
     for name, text in rows:
         table.add_row(name, text)
     return table
+
+
+def _signed(value: float | None) -> str:
+    return "-" if value is None else f"{value:+.2f}"
 
 
 def _number(value: float | None) -> str:

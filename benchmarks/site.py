@@ -13,7 +13,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Any
 
 from benchmarks.site_line import CAMERAS, RUN, SiteLine
 from benchmarks.site_net import Network, Traffic
-from benchmarks.site_picture import draw_site
+from benchmarks.site_picture import draw_site, site_hosts
 from camera_sim.sim.placement import TOUCHING
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
@@ -73,15 +73,17 @@ class Result:
     ledger: str
     office_s: float
     requeued: int
+    cpu_s: Mapping[str, float]
+    """CPU seconds by process, from the cameras' start to the end; a camera's own start is in it."""
 
 
 def main(arguments: list[str]) -> None:
     """Run the cases and print the table."""
     options = _options(arguments)
     setup_logs()
-    cases = [Case(n) for n in options.hosts]
+    cases = [Case(n, compress=options.compress) for n in options.hosts]
     if not options.undisturbed:
-        cases.append(Case(max(options.hosts), disturbed=True))
+        cases.append(Case(max(options.hosts), disturbed=True, compress=options.compress))
     with ExitStack() as stack:
         work = Path(options.work or stack.enter_context(tempfile.TemporaryDirectory(prefix="tuberline-site-")))
         recording = make_recording(work / "recording", tubers=options.tubers)
@@ -91,7 +93,15 @@ def main(arguments: list[str]) -> None:
             results.append(run_case(case, recording, work / f"run-{n}"))
     sys.stdout.write(tables(results))
     if options.picture:
-        options.picture.write_text(draw_site(results[-2 if len(results) > 1 else -1]), encoding="utf-8")
+        options.picture.write_text(picture(results[len(options.hosts) - 1]), encoding="utf-8")
+
+
+def picture(result: Result) -> str:
+    """The site of a run with its bytes."""
+    office = f"{OFFICE_BITS_PER_S / 1e6:.0f} Mbit/s, {1000 * OFFICE_DELAY_S:.0f} ms"
+    hosts = site_hosts(result.case.inference, share=SHARE, office=office)
+    title = f"{result.views_per_s:.0f} views/s, {result.tubers} tubers; bytes of the whole run"
+    return draw_site(hosts, result.traffic, title=title)
 
 
 def make_recording(out: Path, *, tubers: int) -> Path:
@@ -118,18 +128,20 @@ def run_case(case: Case, recording: Path, out: Path) -> Result:
         with SiteLine(network, recording, out, compress=case.compress) as line:
             start_all(line, case)
             before = line.traffic(("edge", *CAMERA_HOSTS, *case.hosts, "office"))
+            cpu_before = line.cpu_s()
             for host, camera in zip(CAMERA_HOSTS, CAMERAS, strict=True):
                 line.start_node(host, "camera", "--camera", camera)
             if case.disturbed:
                 disturb(line, case)
             line.wait_finished()
             after = line.traffic(tuple(before))
+            cpu_s = {name: used - cpu_before.get(name, 0.0) for name, used in line.cpu_s().items()}
             seen = line.finish_probe()
     traffic = {
         host: Traffic(after[host].sent - before[host].sent, after[host].received - before[host].received)
         for host in before
     }
-    return evaluate(case, seen, traffic, out, recording / "truth.json")
+    return evaluate(case, {**seen, "cpu_s": cpu_s}, traffic, out, recording / "truth.json")
 
 
 def start_all(line: SiteLine, case: Case) -> None:
@@ -183,14 +195,15 @@ def evaluate(case: Case, seen: Mapping[str, Any], traffic: Mapping[str, Traffic]
         latency_ms=(statistics.median(took_ms), took_ms[int(0.95 * (len(took_ms) - 1))]),
         traffic=traffic,
         shares={host: sum(entry["regressor"] == host for entry in passed) for host in case.hosts},
-        tubers=int(score["counted"]),
+        tubers=int(score["count"]),
         missed=int(score["missed"]),
-        doubles=int(score["doubles"]),
+        doubles=int(score["double_counted"]),
         views=views,
         balanced=bool(audit["balanced"]),
         ledger=_tuberline("ledger", "export", out / "ledger.db", "--canonical"),
         office_s=passed[-1]["at_s"] - passed[0]["at_s"],
         requeued=requeued,
+        cpu_s=seen["cpu_s"],
     )
 
 
@@ -217,15 +230,27 @@ def tables(results: list[Result]) -> str:
         *("tubers (missed, double)", "views sent = weighed + lost", "sent again", "balanced", "canonical ledger"),
     )
     links = [
-        (r.case.name, *(_both(r, hosts) for hosts in (CAMERA_HOSTS, ("edge",), r.case.hosts)), _office(r))
+        (
+            *(r.case.name, r.case.compress),
+            *(_both(r, hosts) for hosts in (CAMERA_HOSTS, ("edge",), r.case.hosts)),
+            _office(r),
+            " / ".join(f"{_cpu_s(r, role):.1f}" for role in ("camera", "segmenter", "router")),
+        )
         for r in results
     ]
-    link_head = ("inference hosts", "camera hosts", "edge", "inference hosts together", "office")
+    link_head = (
+        *("inference hosts", "frames", "camera hosts together", "edge", "inference hosts together", "office"),
+        "CPU s of cameras / segmenters / router",
+    )
     return f"{_markdown(head, rows)}\n{_markdown(link_head, links)}"
 
 
 def _lost(result: Result) -> int:
     return sum(n for name, n in result.views.items() if name.startswith("lost_"))
+
+
+def _cpu_s(result: Result, role: str) -> float:
+    return sum(used for name, used in result.cpu_s.items() if name.partition("/")[0] == role)
 
 
 def _both(result: Result, hosts: tuple[str, ...]) -> str:
@@ -239,7 +264,7 @@ def _office(result: Result) -> str:
     return f"{received / 1e3:.0f} kB in ({received / 1e3 / result.office_s:.1f} kB/s)"
 
 
-def _markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, ("---",) * len(head), *rows))
 
 
@@ -263,5 +288,6 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--undisturbed", action="store_true", help="leave out the run in which two of them fail")
     parser.add_argument("--tubers", type=int, default=48, help="on the simulated belt")
     parser.add_argument("--work", help="folder for recording, ledgers and logs; default: a temporary one")
+    parser.add_argument("--compress", choices=("raw", "zstd"), default="raw", help="how frames travel")
     parser.add_argument("--picture", type=Path, help="SVG of the site to write")
     return parser.parse_args(arguments)

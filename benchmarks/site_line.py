@@ -42,7 +42,11 @@ class SiteLine:
             "name": LINE,
             "link": {"router": self.router, "connect_timeout_s": 60.0},
             "cameras": {c: {"path": str(recording.resolve()), "speed": 0.0, "compress": compress} for c in CAMERAS},
-            "segmenter": {"views_per_tuber": VIEWS_PER_TUBER, "state_dir": str(out / "state")},
+            "segmenter": {
+                "views_per_tuber": VIEWS_PER_TUBER,
+                "state_dir": str(out / "state"),
+                "weigh_deadline_s": 600.0,
+            },
             "regressor": {"processes": 0},
             "aggregator": {"out": str(out), "exit_when_final": True, "camera_stall_s": 600.0},
         }
@@ -118,6 +122,15 @@ class SiteLine:
     def traffic(self, hosts: Sequence[str]) -> dict[str, Traffic]:
         """Bytes through each host's link so far."""
         return {host: self.network.traffic(host) for host in hosts}
+
+    def cpu_s(self) -> dict[str, float]:
+        """CPU seconds each running process has used."""
+        used = {}
+        for name, process in self._processes.items():
+            if process.poll() is None:
+                fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+                used[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return used
 
     def _spawn(self, host: str, command: list[str], *, name: str, stdout: int) -> None:
         logs = self.out / "logs"

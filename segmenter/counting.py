@@ -17,6 +17,8 @@ from segmenter.tracker import Tracker
 
 NEAR_ROW_M = 0.06
 VANISHED_FRAMES = 4
+ROUND_FILL = 0.7
+"""Mean over highest height of a lying tuber. The mean is the safer one: a seam lends its height to a few cells only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ class CountSettings:
         max_slender, contact_share: a piece split off a tuber is more slender (height over width) than this and shares
             more than this of its outline with another.
         seam_slender, seam_share: or this.
-        sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; one that stands free is a tuber on end.
+        sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
     """
 
@@ -42,12 +44,12 @@ class CountSettings:
     min_height_mm: float = 18.0
     min_width_m: float = 0.016
     min_volume_ml: float = 12.0
-    max_slender: float = 1.75
+    max_slender: float = 1.5
     contact_share: float = 0.3
-    seam_slender: float = 1.35
+    seam_slender: float = 1.2
     seam_share: float = 0.4
     sliver_area_mm2: float = 1500.0
-    sliver_height_m: float = 0.035
+    sliver_height_m: float = 0.033
     same_share: float = 0.6
 
 
@@ -106,7 +108,7 @@ def refusal(
     return "duplicate" if _is_double(track, tracker, settings) else ""
 
 
-def shape_refusal(track: TrackState, *, width_m: float, height_m: float, settings: CountSettings) -> str:
+def shape_refusal(track: TrackState, *, width_m: float, settings: CountSettings) -> str:
     """Why the shape of a track is no tuber's; empty where it may be one.
 
     Haulm is thin. A piece split off a knobby tuber's flank stands as high as the tuber but is narrow, and much of its
@@ -114,6 +116,7 @@ def shape_refusal(track: TrackState, *, width_m: float, height_m: float, setting
     """
     if width_m < settings.min_width_m:
         return "thin"
+    height_m = float(np.median([h.volume_ml / h.area_mm2 for h in track.hits])) / ROUND_FILL
     slender = height_m / width_m
     contact = float(np.median([h.contact for h in track.hits]))
     if height_m < settings.sliver_height_m or track.area_mm2 > settings.sliver_area_mm2:

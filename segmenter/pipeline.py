@@ -340,7 +340,7 @@ class Segmenter:
         track_id = f"{frame.run}/{frame.camera}/{track.first_seq}-{track.number}"
         usual = [h for h in track.hits if h.whole] or track.hits
         height_mm = float(np.median([h.height_mm for h in usual]))
-        refused = shape_refusal(track, width_m=width_m, height_m=height_mm / 1000, settings=self.settings.count)
+        refused = shape_refusal(track, width_m=width_m, settings=self.settings.count)
         if refused:
             return refused
         message = Track(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from camera_sim.sources.base import CameraDescription
 from conveyor.errors import InputError
@@ -35,6 +35,13 @@ class CameraFile(BaseModel):
     belt_from_camera: list[list[float]] | None = None
     fps: float = Field(30.0, gt=0, le=1000)
 
+    @field_validator("belt_from_camera", mode="before")
+    @classmethod
+    def _rows(cls, value: Any) -> Any:
+        """16 numbers in one list are the rows of the matrix one after the other."""
+        flat = isinstance(value, list) and len(value) == 16 and not any(isinstance(item, list) for item in value)
+        return [value[at : at + 4] for at in range(0, 16, 4)] if flat else value
+
 
 @dataclass(frozen=True, slots=True)
 class FrameRow:
@@ -52,7 +59,7 @@ def read_camera_file(path: Path) -> CameraFile:
         InputError: missing, not JSON, or without what it takes to read depth; names every fault.
     """
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
@@ -133,7 +140,7 @@ def read_frame_rows(path: Path) -> list[FrameRow]:
         InputError: missing, or a line that cannot be used; the text has its number.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             lines = list(csv.reader(file))
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
@@ -143,7 +150,7 @@ def read_frame_rows(path: Path) -> list[FrameRow]:
         raise InputError(f"{path} line 1: the header must be '{','.join(COLUMNS)}', got {lines[0] if lines else ''}")
     rows: list[FrameRow] = []
     for number, cells in enumerate(lines[1:], start=2):
-        if not cells:
+        if not any(cell.strip() for cell in cells):
             continue
         row = _row(path, number, cells)
         if rows and row.seq <= rows[-1].seq:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from camera_sim.sources.base import CameraDescription, Refused, Source
 from camera_sim.sources.scale_check import check_depth_scale
+from camera_sim.sources.turned import quarter_turn
 from conveyor.geometry import belt_distance_m as distance_along_axis_m
 from conveyor.messages import Frame
 
@@ -45,16 +46,18 @@ class PreparedSource:
 
     @property
     def description(self) -> CameraDescription:
-        """With name and overrides applied."""
-        return self._description
+        """With name and overrides applied, and turned where the belt runs along the image's columns."""
+        turn = quarter_turn(self._description.belt_from_camera)
+        return turn.description(self._description) if turn else self._description
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """The source's frames, with name and overrides.
+        """The source's frames, with name and overrides, turned where the belt runs along the image's columns.
 
         Raises:
             InputError: the depth scale contradicts the belt distance in one of the first frames.
         """
         d, checked = self._description, 0
+        turn = quarter_turn(d.belt_from_camera)
         for frame in self._inner.frames(run=run, after=after):
             if isinstance(frame, Refused):
                 yield frame
@@ -70,7 +73,7 @@ class PreparedSource:
             if checked < CHECKED_FRAMES:
                 checked += 1
                 check_depth_scale(frame, where=self._where)
-            yield frame
+            yield turn.frame(frame) if turn else frame
 
 
 def _at_distance(belt_from_camera: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:

@@ -10,6 +10,8 @@ from conveyor.messages import Frame
 
 LOW, HIGH = 0.6, 1.25
 """The median depth of a full belt lies up to 90 mm above the belt, so below its distance more than beyond it."""
+ENOUGH_SHARE = 0.25
+"""Beside a narrow belt the floor is seen: a scale that fits so much of the image is right."""
 
 
 def expected_distance_m(frame: Frame) -> float | None:
@@ -51,5 +53,11 @@ def check_depth_scale(frame: Frame, *, where: str) -> None:
     if expected is None or seen is None:
         return
     fault = scale_fault(seen, expected, frame.depth_scale_m)
-    if fault:
+    if fault and _share_at(frame, expected) < ENOUGH_SHARE:
         raise InputError(f"{where}, camera '{frame.camera}', frame {frame.seq}: {fault}")
+
+
+def _share_at(frame: Frame, expected_m: float) -> float:
+    """Share of the measured pixels whose depth fits a belt at `expected_m`."""
+    ratio = frame.depth[frame.depth > 0] * frame.depth_scale_m / expected_m
+    return float(np.mean((ratio >= LOW) & (ratio <= HIGH)))

@@ -1,4 +1,4 @@
-"""Chaos tests use the integration tests' recording and undisturbed run, and a longer belt for cameras that never wait."""
+"""Chaos tests use the integration tests' recording and undisturbed run, and a longer belt for live cameras."""
 
 from __future__ import annotations
 

@@ -157,8 +157,9 @@ def rows(
         tuber = grow(rng, cultivar)
         y = -half_width_m + 2 * half_width_m * ((len(laid) % per_row) + 0.5) / per_row + rng.normal(0, 0.004)
         shape, recent = _footprint(tuber), outlines[-3 * per_row :]
-        ahead = np.arange(max((o[:, 0].max() for o in recent), default=start_m) + 0.1, start_m - 5.0, -0.002)
-        x = next(at for at in ahead if all(_clearance(shape + (at, y), other) > 0.0008 for other in recent))
+        behind = np.arange(min((o[:, 0].min() for o in recent), default=start_m) - 0.1, start_m + 0.002, 0.002)
+        blocked = (at for at in behind if any(_clearance(shape + (at, y), other) < 0.0008 for other in recent))
+        x = next(blocked, start_m) - 0.002
         place = (float(x), float(y))
         laid.append(_at(tuber, place))
         outlines.append(shape + place)
@@ -187,13 +188,18 @@ def write(
 
 
 def crossing_tubers(tubers: list[Tuber], view: View, travels_m: list[float]) -> list[int]:
-    """Tubers whose centre crosses v = cy between the first and last frame, inside the image's width."""
+    """Tubers whose centre crosses v = cy between the first and last frame, inside the image's width.
+
+    Where the belt runs along the image's columns, what crosses u = cx inside the image's height.
+    """
+    along = int(abs(view.belt_from_camera[0, 1]) >= abs(view.belt_from_camera[0, 0]))
+    line, side = view.centre[along], view.size[1 - along] - 1
     found = []
     for index, tuber in enumerate(tubers):
-        pixels = np.array([_project(view, tuber, travel) for travel in (min(travels_m), max(travels_m))])
-        if (pixels[0, 1] - view.centre[1]) * (pixels[1, 1] - view.centre[1]) < 0:
-            share = (view.centre[1] - pixels[0, 1]) / (pixels[1, 1] - pixels[0, 1])
-            if 0 <= pixels[0, 0] + share * (pixels[1, 0] - pixels[0, 0]) <= view.size[0] - 1:
+        first, last = (_project(view, tuber, travel) for travel in (min(travels_m), max(travels_m)))
+        if (first[along] - line) * (last[along] - line) < 0:
+            share = (line - first[along]) / (last[along] - first[along])
+            if 0 <= first[1 - along] + share * (last[1 - along] - first[1 - along]) <= side:
                 found.append(index)
     return found
 

@@ -29,6 +29,7 @@ INTRINSICS = Intrinsics(width=16, height=12, fx=15.0, fy=15.5, cx=7.5, cy=5.5)
 DESCRIPTION = CameraDescription(
     name="front", origin="here", intrinsics=INTRINSICS, depth_scale_m=0.001, belt_distance_m=0.46,
     belt_from_camera=straight_down_belt_from_camera(0.46), fps=30.0,
+    frames=3,
 )  # fmt: skip
 CLOUD = np.random.default_rng(3).uniform(-0.1, 0.5, (40, 3)).astype(np.float32)
 

@@ -1,0 +1,86 @@
+"""deploy/proxy with a real nginx before a real hub: TLS and password needed, page and data come, nobody writes."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tests.deploy.remote_site import EMPTY_MESSAGE, READ, WRITE, Proxy, nginx_program, remote_proxy
+
+rerun = pytest.importorskip("rerun", reason="remote viewing needs tuberline[viewer]")
+
+
+@pytest.fixture(scope="module")
+def proxy() -> Iterator[Proxy]:
+    with remote_proxy() as running:
+        stream = rerun.RecordingStream("tuberline", recording_id="remote-test")
+        stream.connect_grpc(running.hub.url)
+        stream.log("load/weight_kg", rerun.Scalars(12.5))
+        stream.flush(timeout_sec=10)
+        yield running
+        stream.disconnect()
+
+
+@pytest.mark.parametrize("path", ["/", "/re_viewer_bg.wasm", READ, WRITE, "/proxy"])
+@pytest.mark.parametrize("password", [None, "guessed"])
+def test_nothing_without_the_password(proxy: Proxy, path: str, password: str | None) -> None:
+    assert proxy.ask(path, password=password)[0] == (403 if path in (WRITE, "/proxy") else 401)
+
+
+def test_nothing_without_tls(proxy: Proxy) -> None:
+    with socket.create_connection(("localhost", proxy.port), 5) as plain:
+        plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert plain.recv(100).startswith(b"HTTP/1.1 400")
+
+
+def test_its_certificate_is_checked_by_who_does_not_know_the_authority(proxy: Proxy) -> None:
+    with (
+        socket.create_connection(("localhost", proxy.port), 5) as plain,
+        pytest.raises(ssl.SSLCertVerificationError),
+    ):
+        ssl.create_default_context().wrap_socket(plain, server_hostname="localhost")
+
+
+def test_the_page_and_a_third_of_its_program_come(proxy: Proxy) -> None:
+    status, _, page = proxy.ask("/", head=20000)
+    assert status == 200
+    status, headers, _ = proxy.ask("/re_viewer_bg.wasm", head=1000)
+    assert (status, headers["content-encoding"]) == (200, "gzip")
+    assert len(page) > 100
+
+
+def test_the_hub_can_be_read(proxy: Proxy) -> None:
+    status, headers, data = proxy.ask(READ, method="POST", body=EMPTY_MESSAGE, head=64)
+    assert status == 200
+    assert headers["content-type"].startswith("application/grpc-web")
+    assert len(data) == 64, "what was logged comes through"
+
+
+@pytest.mark.parametrize(
+    "path", [WRITE, "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteTable", "/rerun.other/Any", "/proxy"]
+)
+def test_the_hub_cannot_be_written(proxy: Proxy, path: str) -> None:
+    assert proxy.ask(path, method="POST", body=EMPTY_MESSAGE)[0] == 403
+
+
+def test_the_page_takes_no_uploads(proxy: Proxy) -> None:
+    assert proxy.ask("/", method="POST", body=b"x")[0] == 403
+
+
+def test_make_refuses_what_nginx_would_misread(tmp_path: Path) -> None:
+    nginx_program()
+    for host in ("a;b", "a b", "", "$host"):
+        done = subprocess.run(
+            [str(ROOT / "deploy/proxy/make"), host, str(tmp_path), "a", "b"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert f"host '{host}'" in done.stderr

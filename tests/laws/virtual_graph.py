@@ -1,0 +1,373 @@
+"""The whole graph without processes: the real cores of every role, a clock of ours, and links that lose things.
+
+Segmentation itself is remembered: it gives the same answer to the same frames bit for bit, so each frame is segmented
+once and its answer is told again in every history. Everything behind it is the real thing: dispatcher, weighing, log on
+disk, aggregation, ledger on disk, and the camera's window.
+"""
+
+from __future__ import annotations
+
+import random
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from aggregator.audit import Audit, audit_run
+from aggregator.core import Aggregation
+from aggregator.export import canonical_lines
+from aggregator.ledger import Ledger
+from camera_sim.flow import SendWindow
+from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.messages import CameraInfo, Committed, Frame, FrameProgress, TrackEntry, View, Weight
+from segmenter.camera_run import CameraRun, RunSettings
+from segmenter.dispatch import DispatchSettings
+from segmenter.pipeline import Segmenter, Settings, StepResult
+from tests.segmenter.segmenter_scene import SMALL, Scene, scattered
+
+RUN = "r1"
+NAMES = ("left", "right")
+REGRESSORS = ("a", "b")
+FRAMES = 46
+STEP_M = 0.0155
+WEIGHING_S = 0.03
+RESTART_S = 0.3
+SETTINGS = RunSettings(
+    core=Settings(views_per_tuber=2),
+    dispatch=DispatchSettings(deadline_s=1.0, max_attempts=1000),
+    weigh_deadline_s=3600.0,
+    max_pending_views=20,
+    window=1,
+    replays=True,
+)
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What the segmenting core says after a frame."""
+
+    result: StepResult
+    travel_m: float
+    looked_at_m: float
+    travelled_m: float
+    complete_m: float
+    complete_ns: int
+    counts: dict[str, int]
+
+
+class RememberedCore:
+    """A `Segmenter` whose answers were written down."""
+
+    estimated = False
+
+    def __init__(self, memory: Memory) -> None:
+        self._memory = memory
+        self._done = 0
+
+    @property
+    def _now(self) -> Moment:
+        return self._memory.moments[max(self._done - 1, 0)]
+
+    def step(self, frame: Frame) -> StepResult:
+        assert frame.seq == self._done, "a replay skipped a frame"
+        self._done += 1
+        return self._now.result
+
+    def finish(self) -> list[Any]:
+        return list(self._memory.at_end) if self._done else []
+
+    def track_counts(self) -> dict[str, int]:
+        return dict(self._memory.last_counts if self._done == FRAMES else self._now.counts)
+
+    def complete_travel_m(self) -> float:
+        return self._now.complete_m
+
+    def complete_ns(self, complete_travel_m: float) -> int:
+        return self._memory.core.complete_ns(complete_travel_m) if self._done == FRAMES else self._now.complete_ns
+
+    def row_place_m(self, travel_m: float) -> float:
+        return self._memory.core.row_place_m(travel_m)
+
+    def __getattr__(self, name: str) -> float:
+        return float(getattr(self._now, name))
+
+
+@dataclass(slots=True)
+class Memory:
+    """One camera's frames and what the core said of each."""
+
+    frames: list[Frame]
+    moments: list[Moment]
+    at_end: list[Any]
+    last_counts: dict[str, int]
+    core: Segmenter
+
+
+@cache
+def remembered(camera: str) -> Memory:
+    """Two cameras side by side over the same tubers; the right one sits further along."""
+    pose = straight_down_belt_from_camera(0.46)
+    if camera == "right":
+        pose[:2, 3] += (0.06, 0.03)
+    scene = Scene(scattered(9, seed=5), noise_m=0.001, belt_from_camera=pose, seed=len(camera))
+    core = Segmenter(SETTINGS.core)
+    frames, moments = [], []
+    for seq in range(FRAMES):
+        frames.append(replace(scene.frame(seq, seq * STEP_M), camera=camera, run=RUN))
+        result = core.step(frames[-1])
+        complete_m = core.complete_travel_m()
+        moments.append(
+            Moment(
+                result,
+                core.travel_m,
+                core.looked_at_m,
+                core.travelled_m,
+                complete_m,
+                core.complete_ns(complete_m),
+                core.track_counts(),
+            )
+        )
+    at_end = core.finish()
+    return Memory(frames, moments, at_end, core.track_counts(), core)
+
+
+class Link(Generic[T]):
+    """A one-way link: what is put in comes out later, twice, out of order or never, as its seed and faults say."""
+
+    def __init__(self, seed: int, faults: Faults) -> None:
+        self._random = random.Random(seed)
+        self._faults = faults
+        self._flying: list[tuple[float, T]] = []
+
+    def put(self, item: T, now_s: float) -> None:
+        copies = 1 + (self._random.random() < self._faults.duplicate)
+        for _ in range(copies):
+            if not self._faults.cut and self._random.random() >= self._faults.drop:
+                self._flying.append((now_s + self._random.random() * self._faults.delay_s, item))
+
+    def take(self, now_s: float) -> list[T]:
+        here = sorted((entry for entry in self._flying if entry[0] <= now_s), key=lambda entry: entry[0])
+        self._flying = [entry for entry in self._flying if entry[0] > now_s]
+        return [item for _, item in here]
+
+
+@dataclass(slots=True)
+class Faults:
+    """How bad the links are now: shares of messages dropped and duplicated, longest delay, everything cut."""
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    delay_s: float = 0.0
+    cut: bool = False
+
+
+class Camera:
+    """A replaying camera: `CameraNode` without its sockets."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.frames = remembered(name).frames
+        self.window = SendWindow(SETTINGS.window)
+        self.done_seq = -1
+        self.next = 0
+        self.last = -1
+
+    def turn(self, progress: FrameProgress | None, now_s: float) -> Iterator[Frame]:
+        """Frames to send now."""
+        if progress is None:
+            return
+        if progress.done_seq < self.done_seq:
+            self.window = SendWindow(SETTINGS.window)
+            self.next = progress.done_seq + 1
+        self.done_seq = progress.done_seq
+        self.window.done(progress.done_seq, now_s)
+        yield from self.window.to_resend(now_s)
+        while self.next < len(self.frames) and self.window.has_room:
+            frame = self.frames[self.next]
+            self.window.sent(frame, now_s)
+            self.next, self.last = self.next + 1, max(self.last, frame.seq)
+            yield frame
+
+    def info(self) -> CameraInfo:
+        ended = self.next == len(self.frames) and not self.window.in_flight
+        state = "ended" if ended else "streaming"
+        last = self.last if self.last >= 0 else None
+        return CameraInfo(
+            self.name, RUN, state, "virtual", 30.0, True, SMALL, 0.001, 0 if last is not None else None, last,
+            self.last + 1, {},
+        )  # type: ignore[arg-type]  # fmt: skip
+
+
+@dataclass(slots=True)
+class Regressor:
+    """Weighs one view after the other; the same view always weighs the same."""
+
+    queue: list[View] = field(default_factory=list)
+    free_s: float = 0.0
+    awake_s: float = 0.0
+    alive_s: float = 0.0
+
+    def turn(self, name: str, now_s: float) -> Iterator[Weight]:
+        while self.queue and now_s >= max(self.free_s, self.awake_s, self.alive_s):
+            view = self.queue.pop(0)
+            self.free_s = now_s + WEIGHING_S
+            grams = 40.0 + zlib.crc32(view.view_id.encode()) % 300
+            yield Weight(
+                view.view_id, view.track_id, view.camera, RUN, view.seq, "weighed", grams, 0.9 * grams, 1.1 * grams,
+                "pointraft", "m", (), name,
+            )  # fmt: skip
+
+
+class Graph:
+    """Two cameras, their segmenters, two regressors and the aggregator, turn by turn."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder = folder
+        self.now_s = 0.0
+        self.faults = Faults()
+        self.cameras = {name: Camera(name) for name in NAMES}
+        self.regressors = {name: Regressor() for name in REGRESSORS}
+        self.segmenters: dict[str, CameraRun | None] = dict.fromkeys(NAMES)
+        self.segmenter_starts_s = dict.fromkeys(NAMES, 0.0)
+        self.progress: dict[str, FrameProgress | None] = dict.fromkeys(NAMES)
+        self.committed: dict[str, Committed | None] = dict.fromkeys(NAMES)
+        self.promised = dict.fromkeys(NAMES, 0)
+        self.lost: dict[str, int] = {}
+        links = random.Random(seed)
+        self._frames = {name: Link[Frame](links.randrange(1 << 30), self.faults) for name in NAMES}
+        self._entries = Link[TrackEntry](links.randrange(1 << 30), self.faults)
+        self._views = {name: Link[View](links.randrange(1 << 30), self.faults) for name in REGRESSORS}
+        self._weights = Link[Weight](links.randrange(1 << 30), self.faults)
+        self._acks = Link[Committed](links.randrange(1 << 30), self.faults)
+        self.ledger = Ledger(folder / "ledger.db").__enter__()
+        self.aggregation = self._aggregation()
+        self.finished = False
+        self._commit_s = 0.0
+
+    def _aggregation(self) -> Aggregation:
+        restored = self.ledger.open_run(
+            RUN, line="virtual", cameras=list(NAMES), version="1", started_ns=0, may_be_finished=True
+        )
+        return Aggregation(
+            RUN, cameras=NAMES, merge_gate_mm=30, camera_stall_s=3600.0, committed=self.ledger.committed(RUN),
+            now_s=self.now_s, restored=restored, count=self._count,
+        )  # fmt: skip
+
+    def _count(self, name: str) -> None:
+        self.lost[name] = self.lost.get(name, 0) + 1
+
+    def close(self) -> None:
+        self.ledger.__exit__(None, None, None)
+        for run in self.segmenters.values():
+            if run is not None:
+                run.close()
+
+    def kill_segmenter(self, name: str) -> None:
+        """It is gone with everything it held in memory, and back a moment later."""
+        if (run := self.segmenters[name]) is not None:
+            run.close()
+        self.segmenters[name] = None
+        self.segmenter_starts_s[name] = self.now_s + RESTART_S
+
+    def kill_regressor(self, name: str) -> None:
+        self.regressors[name] = Regressor(alive_s=self.now_s + RESTART_S)
+
+    def freeze_regressor(self, name: str, seconds: float) -> None:
+        """It holds its work and answers later, when somebody else has already done it."""
+        self.regressors[name].awake_s = self.now_s + seconds
+
+    def kill_camera(self, name: str) -> None:
+        camera = self.cameras[name] = Camera(name)
+        if (progress := self.progress[name]) is not None:
+            camera.done_seq, camera.next = progress.done_seq, progress.done_seq + 1
+
+    def kill_aggregator(self) -> None:
+        """What was not written is gone; it starts again from the ledger alone."""
+        self.ledger.__exit__(None, None, None)
+        self.ledger = Ledger(self.folder / "ledger.db").__enter__()
+        self.aggregation = self._aggregation()
+        for name, n in self.aggregation.applied().items():
+            assert n >= self.promised[name], f"{name}: {self.promised[name]} entries were acknowledged, {n} are there"
+
+    def turn(self) -> None:
+        """20 ms of everybody's work."""
+        self.now_s += 0.02
+        for name in NAMES:
+            self._camera_turn(name)
+            self._segmenter_turn(name)
+        for name, regressor in self.regressors.items():
+            regressor.queue += self._views[name].take(self.now_s)
+            for weight in regressor.turn(name, self.now_s):
+                self._weights.put(weight, self.now_s)
+        for weight in self._weights.take(self.now_s):
+            if (run := self.segmenters[weight.camera]) is not None:
+                run.weight(weight)
+        self._aggregator_turn()
+
+    def _camera_turn(self, name: str) -> None:
+        for frame in self.cameras[name].turn(None if self.faults.cut else self.progress[name], self.now_s):
+            self._frames[name].put(frame, self.now_s)
+
+    def _segmenter_turn(self, name: str) -> None:
+        run = self.segmenters[name]
+        if run is None:
+            self._frames[name].take(self.now_s)
+            if self.now_s < self.segmenter_starts_s[name]:
+                return
+            run = self.segmenters[name] = CameraRun(name, RUN, SETTINGS, self.folder / f"{name}.log")
+            run.core = RememberedCore(remembered(name))  # type: ignore[assignment]
+            run.open()
+            run.ended = run.log.last_mark is not None and run.log.last_mark.final
+        for frame in self._frames[name].take(self.now_s)[:1]:
+            run.frame(frame, self.now_s)
+        if not self.faults.cut:
+            run.info(self.cameras[name].info(), self.now_s)
+        for committed in self._acks.take(self.now_s):
+            self.committed[committed.camera] = committed
+        if (known := self.committed[name]) is not None:
+            run.log.commit(known.n)
+        present = {n for n, r in self.regressors.items() if self.now_s >= r.alive_s and not self.faults.cut}
+        for regressor, view in run.tick(self.now_s, present):
+            self._views[regressor].put(view, self.now_s)
+        for entry in run.log.due(self.now_s):
+            self._entries.put(entry, self.now_s)
+        if not self.faults.cut:
+            self.progress[name] = run.progress()
+
+    def _aggregator_turn(self) -> None:
+        for entry in self._entries.take(self.now_s):
+            self.aggregation.receive(entry, now_s=self.now_s)
+        if self.now_s - self._commit_s < 0.2:
+            return
+        self._commit_s = self.now_s
+        batch = self.aggregation.commit(now_s=self.now_s)
+        if not batch.empty:
+            self.ledger.write(RUN, batch)
+        self.finished = self.aggregation.finished
+        for name, n in self.aggregation.applied().items():
+            self.promised[name] = max(self.promised[name], n)
+            self._acks.put(Committed(name, RUN, n), self.now_s)
+
+    def tubers(self) -> list[tuple[Any, ...]]:
+        """The ledger's rows of tubers, in order."""
+        return self.ledger.connection.execute("SELECT * FROM tuber ORDER BY tuber_id").fetchall()
+
+    def canonical(self) -> list[str]:
+        row = self.ledger.run_row(RUN)
+        assert row is not None
+        return list(canonical_lines(self.ledger.connection, row))
+
+    def audit(self) -> Audit:
+        row = self.ledger.run_row(RUN)
+        assert row is not None
+        return audit_run(self.ledger.connection, row)
+
+
+def true_places() -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(N, 2) float64 places of the tubers on the belt, metres."""
+    return np.array([[body.place_x_m, body.y_m] for body in scattered(9, seed=5)])
