@@ -45,6 +45,7 @@ class CameraNode:
         self._info_s = -INFO_EVERY_S
         self._stalled = False
         self._done_seq = -1
+        self._word = False
         self._back_to: int | None = None
 
     def run(self) -> None:
@@ -137,7 +138,7 @@ class CameraNode:
 
     def _wait_for_progress(self) -> None:
         """Wait a little for the segmenter's word, take it, and send again what seems lost."""
-        self._progress.wait(POLL_S)
+        self._word |= self._progress.wait(POLL_S)
         now_s = time.monotonic()
         for progress in self._progress.latest().values():
             if progress.run == self._node.run:
@@ -146,7 +147,9 @@ class CameraNode:
                     return
                 self._done_seq = progress.done_seq
                 self._window.done(progress.done_seq, now_s)
-        for frame in self._window.to_resend(now_s):
+        # Only on a segmenter's word: one that starts again would take a frame from the middle for its first.
+        for frame in self._window.to_resend(now_s) if self._word else ():
+            self._word = False
             self._frames.put(frame, codec=self._settings.compress)
             self._node.counters.add("frames_resent")
         self._watch_stall(now_s)
@@ -163,6 +166,7 @@ class CameraNode:
 
     def _publish(self, frame: Frame) -> None:
         self._frames.put(frame, codec=self._settings.compress)
+        self._word = False
         now_s = time.monotonic()
         if self._waits:
             self._window.sent(frame, now_s)

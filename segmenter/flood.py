@@ -40,6 +40,24 @@ def _falling(levels: NDArray[np.int32], count: int, top: int) -> NDArray[np.int3
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _named(
+    parent: NDArray[np.int32], order: NDArray[np.int32], rows: int, columns: int
+) -> tuple[NDArray[np.int32], int]:
+    """Number the basins 1..n, highest peak first, without the rim of one cell that `flood` works with."""
+    width = columns + 2
+    labels = np.zeros((rows, columns), np.int32)
+    names = np.zeros(len(parent), np.int32)
+    n = 0
+    for cell in order:
+        root = _find(parent, cell)
+        if names[root] == 0:
+            n += 1
+            names[root] = n
+        labels[cell // width - 1, cell % width - 1] = names[root]
+    return labels, n
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def flood(
     relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
 ) -> tuple[NDArray[np.int32], int]:
@@ -94,16 +112,7 @@ def flood(
                     if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
                         parent[low] = high
                         root = high
-    labels = np.zeros((rows, columns), np.int32)
-    names = np.zeros((rows + 2) * width, np.int32)
-    n = 0
-    for cell in order:
-        root = _find(parent, cell)
-        if names[root] == 0:
-            n += 1
-            names[root] = n
-        labels[cell // width - 1, cell % width - 1] = names[root]
-    return labels, n
+    return _named(parent, order, rows, columns)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

@@ -143,7 +143,6 @@ def _describe(
     low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
     flat = ~gone & ~low & (sums[:, 15] < settings.min_height_mm) if settings else np.zeros(n + 1, bool)
     refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
-    cut = sums[:, 5:9] > 0
     keep = ~(gone | low | flat)
     keep[0] = False
     names = np.zeros(n + 1, np.int32)

@@ -27,6 +27,8 @@ FITTED_OVER = 15
 CHECK_EVERY = 30
 BELT_PATIENCE = 60
 LEAST_SEEN = 0.1
+FROZEN_M = 0.001
+"""A shorter way need not change a single pixel."""
 HORIZON_MARGIN_M = 0.02
 
 
@@ -209,11 +211,14 @@ class Segmenter:
             )
         if frame.mask is None and np.count_nonzero(frame.depth[::4, ::4]) < LEAST_SEEN * frame.depth.size / 16:
             return "blind"
+        return "frozen" if self._frozen(frame) else ""
+
+    def _frozen(self, frame: Frame) -> bool:
+        """The picture stands still though the belt moved on. An empty belt may look the same in every frame."""
         last = self._last
-        moved = last is not None and None not in (frame.travel_m, last.travel_m) and frame.travel_m != last.travel_m
-        if last is not None and moved and np.array_equal(frame.depth, last.depth):
-            return "frozen"
-        return ""
+        if last is None or frame.travel_m is None or last.travel_m is None or not self.instances:
+            return False
+        return abs(frame.travel_m - last.travel_m) >= FROZEN_M and np.array_equal(frame.depth, last.depth)
 
     def _belt_of(self, frame: Frame) -> BeltGeometry | None:
         """The belt to use for this frame, checked or fitted when due."""

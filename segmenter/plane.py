@@ -21,6 +21,10 @@ BAND_M = 0.004
 MIN_SAMPLES = 300
 MIN_SHARE = 0.15
 """A plane that fewer of the samples support is not taken for the belt."""
+MOSTLY = 0.5
+FLOOR_BELOW_M = 0.06
+"""A plane that fills most of the image's middle and lies this much above all else is the belt, beside it the floor."""
+LOAD_M = 0.1
 REFUSE_M = 0.020
 DRIFT_M = 0.006
 TILT_WORTH_DEG = 0.5
@@ -75,6 +79,16 @@ def fit_plane(
     if len(q) < MIN_SAMPLES:
         return None
     design = np.stack([x, y, np.ones_like(x)], axis=1)
+    found = _fit(design, q)
+    middle = np.abs(x) < intrinsics.width / intrinsics.fx / 4
+    inner = _fit(design[middle], q[middle]) if middle.sum() >= MIN_SAMPLES else None
+    if found is not None and inner is not None and inner.share > MOSTLY:
+        beside_a_floor = found.distance_m - inner.distance_m > FLOOR_BELOW_M
+        return _summary(np.array(inner.inverse_depth), design, q) if beside_a_floor else found
+    return found
+
+
+def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
     best = _consensus(design, q)
     for band_m in (0.008, BAND_M, BAND_M, 0.003, 0.003):
         near = np.abs(_height_over(design, q, best)) < band_m
@@ -85,14 +99,14 @@ def fit_plane(
 
 
 def plane_pose(fit: PlaneFit) -> NDArray[np.float64]:
-    """(4, 4) belt_from_camera of a fitted plane: x along the image's +v, origin where the optical axis meets it."""
+    """(4, 4) belt_from_camera of a fitted plane: x along the image's +v, origin on it right under the camera."""
     normal = -np.asarray(fit.inverse_depth) / np.linalg.norm(fit.inverse_depth)
     x_axis = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
     x_axis /= np.linalg.norm(x_axis)
     rotation = np.stack([x_axis, np.cross(normal, x_axis), normal])
     pose = np.eye(4)
     pose[:3, :3] = rotation
-    pose[:3, 3] = -rotation @ np.array([0.0, 0.0, fit.distance_m])
+    pose[2, 3] = -normal[2] * fit.distance_m
     return pose
 
 
@@ -137,13 +151,18 @@ def support_share(
     intrinsics: Intrinsics,
     mask: NDArray[np.uint16] | None = None,
 ) -> float:
-    """Share of a frame's samples within `BAND_M` of the given belt; 0 where nothing is seen."""
+    """Share of a frame's samples within `BAND_M` of the given belt; 0 where nothing is seen.
+
+    A belt that is full to its edges, with the floor seen beside it, is borne out by the load that stands on it.
+    """
     x, y, q = _samples(depth, depth_scale_m, intrinsics, mask)
     if len(q) == 0:
         return 0.0
     row = belt_from_camera[2]
     height = (row[0] * x + row[1] * y + row[2]) / q + row[3]
-    return float(np.mean(np.abs(height) < BAND_M))
+    on_belt = float(np.mean(np.abs(height) < BAND_M))
+    full = np.mean((height > BAND_M) & (height < LOAD_M)) > MOSTLY / 2 and np.mean(height < -FLOOR_BELOW_M) > MIN_SHARE
+    return max(on_belt, MIN_SHARE) if full else on_belt
 
 
 def given_or_fitted(

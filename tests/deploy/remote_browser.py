@@ -49,8 +49,14 @@ class Browser:
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
 
-    def open(self, url: str) -> None:
-        """Go there; returns when the browser has begun."""
+    def open(self, url: str, *, user: str, password: str) -> None:
+        """Go there; returns when the browser has begun.
+
+        The password is not put into the URL: a page with one in its own address may not fetch anything.
+        """
+        secret = base64.b64encode(f"{user}:{password}".encode()).decode()
+        self.page("Network.enable")
+        self.page("Network.setExtraHTTPHeaders", headers={"Authorization": f"Basic {secret}"})
         self.page("Page.navigate", url=url)
 
     def png(self) -> bytes | None:

@@ -59,7 +59,7 @@ def test_a_browser_shows_the_line_through_tls_and_the_password(tmp_path: Path) -
                 time.sleep(0.1)
             assert line.finished("aggregator")
             with chromium(tmp_path / "profile") as browser:
-                browser.open(proxy.url.replace("https://", f"https://{USER}:{PASSWORD}@") + "&renderer=webgl")
+                browser.open(proxy.url + "&renderer=webgl", user=USER, password=PASSWORD)
                 png = _shown(browser)
     if wanted := os.environ.get("TUBERLINE_SCREENSHOT"):
         Path(wanted).write_bytes(png)

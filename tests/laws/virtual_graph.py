@@ -35,7 +35,8 @@ REGRESSORS = ("a", "b")
 FRAMES = 46
 STEP_M = 0.0155
 WEIGHING_S = 0.03
-RESTART_S = 0.3
+RESTART_S = 1.2
+"""Longer than the longest delay of a message: what was sent to a dead process does not reach its successor."""
 SETTINGS = RunSettings(
     core=Settings(views_per_tuber=2),
     dispatch=DispatchSettings(deadline_s=1.0, max_attempts=1000),
@@ -176,12 +177,14 @@ class Camera:
         self.done_seq = -1
         self.next = 0
         self.last = -1
+        self.started = False
 
     def turn(self, progress: FrameProgress | None, now_s: float) -> Iterator[Frame]:
         """Frames to send now."""
         if progress is None:
             return
-        if progress.done_seq < self.done_seq:
+        if not self.started or progress.done_seq < self.done_seq:
+            self.started = True
             self.window = SendWindow(SETTINGS.window)
             self.next = progress.done_seq + 1
         self.done_seq = progress.done_seq
@@ -271,7 +274,7 @@ class Graph:
         """It is gone with everything it held in memory, and back a moment later."""
         if (run := self.segmenters[name]) is not None:
             run.close()
-        self.segmenters[name] = None
+        self.segmenters[name] = self.progress[name] = None
         self.segmenter_starts_s[name] = self.now_s + RESTART_S
 
     def kill_regressor(self, name: str) -> None:
@@ -282,9 +285,7 @@ class Graph:
         self.regressors[name].awake_s = self.now_s + seconds
 
     def kill_camera(self, name: str) -> None:
-        camera = self.cameras[name] = Camera(name)
-        if (progress := self.progress[name]) is not None:
-            camera.done_seq, camera.next = progress.done_seq, progress.done_seq + 1
+        self.cameras[name] = Camera(name)
 
     def kill_aggregator(self) -> None:
         """What was not written is gone; it starts again from the ledger alone."""
