@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from aggregator.travel import TravelCurve, common_travel_m
+from aggregator.travel import TravelCurve, common_travel_m, head_start_m
 from conveyor.messages import Mark, TrackEntry
 
 STARTUP_GRACE_S = 60.0
@@ -58,6 +58,7 @@ class Cameras:
         self.names = tuple(sorted(names))
         self.states = {name: CameraState(now_s) for name in self.names}
         self._stall_s = stall_s
+        self._head_start_m: float | None = None
 
     @property
     def final(self) -> bool:
@@ -91,8 +92,12 @@ class Cameras:
         if not estimated:
             return own_place_x_m
         curves = {name: state.curve for name, state in self.states.items()}
+        if self._head_start_m is None:
+            self._head_start_m = head_start_m(curves, reference=self.names[0])
+        if self._head_start_m is None:
+            return None
         travel_m = common_travel_m(curves, reference=self.names[0], camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
-        return None if travel_m is None else own_place_x_m + own_travel_m - travel_m
+        return None if travel_m is None else own_place_x_m + own_travel_m - travel_m - self._head_start_m
 
     def says(self, now_s: float) -> Mapping[str, str]:
         """One word for each camera."""

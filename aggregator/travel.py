@@ -1,8 +1,9 @@
 """One travel for all cameras of a line whose belt has no encoder.
 
 Each camera then estimates travel by itself, from its own zero and with its own drift; only the belt is shared. The
-first camera's travel is taken as the line's: a track of another camera gets its place from the moment it crossed, not
-from that camera's estimate. With an encoder every camera reads the same travel and nothing is done.
+first camera's travel is taken as the line's, counted from the moment at which the earliest camera began: a track of
+another camera gets its place from the moment it crossed, not from that camera's estimate. With an encoder every camera
+reads the same travel and nothing is done.
 """
 
 from __future__ import annotations
@@ -38,6 +39,28 @@ class TravelCurve:
     def reaches(self, t_ns: int) -> bool:
         """`t_ns` lies within the samples, or nothing more will come."""
         return bool(self.times_ns) and (self.closed or t_ns <= self.times_ns[-1])
+
+
+LONGEST_HEAD_START_NS = 60_000_000_000
+"""A camera that began longer before the reference runs on another clock."""
+
+
+def head_start_m(curves: Mapping[str, TravelCurve], *, reference: str) -> float | None:
+    """How far the belt had moved when the reference began, metres, since the earliest camera did; None while unknown."""
+    line = curves[reference]
+    if not line.times_ns:
+        return 0.0 if line.closed else None
+    first_ns = line.times_ns[0]
+    earliest = line
+    for curve in curves.values():
+        if not curve.times_ns:
+            if not curve.closed:
+                return None
+        elif curve.times_ns[0] < earliest.times_ns[0] and first_ns - curve.times_ns[0] <= LONGEST_HEAD_START_NS:
+            earliest = curve
+    if not earliest.reaches(first_ns):
+        return None
+    return earliest.at(first_ns) - earliest.travels_m[0] if first_ns <= earliest.times_ns[-1] else 0.0
 
 
 def common_travel_m(

@@ -86,7 +86,7 @@ def main(arguments: list[str]) -> None:
         cases.append(Case(max(options.hosts), disturbed=True, compress=options.compress))
     with ExitStack() as stack:
         work = Path(options.work or stack.enter_context(tempfile.TemporaryDirectory(prefix="tuberline-site-")))
-        recording = make_recording(work / "recording", tubers=options.tubers)
+        recording = make_recording(work / "recording", tubers=options.tubers, seed=options.seed)
         results = []
         for n, case in enumerate(cases):
             sys.stderr.write(f"{case.name} inference host(s) ...\n")
@@ -104,7 +104,7 @@ def picture(result: Result) -> str:
     return draw_site(hosts, result.traffic, title=title)
 
 
-def make_recording(out: Path, *, tubers: int) -> Path:
+def make_recording(out: Path, *, tubers: int, seed: int) -> Path:
     """Three overlapping cameras across one wide belt, 848x480, 15 frames/s; made once."""
     if not (out / "truth.json").is_file():
         layout = Layout(
@@ -114,7 +114,7 @@ def make_recording(out: Path, *, tubers: int) -> Path:
                 (name, x, y) for name, x, y in zip(CAMERAS, (0.0, 0.06, 0.0), (-0.66, 0.0, 0.66), strict=True)
             ),
         )
-        settings = SceneSettings("three-cameras", seed=1, tubers=tubers, preset=PRESETS["easy"], fps=15.0)
+        settings = SceneSettings("three-cameras", seed=seed, tubers=tubers, preset=PRESETS["easy"], fps=15.0)
         record_scene(out, settings, layout=layout)
     return out
 
@@ -287,6 +287,7 @@ def _options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--hosts", type=int, nargs="+", default=[1, 2, 4], help="inference hosts of each run")
     parser.add_argument("--undisturbed", action="store_true", help="leave out the run in which two of them fail")
     parser.add_argument("--tubers", type=int, default=48, help="on the simulated belt")
+    parser.add_argument("--seed", type=int, default=3, help="of the simulated belt")
     parser.add_argument("--work", help="folder for recording, ledgers and logs; default: a temporary one")
     parser.add_argument("--compress", choices=("raw", "zstd"), default="raw", help="how frames travel")
     parser.add_argument("--picture", type=Path, help="SVG of the site to write")

@@ -28,6 +28,10 @@ LOAD_TUBERS = 300
 LOADS = 2000
 
 
+DISTANCE_STEP_M = 0.05
+"""Belt distances are grouped in steps of this."""
+
+
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """n views, weighed by every method.
@@ -135,7 +139,9 @@ def _groups(views: list[LabelledView]) -> dict[str, NDArray[np.str_]]:
         "cultivar": np.array([view.cultivar for view in views]),
         "season": np.array([view.season for view in views]),
         "image position": np.array([position(view) for view in views]),
-        "belt distance": np.array([f"{view.belt_distance_m:.3f} m" for view in views]),
+        "belt distance": np.array(
+            [f"{round(view.belt_distance_m / DISTANCE_STEP_M) * DISTANCE_STEP_M:.2f} m" for view in views]
+        ),
     }
 
 

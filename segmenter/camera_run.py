@@ -16,6 +16,8 @@ from segmenter.weighing import Weighing
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000
+MARK_TURN_M = 0.004
+"""Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
 
 
@@ -47,6 +49,7 @@ class CameraRun:
         self.ended = False
         self._done_seq = -1
         self._marked: tuple[int, float] | None = None
+        self._marked_speed = 0.0
         self._newest_ns = 0
         self._heard_s: float | None = None
         self._base_views: dict[str, int] = {}
@@ -187,10 +190,18 @@ class CameraRun:
             return None
         if self._marked is not None:
             waited_ns, moved_m = self._newest_ns - self._marked[0], abs(self.core.travel_m - self._marked[1])
-            if waited_ns < MARK_EVERY_NS and moved_m < MARK_EVERY_M:
+            if waited_ns < MARK_EVERY_NS and moved_m < MARK_EVERY_M and not self._belt_turned():
                 return None
+            self._marked_speed = (self.core.travel_m - self._marked[1]) / max(waited_ns, 1)
         self._marked = (self._newest_ns, self.core.travel_m)
         return self._mark(final=False)
+
+    def _belt_turned(self) -> bool:
+        """The belt, its travel estimated, no longer runs as it did between the last two marks."""
+        if self._marked is None or not self.core.estimated:
+            return False
+        expected_m = self._marked[1] + self._marked_speed * (self._newest_ns - self._marked[0])
+        return abs(self.core.travel_m - expected_m) > MARK_TURN_M
 
     def _mark(self, *, final: bool) -> Mark:
         complete_m = self.core.travel_m if final else self.core.complete_travel_m()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as json_module
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -76,6 +76,8 @@ def graph(
     wait_s: float = 3.5,
 ) -> None:
     """Show a running line as a graph: nodes, what they send to whom, rates, ages, drops, versions.
+
+    Arrows follow the topic table; a light viewer, say, could have the frames and does not ask for them.
 
     Parameters
     ----------
@@ -202,11 +204,21 @@ def _sent_rate(topic: Topic, sender: GraphNode) -> float | None:
     return None if counter is None else sender.rates_per_s.get(counter)
 
 
+def _by_sender(edges: Iterable[GraphEdge]) -> dict[tuple[str, str], list[GraphEdge]]:
+    """The arrows of each sender and topic: what it sends goes to all of them, or is shared among them."""
+    found: dict[tuple[str, str], list[GraphEdge]] = {}
+    for edge in edges:
+        found.setdefault((edge.sender, edge.topic), []).append(edge)
+    return found
+
+
 def _print(found: Graph) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    nodes = Table("node", "state", "host", "version", "run", "age", "frames' age", "dropped or lost")
+    nodes = Table(
+        Column("node", overflow="fold"), "state", "host", "version", "run", "age", "frames", "dropped or lost"
+    )
     for node in found.nodes:
         colour = "green" if node.state == "ok" else "red"
         nodes.add_row(
@@ -219,10 +231,12 @@ def _print(found: Graph) -> None:
             "-" if node.frame_age_ms is None else f"{node.frame_age_ms:.0f} ms",
             "  ".join(f"{key} {n:g}" for key, n in node.drops.items()),
         )
-    edges = Table("from", "to", "topic", "delivery", "rate")
-    for edge in found.edges:
-        rate = "-" if edge.rate_per_s is None else f"{edge.rate_per_s:.1f}/s"
-        edges.add_row(edge.sender, edge.receiver, edge.topic, edge.delivery, rate)
+    edges = Table("from", "topic", "rate", "to", expand=True)
+    for (sender, topic), receivers in _by_sender(found.edges).items():
+        rate = receivers[0].rate_per_s
+        edges.add_row(
+            sender, topic, "-" if rate is None else f"{rate:.1f}/s", ", ".join(edge.receiver for edge in receivers)
+        )
     console = Console()
     console.print(nodes)
     console.print(edges)

@@ -53,7 +53,15 @@ def test_unacknowledged_frames_come_again_and_a_killed_camera_goes_on_where_it_w
     with other_side(config) as side:
         side.done(-1)
         with process(config, tmp_path, "camera", "--camera", "front") as camera:
-            wait_until(lambda: side.take(0.1) is not None and side.seen.count(1) >= 2, what="frame 1 twice")
+            wait_until(lambda: side.take(0.1) is not None and side.seen.count(1) >= 1, what="frame 1")
+            assert side.take(2.5) == [], "frames were sent again to a segmenter that says nothing"
+
+            def asked_again() -> bool:
+                side.done(-1)
+                side.take(0.1)
+                return side.seen.count(1) >= 2
+
+            wait_until(asked_again, what="frame 1 twice")
             assert set(side.seen) == {0, 1}
             side.done(1)
             wait_until(lambda: side.take(0.1) is not None and 3 in side.seen, what="frame 3")

@@ -61,6 +61,7 @@ def test_five_times_too_many_frames_are_dropped_and_every_tuber_is_weighed(
     assert score["count"] / score["true_count"] >= summary["totals"]["coverage"] - 0.1
 
 
+@pytest.mark.slow
 def test_a_regressor_that_cannot_keep_up_costs_views_and_no_tuber(live_recording: Path, tmp_path: Path) -> None:
     def throttle(line: DisturbedLine) -> None:
         """It gets a fifth of the time."""
@@ -102,6 +103,7 @@ def test_belt_that_passed_a_dead_segmenter_is_told(live_recording: Path, tmp_pat
     assert estimated_width_g / totals["estimated_weight_g"] > width_g / totals["weight_g"]
 
 
+@pytest.mark.slow
 def test_what_grew_old_while_the_segmenter_stood_still_is_not_processed(live_recording: Path, tmp_path: Path) -> None:
     ages: list[float] = []
 

@@ -43,7 +43,7 @@ def frozen_watchers(recording: Path, out: Path, seconds: float) -> dict[str, obj
     recorded = out.parent / "recorded.mcap"
 
     def disturb(line: DisturbedLine) -> None:
-        with watching(line, out / "line.toml", ("record", "--out", str(recorded)), ("top",)) as processes:
+        with watching(line, out / "line.toml", ("recorder", "--out", str(recorded)), ("top",)) as processes:
             if rrd:
                 line.wait(lambda: "viewer/viewer" in line.observer.alive(), what="the viewer")
             line.wait_count("frames_processed", 20)

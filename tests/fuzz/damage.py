@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 
 from conveyor.errors import TuberlineError
 
+EFFORT = float(os.environ.get("TUBERLINE_FUZZ", "0"))
+"""Times as many examples, new ones each run; 0: few, and the same ones each time."""
 MOST_MIB = 300
 """What all examples of one test together may add to the process' peak memory."""
 
@@ -23,11 +26,11 @@ ANY_JSON = st.recursive(
 
 
 def quick(examples: int) -> settings:
-    """Hypothesis settings of these tests: the same examples each time, any of which may take long on a busy machine."""
+    """Hypothesis settings of these tests: any example may take long on a busy machine."""
     return settings(
-        max_examples=examples,
+        max_examples=int(examples * EFFORT) if EFFORT else max(20, examples // 3),
         deadline=None,
-        derandomize=True,
+        derandomize=EFFORT == 0,
         suppress_health_check=list(HealthCheck),
         print_blob=True,
     )
