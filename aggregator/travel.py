@@ -46,7 +46,7 @@ LONGEST_HEAD_START_NS = 60_000_000_000
 
 
 def head_start_m(curves: Mapping[str, TravelCurve], *, reference: str) -> float | None:
-    """How far the belt had moved when the reference began, metres, since the earliest camera did; None while unknown."""
+    """How far the belt moved from the earliest camera's first sample to the reference's, metres; None if unknown."""
     line = curves[reference]
     if not line.times_ns:
         return 0.0 if line.closed else None

@@ -158,7 +158,8 @@ def rows(
         y = -half_width_m + 2 * half_width_m * ((len(laid) % per_row) + 0.5) / per_row + rng.normal(0, 0.004)
         shape, recent = _footprint(tuber), outlines[-3 * per_row :]
         behind = np.arange(min((o[:, 0].min() for o in recent), default=start_m) - 0.1, start_m + 0.002, 0.002)
-        blocked = (at for at in behind if any(_clearance(shape + (at, y), other) < 0.0008 for other in recent))
+        moved = ((at, shape + np.array((at, y))) for at in behind)
+        blocked = (at for at, outline in moved if any(_clearance(outline, other) < 0.0008 for other in recent))
         x = next(blocked, start_m) - 0.002
         place = (float(x), float(y))
         laid.append(_at(tuber, place))
