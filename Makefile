@@ -25,8 +25,19 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -c 'from pathlib import Path; from conveyor.cli.reference import write_pages; write_pages(Path("docs"))'
 
+# `make bench` lists the benchmarks, `make bench BENCH="site --help"` runs one.
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks $(BENCH)
+
+# Long ones, run by name.
+chaos: $(STAMP)
+	$(BIN)/python -m pytest -m slow tests/chaos
+
+fuzz: $(STAMP)
+	TUBERLINE_FUZZ=20 $(BIN)/python -m pytest tests/fuzz
+
+soak: $(STAMP)
+	$(BIN)/python -m benchmarks soak --minutes 30
 
 install: $(STAMP)
 

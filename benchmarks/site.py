@@ -1,7 +1,7 @@
 """A site on one machine: throughput with 1, 2 and 4 inference hosts, and with one killed and one frozen.
 
 Three camera hosts, an edge host (router, aggregator), inference hosts with the same small share of a core each, and an
-office behind 8 Mbit/s and 40 ms that watches. Every host is a network namespace; needs root and about four minutes.
+office behind 8 Mbit/s and 40 ms that watches. Every host is a network namespace; needs root and some minutes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Frames on a link, raw and zstd: bytes, and CPU to pack and to unpack one; also what a link of given rate takes."""
+"""Frames on a link, raw and zstd: bytes, Mbit/s, and CPU to pack and to unpack one."""
 
 from __future__ import annotations
 

@@ -28,6 +28,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "top": ("conveyor.cli.top:top", "The same, live."),
         "health": ("conveyor.cli.doctor:health", "Is the router, or one node, well? For probes."),
         "metrics": ("conveyor.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
+        "graph": ("conveyor.cli.graph:graph", "Who runs where and sends what to whom, live."),
         "watch": ("viewer.commands:watch", "Watch a running line: Rerun's window or a web page."),
         "audit": ("aggregator.commands:audit", "The balance sheet of a run: nothing lost silently."),
         "ledger": ("aggregator.commands:ledger", "Check, repair or export a ledger."),

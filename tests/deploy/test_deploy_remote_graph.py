@@ -114,3 +114,11 @@ def test_a_real_line(link: LinkConfig, capsys: pytest.CaptureFixture[str]) -> No
         [edge["topic"], edge["sender"], edge["receiver"]] for edge in found["edges"]
     ]
     assert "frames_published" in found["nodes"][0]["rates_per_s"]
+
+
+@pytest.mark.graph
+def test_two_lines_at_one_router_do_not_see_each_other(link: LinkConfig, capsys: pytest.CaptureFixture[str]) -> None:
+    north, south = (LineConfig(name=name, link=link) for name in ("north", "south"))
+    with Node("camera", "front", config=north, run="monday"), Node("camera", "rear", config=south, run="monday"):
+        graph(connect=link.router, line="south", json=True, wait_s=1.0)
+    assert [node["name"] for node in json.loads(capsys.readouterr().out)["nodes"]] == ["camera/rear"]

@@ -366,8 +366,12 @@ def _clearance(one: Array, other: Array) -> float:
     """Gap between two outlines, metres; negative where they overlap."""
     if np.linalg.norm(one.mean(0) - other.mean(0)) > 0.2:
         return 0.1
-    hull = np.ascontiguousarray(other.astype(np.float32))
-    return -max(float(cv2.pointPolygonTest(hull, (float(x), float(y)), True)) for x, y in one)
+    return min(_outside(one, other), _outside(other, one))
+
+
+def _outside(points: Array, outline: Array) -> float:
+    hull = np.ascontiguousarray(outline.astype(np.float32))
+    return -max(float(cv2.pointPolygonTest(hull, (float(x), float(y)), True)) for x, y in points)
 
 
 def _norm(points: Array) -> Array:
