@@ -141,7 +141,11 @@ def test_a_full_disk_ends_the_file_and_not_the_viewer(tmp_path: Path) -> None:
     rrd = tmp_path / "load.rrd"
     rrd.write_bytes(b"earlier")
     with line.router() as link, line.viewer(link, tmp_path, "--rrd", str(rrd), "--profile", "full") as watcher:
-        assert [p.read_bytes() for p in tmp_path.glob("load-until-*.rrd")] == [b"earlier"], "an earlier file is kept"
+        line.within(
+            10,
+            lambda: [p.read_bytes() for p in tmp_path.glob("load-until-*.rrd")] == [b"earlier"],
+            "an earlier file is kept",
+        )
         resource.prlimit(watcher.process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
         node = watcher.observer
         KeptPublisher(node, topics.CAMERA_INFO, camera="front").put(line.camera_info())
