@@ -9,14 +9,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from conveyor.cli.live import LOSS_WORDS
 from conveyor.cli.status import line_address
 from conveyor.errors import ConfigError
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from conveyor.topics import COUNTERS, TOPICS, Delivery, Topic
 
-LOSSES = ("dropped", "gap", "lost", "refused", "missed", "stall")
-"""A counter with one of these in its name tells of something that did not get through."""
 NAMED_AFTER_CAMERA = ("camera", "segmenter")
 SENT = {
     ("frame", "camera"): "frames_published",
@@ -186,7 +185,7 @@ def _node(name: str, first: Counters | None, last: Counters | None, *, alive: bo
         age_s=None if reported is None else now_unix_s - reported,
         frame_age_ms=last.gauges.get("frame_age_ms"),
         rates_per_s=_rates(first, last) if alive else {},
-        drops={key: float(n) for key, n in sorted(counted.items()) if n and any(word in key for word in LOSSES)},
+        drops={key: float(n) for key, n in sorted(counted.items()) if n and any(word in key for word in LOSS_WORDS)},
     )
 
 

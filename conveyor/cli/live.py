@@ -15,10 +15,11 @@ _SHOWN = {
     "segmenter": ("frames_processed", "views_sent", "tracks_counted"),
     "regressor": ("views_weighed",),
     "aggregator": ("tubers_committed", "entries_applied"),
-    "viewer": ("logged",),
+    "viewer": ("frame_shown", "tuber_shown"),
     "recorder": ("frames_written",),
 }
-_LOST = ("dropped", "gap", "lost", "refused", "missed", "stall")
+LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
+"""A counter whose name holds one of these tells of something that did not arrive or was not used."""
 
 
 def line_table(totals: Totals | None, nodes: Mapping[str, Counters], *, alive: set[str]) -> Group:
@@ -52,7 +53,9 @@ def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str]) -> Table:
         )
         counted = {**counters.gauges, **counters.values}
         lost = "  ".join(
-            f"{key} {value:g}" for key, value in sorted(counted.items()) if value and any(word in key for word in _LOST)
+            f"{key} {value:g}"
+            for key, value in sorted(counted.items())
+            if value and any(word in key for word in LOSS_WORDS)
         )
         table.add_row(
             name, f"[{colour}]{state}[/]", f"{counters.uptime_s:.0f} s", did, f"[yellow]{lost}[/]" if lost else ""
