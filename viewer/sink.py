@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from abc import ABC, abstractmethod
 from typing import Any
 
 from conveyor.counters import CounterSet
@@ -20,7 +21,7 @@ from viewer.rerun_sdk import Pen, new_stream
 IDLE_S = 1.0
 
 
-class Sink:
+class Sink(ABC):
     """A queue and the thread that empties it. Subclasses know how to open and how to finish a batch."""
 
     def __init__(self, name: str, *, run: str, tick_s: float, counters: CounterSet, log: logging.Logger) -> None:
@@ -67,8 +68,9 @@ class Sink:
             self._discard_until_stop()
         self._closed.set()
 
+    @abstractmethod
     def _work(self) -> None:
-        raise NotImplementedError
+        """Open, then take batches and finish them until stopped."""
 
     def _discard_until_stop(self) -> None:
         while not self._stop.is_set():
@@ -91,8 +93,9 @@ class Sink:
             self._counters.add(f"{self.name}_undrawable")
             self._log.error("%s cannot be drawn at %s: %s", type(mark).__name__, entry.path, error)
 
+    @abstractmethod
     def _switch_run(self, run: str) -> None:
-        raise NotImplementedError
+        """End what was begun for the run before and begin anew for `run`."""
 
     def _new_stream(self) -> None:
         self._stream = new_stream(self._run_id)
