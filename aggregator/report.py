@@ -12,6 +12,7 @@ from aggregator.coverage import Looked, camera_shares, combined_coverage
 from aggregator.files import tubers_csv, write_whole
 from aggregator.ledger import Ledger
 from aggregator.summary import summarise, tally
+from aggregator.tickets import read_tickets
 from aggregator.totals import LoadTotals
 from conveyor import __version__
 from conveyor.config import LineConfig
@@ -31,7 +32,8 @@ class Reporter:
         self._core = core
         self._config = config
         self._counters = counters
-        self._load = LoadTotals(config.aggregator.histogram_step_g)
+        tickets = config.aggregator.tickets
+        self._load = LoadTotals(config.aggregator.histogram_step_g, read_tickets(tickets) if tickets else ())
         for tuber in ledger.tubers(core.run):
             self._load.add(tuber)
 
@@ -98,5 +100,6 @@ class Reporter:
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
-            f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, final={totals.final}"
+            f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
+            f"calibrated by {totals.tickets} load tickets, final={totals.final}"
         )

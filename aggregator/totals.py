@@ -1,13 +1,17 @@
-"""Totals of a load: weight with its interval, count, size classes, rate, and what the unseen belt adds."""
+"""Totals of a load: weight with its interval, count, size classes, rate, and what the unseen belt adds.
+
+Where load tickets are at hand the load's weight is calibrated by them; the tubers in the ledger stay as weighed.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aggregator.fusion import Z90
+from aggregator.tickets import LoadFactor, Ticket, load_factor
 from conveyor.messages import Totals, Tuber
 
 SHARED_BIAS = {"pointraft": 0.05, "volume": 0.10}
@@ -25,12 +29,15 @@ HISTOGRAM_CLASSES = 64
 
 @dataclass(slots=True)
 class LoadTotals:
-    """Running sums over committed tubers; the order of `add` changes nothing but the last digits."""
+    """Running sums over committed tubers; the order of `add` changes nothing but the last digits.
+
+    `as_weighed_g` is the sum of the tubers, by method and model; `weight_g` is that sum after calibration.
+    """
 
     histogram_step_g: float
+    tickets: Sequence[Ticket] = ()
     count: int = 0
-    weight_g: float = 0.0
-    by_method_g: dict[str, float] = field(default_factory=dict)
+    as_weighed_g: dict[tuple[str, str], float] = field(default_factory=dict)
     low_variance_g2: float = 0.0
     high_variance_g2: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
@@ -38,12 +45,13 @@ class LoadTotals:
     late: int = 0
     _classes: list[int] = field(default_factory=list)
     _recent_ns: deque[int] = field(default_factory=deque)
+    _factors: dict[str, LoadFactor | None] = field(default_factory=dict)
 
     def add(self, tuber: Tuber) -> None:
         """Count one committed tuber."""
         self.count += 1
-        self.weight_g += tuber.weight_g
-        self.by_method_g[tuber.method] = self.by_method_g.get(tuber.method, 0.0) + tuber.weight_g
+        weighed_by = (tuber.method, tuber.model)
+        self.as_weighed_g[weighed_by] = self.as_weighed_g.get(weighed_by, 0.0) + tuber.weight_g
         self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / Z90) ** 2
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / Z90) ** 2
         self.seen_by[frozenset(tuber.cameras)] += 1
@@ -57,12 +65,46 @@ class LoadTotals:
         while self._recent_ns and self._recent_ns[0] < newest - RATE_WINDOW_S * 1e9:
             self._recent_ns.popleft()
 
+    @property
+    def weight_g(self) -> float:
+        """What was seen, calibrated where there are tickets."""
+        return sum(self._factor(model) * weight for (_, model), weight in self.as_weighed_g.items())
+
+    @property
+    def tickets_used(self) -> int:
+        """Tickets of the weights that weighed this load; 0: it is not calibrated."""
+        return sum(
+            found.tickets for model in {model for _, model in self.as_weighed_g} if (found := self._known(model))
+        )
+
+    def own_error_g(self) -> tuple[float, float]:
+        """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
+        return Z90 * math.sqrt(self.low_variance_g2), Z90 * math.sqrt(self.high_variance_g2)
+
     def interval_g(self) -> tuple[float, float]:
         """The 90 % interval of the weight seen: each tuber's own error, and the bias that all of them share."""
-        bias_g = sum(SHARED_BIAS.get(method, 0.10) * weight for method, weight in self.by_method_g.items())
-        low_g = math.hypot(Z90 * math.sqrt(self.low_variance_g2), bias_g)
-        high_g = math.hypot(Z90 * math.sqrt(self.high_variance_g2), bias_g)
+        bias_g = sum(
+            self._shared(method, model) * self._factor(model) * weight
+            for (method, model), weight in self.as_weighed_g.items()
+        )
+        raw_g = sum(self.as_weighed_g.values())
+        scale = self.weight_g / raw_g if raw_g > 0 else 1.0
+        below_g, above_g = self.own_error_g()
+        low_g, high_g = math.hypot(scale * below_g, bias_g), math.hypot(scale * above_g, bias_g)
         return max(0.0, self.weight_g - low_g), self.weight_g + high_g
+
+    def _known(self, model: str) -> LoadFactor | None:
+        if model not in self._factors:
+            self._factors[model] = load_factor(self.tickets, model)
+        return self._factors[model]
+
+    def _factor(self, model: str) -> float:
+        known = self._known(model)
+        return known.factor if known else 1.0
+
+    def _shared(self, method: str, model: str) -> float:
+        known = self._known(model)
+        return known.half_width if known else SHARED_BIAS.get(method, 0.10)
 
     def estimated(self, coverage: float | None) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at."""
@@ -94,6 +136,8 @@ class LoadTotals:
             histogram=tuple(self._classes),
             cameras=dict(cameras),
             final=final,
+            as_weighed_g=sum(self.as_weighed_g.values()),
+            tickets=self.tickets_used,
         )
 
     def _rate(self) -> float:

@@ -6,3 +6,6 @@ from cyclopts import App
 
 calibrate = App(name="calibrate", help="Measure the geometry of a line.")
 calibrate.command("segmenter.commands:calibrate_belt", name="belt", help="Fit the belt's plane to a recording.")
+calibrate.command(
+    "aggregator.commands_tickets:calibrate_load", name="load", help="Calibrate totals by a scale's ticket."
+)

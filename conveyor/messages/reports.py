@@ -40,7 +40,8 @@ class Totals(Message):
     """What the load weighs so far: as seen, and as estimated for the belt that was not looked at.
 
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
-    weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended.
+    weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
+    of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
     """
 
     run: str
@@ -57,6 +58,8 @@ class Totals(Message):
     histogram: tuple[int, ...]
     cameras: dict[str, str]
     final: bool
+    as_weighed_g: float = 0.0
+    tickets: int = 0
 
 
 @dataclass(frozen=True, slots=True)

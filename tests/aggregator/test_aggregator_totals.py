@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from aggregator.coverage import Looked, camera_shares, combined_coverage
+from aggregator.tickets import Ticket
 from aggregator.totals import SHARED_BIAS, LoadTotals
 from conveyor.messages import Tuber
 
@@ -97,3 +98,22 @@ def test_a_camera_that_stopped_is_measured_by_the_belt_the_others_saw() -> None:
     assert camera_shares({"a": Looked(10.0, 10.0), "b": Looked(9.9, 9.9)}) == {"a": 1.0, "b": 1.0}
     assert camera_shares({"a": Looked(9.0, 10.0)}) == {"a": pytest.approx(0.9)}
     assert camera_shares({"a": Looked(0.0, 0.0), "b": None}) == {"a": None, "b": None}
+
+
+def test_tickets_scale_the_load_and_narrow_its_interval_but_leave_the_tubers_as_weighed() -> None:
+    tickets = [Ticket(f"r{n}", "m", 0.9e6, 1000.0, 1e6, 3000.0, 1.0) for n in range(5)]
+    calibrated, plain = LoadTotals(50.0, tickets), load(1000)
+    for n in range(1000):
+        calibrated.add(replace(TUBER, crossed_ns=n * 100_000_000))
+    message = calibrated.message("r", coverage=1.0, cameras={}, final=False)
+    assert message.tickets == 5
+    assert message.as_weighed_g == pytest.approx(plain.weight_g)
+    assert message.weight_g == pytest.approx(0.9 * plain.weight_g, rel=0.01)
+    assert message.high_g - message.low_g < 0.8 * 0.9 * (plain.interval_g()[1] - plain.interval_g()[0])
+
+
+def test_tickets_of_other_weights_change_nothing() -> None:
+    other = LoadTotals(50.0, [Ticket("r", "other", 0.9e6, 1000.0, 1e6, 3000.0, 1.0)])
+    other.add(TUBER)
+    assert other.weight_g == pytest.approx(TUBER.weight_g)
+    assert other.message("r", coverage=None, cameras={}, final=False).tickets == 0

@@ -1,0 +1,126 @@
+"""Load tickets: the factor that follows from them, what it is still worth, and tickets that are refused."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.calibration import ticket_of
+from aggregator.ledger import Ledger
+from aggregator.tickets import LOAD_SD, Ticket, check_ticket, load_factor, read_tickets, with_ticket, write_tickets
+from conveyor.errors import InputError
+from tests.aggregator.belt_story import tell
+from tests.aggregator.virtual_line import undisturbed
+
+MODEL = "tuberline-sim@00000000"
+
+
+def ticket(ratio: float, *, run: str = "monday", model: str = MODEL, coverage: float = 1.0) -> Ticket:
+    return Ticket(run, model, 1e6 * ratio, 1000.0, 1e6, 3000.0, coverage)
+
+
+def test_without_a_ticket_nothing_is_known_and_one_ticket_tells_most_of_it() -> None:
+    assert load_factor([], MODEL) is None
+    one = load_factor([ticket(0.95)], MODEL)
+    assert one is not None
+    # The prior of 5 % pulls a single ratio a little towards 1.
+    assert 0.95 < one.factor < 0.965
+    assert one.half_width < 0.05
+
+
+def test_more_tickets_come_closer_but_never_below_what_loads_differ_by() -> None:
+    widths = []
+    for n in (1, 3, 10, 200):
+        found = load_factor([ticket(0.95, run=str(k)) for k in range(n)], MODEL)
+        assert found is not None
+        widths.append(found.half_width)
+    assert widths == sorted(widths, reverse=True)
+    assert widths[-1] >= 1.64 * LOAD_SD
+    assert found.factor == pytest.approx(0.95, abs=0.001)
+
+
+def test_loads_that_scatter_more_than_assumed_widen_the_interval() -> None:
+    calm = load_factor([ticket(ratio, run=str(ratio)) for ratio in (0.95, 0.951, 0.949, 0.95)], MODEL)
+    wild = load_factor([ticket(ratio, run=str(ratio)) for ratio in (0.88, 1.02, 0.91, 0.99)], MODEL)
+    assert calm is not None
+    assert wild is not None
+    assert wild.half_width > 2 * calm.half_width
+
+
+def test_nine_of_ten_loads_lie_inside_the_interval() -> None:
+    """Simulated seasons: a bias each, loads that differ by LOAD_SD; the next load is held against the interval."""
+    rng = np.random.default_rng(20)
+    inside = 0
+    for _ in range(1000):
+        bias = rng.normal(0.0, 0.05 / 1.645)
+        ratios = np.exp(bias + rng.normal(0.0, math.hypot(LOAD_SD, 0.0032), 4))
+        found = load_factor([ticket(ratio, run=str(n)) for n, ratio in enumerate(ratios[:3])], MODEL)
+        assert found is not None
+        inside += abs(math.log(ratios[3] / found.factor)) <= found.half_width
+    assert 870 <= inside <= 950, inside
+
+
+def test_tickets_of_other_weights_do_not_count() -> None:
+    assert load_factor([ticket(0.9, model="other@1")], MODEL) is None
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (ticket(0.001), "same load, net, in kilograms"),
+        (ticket(1.0, coverage=0.5), "50 % of the belt"),
+        (Ticket("r", MODEL, 1e6, 0, 0.0, 0, 1.0), "counted no tuber"),
+        (Ticket("r", MODEL, -5.0, 0, 1e6, 0, 1.0), "above 0 kg"),
+    ],
+)
+def test_a_ticket_of_another_load_is_refused(bad: Ticket, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        check_ticket(bad)
+
+
+def test_a_run_has_one_ticket_and_a_file_comes_back_as_it_was(tmp_path: Path) -> None:
+    known = with_ticket((), ticket(0.95), again=False)
+    with pytest.raises(InputError, match="--again"):
+        with_ticket(known, ticket(0.96), again=False)
+    known = with_ticket(known, ticket(0.96), again=True)
+    path = tmp_path / "tickets.json"
+    write_tickets(path, known)
+    assert read_tickets(path) == known
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", '{"format": 2, "tickets": []}', '{"format": 1, "tickets": [{"run": "x"}]}', "[" * 5000],
+)
+def test_a_file_that_is_none_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "tickets.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"tickets\.json"):
+        read_tickets(path)
+
+
+def test_a_figure_that_is_none_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "tickets.json"
+    write_tickets(path, (ticket(0.95),))
+    raw = json.loads(path.read_text())
+    raw["tickets"][0]["ticket_sd_g"] = "much"
+    path.write_text(json.dumps(raw))
+    with pytest.raises(InputError, match="ticket_sd_g is 'much'"):
+        read_tickets(path)
+
+
+def test_a_ticket_of_a_ledger_knows_its_run_weights_and_coverage(tmp_path: Path) -> None:
+    told = tell(3)
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        run = undisturbed(ledger, told).story.run
+        weighed_g = sum(tuber.weight_g for tuber in ledger.tubers(run))
+        models = {tuber.model for tuber in ledger.tubers(run)}
+    found = ticket_of(tmp_path, run=run, ticket_g=weighed_g, ticket_sd_g=1.0)
+    assert found.run == run
+    assert {found.model} == models
+    assert found.estimated_g == pytest.approx(weighed_g / found.coverage, rel=1e-6)
+    assert 0 < found.estimated_sd_g < 0.2 * weighed_g
