@@ -10,6 +10,7 @@ from typing import Literal
 from conveyor.errors import InputError
 
 Preset = Literal["field", "easy", "mixed"]
+TargetFormat = Literal["auto", "folder", "mcap", "ros2"]
 ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
 
 
@@ -22,6 +23,7 @@ def simulate_views(
     preset: Preset = "mixed",
     camera: ViewCamera = "mixed",
     distances: tuple[float, ...] = (0.345, 0.460, 0.465),
+    layout: Literal["pack", "potatotwin"] = "pack",
     force: bool = False,
 ) -> None:
     """Make single views of simulated tubers with known weights, for training and evaluation.
@@ -29,7 +31,7 @@ def simulate_views(
     Parameters
     ----------
     out
-        Folder to write `views-*.npz` and `meta.json` to.
+        Folder to write to.
     tubers
         How many tubers.
     views
@@ -42,13 +44,17 @@ def simulate_views(
         Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
     distances
         Belt distances in metres to choose from.
+    layout
+        pack: `views-*.npz` and `meta.json`. potatotwin: images, clouds and tables as in the 3DPotatoTwin data set, of
+        one camera (d405-1280 where none is named), split 60/20/20 into train, val and test.
     force
-        Overwrite a pack that is there.
+        Overwrite views that are there.
     """
     from rich.progress import Progress
 
     from camera_sim.progress import console
     from camera_sim.sim.optics import optics_named
+    from camera_sim.sim.twinfolder import write_twin_folder
     from camera_sim.sim.viewpack import write_view_pack
     from camera_sim.sim.views import ViewPlan
 
@@ -56,10 +62,9 @@ def simulate_views(
         raise InputError(f"--tubers {tubers} --views {views}: both must be at least 1")
     if not distances or not all(0.2 <= d <= 1.5 for d in distances):
         raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
-    if any(out.glob("views-*.npz")) and not force:
-        raise InputError(f"{out} already holds a pack of views; choose another folder or add --force")
-    for old in out.glob("views-*.npz"):
-        old.unlink()
+    _make_view_room(out, force=force)
+    if layout == "potatotwin" and camera == "mixed":
+        camera = "d405-1280"
     mixed = camera == "mixed"
     plan = ViewPlan(
         seed=seed,
@@ -72,10 +77,28 @@ def simulate_views(
     )
     with Progress(console=console()) as progress:
         task = progress.add_task("views", total=tubers)
-        made = write_view_pack(
-            out, plan, tubers=tubers, command=" ".join(sys.argv), on_tuber=lambda _: progress.advance(task)
-        )
+        if layout == "potatotwin":
+            made = write_twin_folder(out, plan, tubers=tubers, on_tuber=lambda _: progress.advance(task))
+        else:
+            made = write_view_pack(
+                out, plan, tubers=tubers, command=" ".join(sys.argv), on_tuber=lambda _: progress.advance(task)
+            )
     sys.stdout.write(f"{made} views of {tubers} tubers in {out}\n")
+
+
+def _make_view_room(out: Path, *, force: bool) -> None:
+    """Views that are there are only removed on demand: no mix of two."""
+    import shutil
+
+    packs, twin = list(out.glob("views-*.npz")), out / "1_rgbd"
+    if (packs or twin.exists()) and not force:
+        raise InputError(f"{out} already holds views; choose another folder or add --force")
+    for old in packs:
+        old.unlink()
+    if (twin / "0_camera_intrinsics" / "simulated_camera_intrinsic.json").is_file():
+        shutil.rmtree(twin)
+    elif twin.exists():
+        raise InputError(f"{twin} was not simulated: it is not overwritten")
 
 
 def simulate(
@@ -94,22 +117,23 @@ def simulate(
     masks: bool = False,
     color: bool = False,
     inject: tuple[str, ...] = (),
+    format: TargetFormat = "auto",
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Make a recording of a belt with known truth: a `folder` recording with truth.json.
+    """Make a recording of a belt with known truth: a folder with truth.json, or an MCAP file with its truth beside it.
 
     Parameters
     ----------
     out
-        Folder to write.
+        What to write: a folder, or a name ending in .mcap.
     seed
         The same seed gives the same recording.
     tubers
         How many tubers ride on the belt.
     scene
-        singulated, touching, crowded, distractors, two-cameras, two-lane, dropped-frames, stop-and-go, changing-speed
-        or tilted.
+        singulated, touching, crowded, piled (more than one layer), distractors, two-cameras, two-lane, dropped-frames,
+        stop-and-go, changing-speed, tilted, rolling (tubers rock, roll and slide) or rods (a web one sees through).
     camera
         Camera resolution.
     fps
@@ -129,7 +153,11 @@ def simulate(
     color
         Write colour images too.
     inject
-        Faults of the cameras, by name, each its own --inject: dropped, duplicated, frozen, clock-jump.
+        Faults by name, each its own --inject. Of the camera: dropped, duplicated, frozen, clock-jump, dirty-lens,
+        wrong-scale, fine-unit. Of the picture: holes, steep-holes, ragged-edges, smooth-error, fine-noise,
+        coarse-disparity. Of the belt: belt-jitter, rolling.
+    format
+        folder, mcap (Tuberline's own), ros2 (MCAP with ROS 2 topics), or auto: by the name of --out.
     force
         Overwrite a recording that is there.
     json
@@ -168,6 +196,7 @@ def simulate(
             masks=masks,
             color=color,
             faults=faults,
+            form=format,
             on_frame=lambda done, total: progress.update(task, completed=done, total=total),
         )
     counted, weight_kg = len(truth["tubers"]), sum(tuber["weight_g"] for tuber in truth["tubers"]) / 1000
@@ -195,7 +224,10 @@ def _make_room(out: Path, *, force: bool) -> None:
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not force:
-        raise InputError(f"{out} exists; choose another folder or add --force")
+        raise InputError(f"{out} exists; choose another name or add --force")
+    if out.suffix == ".mcap" and out.is_file():
+        out.unlink()
+        return
     if not (out / "truth.json").is_file() and not any(out.glob("*/camera.json")):
         raise InputError(f"{out} exists and is no recording: it is not overwritten")
     shutil.rmtree(out)
@@ -276,7 +308,7 @@ def info(recording: Path, /, *, json: bool = False) -> None:
     Parameters
     ----------
     recording
-        Folder, .mcap file or 3DPotatoTwin folder.
+        Folder, .mcap file, 3DPotatoTwin folder or ROS bag.
     json
         Print the description as JSON.
     """
@@ -298,11 +330,12 @@ def convert(
     target: Path,
     /,
     *,
+    format: TargetFormat = "auto",
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     json: bool = False,
 ) -> None:
-    """Convert a recording between formats, lossless: folder or 3DPotatoTwin to MCAP, MCAP to folder.
+    """Convert a recording of any known format to a folder, to MCAP, or to ROS 2 topics in MCAP; lossless.
 
     Parameters
     ----------
@@ -310,6 +343,8 @@ def convert(
         A recording of any known format.
     target
         What to write: a name ending in .mcap, or a folder. Must not exist.
+    format
+        folder, mcap (Tuberline's own), ros2 (MCAP with ROS 2 topics, for ROS and Foxglove), or auto: by the name.
     belt_distance_m
         Instead of what the recording says.
     depth_scale_m
@@ -327,6 +362,7 @@ def convert(
         done = convert_recording(
             source,
             target,
+            form=format,
             belt_distance_m=belt_distance_m,
             depth_scale_m=depth_scale_m,
             on_frame=lambda done, total: progress.update(task, completed=done, total=total),

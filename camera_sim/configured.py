@@ -23,6 +23,12 @@ def configured_source(config: LineConfig, camera: str) -> Source:
         from camera_sim.sources.realsense import RealSenseSource
 
         return RealSenseSource.connect(camera, settings)
+    if settings.source == "ros2":
+        if settings.path is not None:
+            raise ConfigError(f"cameras.{camera}: source 'ros2' takes no path ({settings.path}); remove one of both")
+        from camera_sim.sources.ros2_live import Ros2Source
+
+        return Ros2Source.connect(camera, settings, config.link)
     if settings.path is None:
         raise ConfigError(f"cameras.{camera}: a recording needs its path, e.g. path = 'recordings/monday.mcap'")
     wanted = settings.camera
@@ -34,4 +40,5 @@ def configured_source(config: LineConfig, camera: str) -> Source:
         name=camera,
         belt_distance_m=settings.belt_distance_m,
         depth_scale_m=settings.depth_scale_m,
+        ignore_masks=settings.ignore_masks,
     )

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import heapq
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,8 @@ from camera_sim.sources import Refused, Source, camera_names, open_source
 from camera_sim.sources.detect import recording_kind
 from camera_sim.sources.folder_writer import FolderWriter, write_line_file
 from camera_sim.sources.mcap_format import ATTACHMENTS
+from camera_sim.sources.merged import in_time
+from camera_sim.sources.target import TargetFormat, target_format
 from conveyor.errors import InputError
 from conveyor.messages import Frame
 
@@ -31,11 +32,12 @@ def convert_recording(
     source: Path,
     target: Path,
     *,
+    form: TargetFormat = "auto",
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Converted:
-    """Write the recording at `source` as MCAP where `target` ends in .mcap, else as a folder.
+    """Write the recording at `source` to `target` in the format `form`; 'auto' goes by the name of `target`.
 
     Frames keep their numbers, times, travel and bytes; colour in PNG files becomes JPEG, the only loss.
 
@@ -53,11 +55,10 @@ def convert_recording(
     refused: Counter[str] = Counter()
     texts: list[str] = []
     done = 0
+    chosen = target_format(target, form)
     with ExitStack() as stack:
-        write = (
-            _to_mcap(stack, source, target, sources) if target.suffix == ".mcap" else _to_folder(stack, target, sources)
-        )
-        for item in _in_time(sources):
+        write = _WRITERS[chosen](stack, source, target, sources)
+        for item in in_time(sources, run="recorded"):
             if isinstance(item, Refused):
                 refused[item.reason] += 1
                 texts.append(item.text)
@@ -65,22 +66,9 @@ def convert_recording(
                 write(item)
                 done += 1
             on_frame(done + refused.total(), total)
-    if target.suffix != ".mcap":
+    if chosen == "folder":
         _write_files(source, target, [one.description.name for one in sources])
     return Converted(done, dict(refused), tuple(texts[:10]))
-
-
-def _in_time(sources: list[Source]) -> Iterator[Frame | Refused]:
-    """Frames of all cameras, merged by the newest capture time of each camera; each camera's own order is kept."""
-
-    def timed(n: int, source: Source) -> Iterator[tuple[int, int, int, Frame | Refused]]:
-        newest = 0
-        for count, item in enumerate(source.frames(run="recorded")):
-            newest = max(newest, item.captured_ns) if isinstance(item, Frame) else newest
-            yield newest, n, count, item
-
-    for _, _, _, item in heapq.merge(*(timed(n, source) for n, source in enumerate(sources)), key=lambda t: t[:3]):
-        yield item
 
 
 def _to_mcap(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
@@ -94,14 +82,28 @@ def _to_mcap(stack: ExitStack, source: Path, target: Path, sources: list[Source]
     return writer.write
 
 
-def _to_folder(stack: ExitStack, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+def _to_ros2(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+    from camera_sim.sources.ros2_writer import Ros2McapWriter
+
+    writer = stack.enter_context(Ros2McapWriter(target))
+    for one in sources:
+        writer.add_camera(one.description)
+    for name, data in _files(source).items():
+        writer.attach(name, data)
+    return writer.write
+
+
+def _to_folder(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
     writers = {one.description.name: stack.enter_context(FolderWriter(target, one.description)) for one in sources}
     return lambda frame: writers[frame.camera].write(frame)
 
 
+_WRITERS = {"folder": _to_folder, "mcap": _to_mcap, "ros2": _to_ros2}
+
+
 def _files(source: Path) -> dict[str, bytes]:
     """truth.json and line.json, where the recording has them."""
-    if recording_kind(source) == "mcap":
+    if recording_kind(source) in ("mcap", "ros2-export"):
         from camera_sim.sources.mcap_source import mcap_attachments
 
         return mcap_attachments(source)

@@ -7,7 +7,9 @@ from collections import OrderedDict
 from conveyor.messages import Frame
 
 RESEND_AFTER_S = (0.3, 2.0)
-"""Bounds of the time without progress after which frames are sent again: four times what a frame takes to get done."""
+"""Time without progress after which frames are sent again: at least, and before anything is known. Four times what a
+frame takes to get done, and twice as long after each time that it was in vain (as TCP does, RFC 6298 section 5)."""
+LONGEST_PATIENCE_S = 16.0
 LONGEST_STEP_S = 2.0
 
 
@@ -44,6 +46,8 @@ class SendWindow:
         self._sent: OrderedDict[int, Frame] = OrderedDict()
         self._sent_s = 0.0
         self._takes_s = RESEND_AFTER_S[1] / 4
+        self._in_vain = 0
+        self._resent = False
         self.moved_s = 0.0
 
     @property
@@ -69,8 +73,11 @@ class SendWindow:
         for seq in freed:
             del self._sent[seq]
         if freed:
-            took_s = (now_s - max(self.moved_s, self._sent_s)) / len(freed)
-            self._takes_s += 0.2 * (max(took_s, 0.0) - self._takes_s)
+            if not self._resent:  # else nobody knows which sending was the one that arrived (Karn's rule)
+                took_s = (now_s - max(self.moved_s, self._sent_s)) / len(freed)
+                self._takes_s += 0.2 * (max(took_s, 0.0) - self._takes_s)
+                self._in_vain = 0
+            self._resent = False
             self.moved_s = now_s
         return len(freed)
 
@@ -79,12 +86,15 @@ class SendWindow:
         if not self._sent or now_s - max(self._sent_s, self.moved_s) < self.resend_after_s:
             return []
         self._sent_s = now_s
+        self._resent = True
+        self._in_vain += 1
         return list(self._sent.values())
 
     @property
     def resend_after_s(self) -> float:
         """How long without progress is longer than usual."""
-        return min(max(4 * self._takes_s, RESEND_AFTER_S[0]), RESEND_AFTER_S[1])
+        usual_s = max(4 * self._takes_s, RESEND_AFTER_S[0])
+        return float(min(usual_s * 2 ** min(self._in_vain, 8), LONGEST_PATIENCE_S))
 
     def still_s(self, now_s: float) -> float:
         """How long frames have been waiting without any getting done."""

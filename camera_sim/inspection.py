@@ -103,7 +103,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
         travel=any(frame.travel_m is not None for frame in frames),
         masks=any(frame.mask is not None for frame in frames),
         color=any(frame.color_jpeg is not None for frame in frames),
-        warnings=(*texts, *_scale_warnings(frames, belt_seen_m, d), *_time_warnings(gaps, clock_faults)),
+        warnings=(*texts, *d.notes, *_scale_warnings(frames, belt_seen_m, d), *_time_warnings(gaps, clock_faults)),
     )
 
 

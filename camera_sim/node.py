@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
+from dataclasses import replace
 from typing import Literal
 
 from camera_sim.flow import Pace, SendWindow
-from camera_sim.sources import Refused, Source
+from camera_sim.sources import PolledSource, Refused, Source
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestPublisher
@@ -27,8 +28,8 @@ class CameraNode:
     """The shell: sockets and clocks around a source.
 
     With `waits` it starts when a segmenter is there, keeps at most `window` frames in flight, sends them again when
-    nothing moves, and never gives up. Only a window of 1 loses nothing whatever the link drops: a segmenter cannot tell
-    a frame that was lost before its successor from a gap in the recording. Without it nobody is waited for.
+    nothing moves, and never gives up. Each frame says which one was sent before it, so that the segmenter can tell what
+    the link lost from what the recording lacks. Without it nobody is waited for.
     """
 
     def __init__(self, config: LineConfig, camera: str, run: str, source: Source) -> None:
@@ -44,6 +45,7 @@ class CameraNode:
         self._published = 0
         self._info_s = -INFO_EVERY_S
         self._stalled = False
+        self._silent = False
         self._done_seq = -1
         self._word = False
         self._back_to: int | None = None
@@ -56,6 +58,10 @@ class CameraNode:
             self._progress = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera=node.name)
             for counter in ("frames_published", "frames_resent", "frames_refused", "segmenter_stalls", "went_back"):
                 node.counters.add(counter, 0)
+            if self._source.description.live:
+                node.counters.add("frames_missed", 0)
+            if isinstance(self._source, PolledSource):
+                self._source.attach(self._while_silent)
             self._tell("starting")
             try:
                 self._publish_all()
@@ -66,6 +72,8 @@ class CameraNode:
     def _publish_all(self) -> None:
         """Publish everything, say that it ended, stay until stopped; go back where the segmenter has to start again."""
         after = self._done_before()
+        if after >= 0:
+            self._note(after)  # it was there: a segmenter that starts again must not take "ended" for "empty"
         while not self._node.stop.is_set():
             self._publish_after(after)
             if self._back_to is None:
@@ -85,7 +93,8 @@ class CameraNode:
                 self._wait_for_turn(item)
                 if self._interrupted:
                     return
-                self._publish(item)
+                self._publish(replace(item, after_seq=after) if self._waits else item)
+                after = item.seq
         while self._waits and self._window.in_flight and not self._interrupted:
             self._wait_for_progress()
 
@@ -164,6 +173,19 @@ class CameraNode:
                 self._node.counters.add("segmenter_stalls")
                 self._node.log.warning("no progress from the segmenter for %.0f s; frames wait, none is lost", still_s)
 
+    def _while_silent(self, silent_s: float) -> bool:
+        """A live source's process looks round while nothing comes; False: stop."""
+        self._node.progress()
+        self._node.counters.gauge("source_silent_s", round(silent_s, 1) if silent_s >= 1.0 else 0.0)
+        if (silent_s >= STALL_AFTER_S) != self._silent:
+            self._silent = not self._silent
+            if self._silent:
+                self._node.counters.add("source_stalls")
+                self._node.log.warning("nothing from %s for %.0f s", self._source.description.origin, silent_s)
+        if time.monotonic() - self._info_s >= INFO_EVERY_S and self._last is not None:
+            self._tell("streaming")
+        return not self._node.stop.is_set()
+
     def _publish(self, frame: Frame) -> None:
         self._frames.put(frame, codec=self._settings.compress)
         self._word = False
@@ -171,6 +193,8 @@ class CameraNode:
         if self._waits:
             self._window.sent(frame, now_s)
         if self._last is None or frame.seq > self._last:
+            if self._source.description.live and self._last is not None:
+                self._node.counters.add("frames_missed", frame.seq - self._last - 1)
             self._published += 1
             self._node.counters.add("frames_published")
         else:

@@ -38,6 +38,22 @@ def draw_belt(rng: Generator, *, soil_m: float = 0.0012, cleat_m: float = 0.006,
     return Belt((soil + cleats[:, None]).astype(np.float32))
 
 
+def draw_rods(
+    rng: Generator, *, soil_m: float = 0.0012, rod_m: float = 0.012, below_m: float = 0.040, pitch_mm: int = 32
+) -> Belt:
+    """A web of rods across the belt, their tops at z = 0; between them one sees what lies `below_m` under them.
+
+    Seen through a web the relief is not small: what is below is drawn where its ray meets the belt plane, so it shifts
+    with the belt and not against it, and the rods' flanks are not seen.
+    """
+    soil = draw_belt(rng, soil_m=soil_m, cleat_m=0.0).relief_m
+    radius_m = rod_m / 2
+    across = (np.arange(TILE_MM) % pitch_mm - pitch_mm / 2 + 0.5) / 1000
+    inside = np.abs(across) < radius_m
+    rod = np.where(inside, np.sqrt(np.maximum(radius_m**2 - across**2, 0.0)) - radius_m, 0.0)
+    return Belt(np.where(inside[:, None], rod[:, None] + 0.2 * soil, soil - below_m).astype(np.float32))
+
+
 def belt_depth(
     belt: Belt,
     *,

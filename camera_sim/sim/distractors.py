@@ -1,4 +1,4 @@
-"""What rides along and is no tuber: clods, stones, haulm and leaves."""
+"""What rides along and is no tuber: clods, stones, haulm and leaves. Shapes and sizes are invented, not measured."""
 
 from __future__ import annotations
 
@@ -6,38 +6,75 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from camera_sim.sim.meshes import Faces, Vertices, icosphere, random_rotation
 from camera_sim.sim.tubers import smooth_relief
 
 Mesh = tuple[Vertices, Faces]
+HALF_M = (0.010, 0.042)
+"""Longest half axis of clods and stones, metres: from crumbs to the size of a large tuber."""
 
 
 def clod(rng: Generator) -> Mesh:
-    """A lump of soil, 20 to 70 mm: rough at every scale, no smooth skin. Sizes are invented, not measured."""
+    """A lump of soil: rough at every scale, no smooth skin; one in three broken, with a few flat faces.
+
+    Balls of mud as smooth as a tuber are left out: no depth camera tells them from one.
+    """
     directions, faces = icosphere(3)
-    coarse = smooth_relief(rng, directions, rms=0.09, finest=16)
-    radius = 1 + coarse + smooth_relief(rng, directions, rms=0.05, finest=30)
-    half_m = rng.uniform(0.010, 0.035) * rng.uniform(0.65, 1.0, 3)
-    return directions * np.maximum(radius, 0.4)[:, None] * half_m @ random_rotation(rng).T, faces
+    coarse = smooth_relief(rng, directions, rms=rng.uniform(0.06, 0.13), finest=rng.uniform(10.0, 18.0))
+    fine = smooth_relief(rng, directions, rms=rng.uniform(0.03, 0.07), finest=rng.uniform(22.0, 36.0))
+    radius = np.ones(len(directions))
+    if rng.random() < 1 / 3:
+        radius = _cut(rng, directions, faces_cut=int(rng.integers(1, 5)), worn=rng.uniform(0.0, 0.05))
+    half_m = rng.uniform(*HALF_M) * rng.uniform(0.6, 1.0, 3)
+    return directions * np.maximum(radius + coarse + fine, 0.35)[:, None] * half_m @ random_rotation(rng).T, faces
 
 
 def stone(rng: Generator) -> Mesh:
-    """A stone, 20 to 80 mm: an ellipsoid with flat faces broken off."""
+    """A stone: an ellipsoid with flat faces broken off, its edges sharp to somewhat worn; no round pebbles, as above."""
     directions, faces = icosphere(3)
-    radius = np.ones(len(directions))
-    for _ in range(int(rng.integers(4, 9))):
-        normal = rng.standard_normal(3)
-        along = directions @ (normal / np.linalg.norm(normal))
-        radius = np.minimum(radius, np.where(along > 0.05, rng.uniform(0.55, 0.9) / np.maximum(along, 0.05), 9.0))
-    half_m = rng.uniform(0.012, 0.04) * rng.uniform(0.6, 1.0, 3)
+    radius = _cut(rng, directions, faces_cut=int(rng.integers(4, 10)), worn=rng.uniform(0.0, 0.05))
+    radius = radius + smooth_relief(rng, directions, rms=rng.uniform(0.0, 0.02), finest=rng.uniform(8.0, 20.0))
+    half_m = rng.uniform(*HALF_M) * rng.uniform(0.55, 1.0, 3)
     return directions * radius[:, None] * half_m @ random_rotation(rng).T, faces
 
 
 def haulm(rng: Generator) -> Mesh:
-    """A stalk: a bent tube of 2 to 4 mm radius and 80 to 300 mm length."""
+    """A stalk of 2 to 4 mm radius; one in four is a wad of several shorter ones."""
+    if rng.random() < 0.75:
+        return _stalk(rng, length_m=rng.uniform(0.08, 0.30), radius_m=rng.uniform(0.002, 0.004))
+    stalks = []
+    for _ in range(int(rng.integers(3, 9))):
+        vertices, faces = _stalk(rng, length_m=rng.uniform(0.05, 0.14), radius_m=rng.uniform(0.002, 0.004))
+        moved = vertices @ random_rotation(rng).T * np.array([1.0, 1.0, 0.4]) + rng.normal(0, 0.010, 3)
+        stalks.append((moved, faces))
+    return _joined(stalks)
+
+
+def leaf(rng: Generator) -> Mesh:
+    """A wilted leaf: a thin curled sheet of 20 to 60 mm."""
+    directions, faces = icosphere(3)
+    half_m = np.array([rng.uniform(0.012, 0.03), rng.uniform(0.008, 0.02), 0.0008])
+    vertices = directions * half_m
+    vertices[:, 2] += rng.uniform(-8, 8) * vertices[:, 0] ** 2 + rng.uniform(-8, 8) * vertices[:, 1] ** 2
+    return vertices, faces
+
+
+def _cut(rng: Generator, directions: Vertices, *, faces_cut: int, worn: float) -> NDArray[np.float64]:
+    """(V,) radius of the unit sphere with flat faces cut off; `worn` 0 leaves sharp edges, 0.05 rounds them."""
+    closeness = np.ones(len(directions)) if worn <= 0.005 else np.full(len(directions), np.exp(1 / worn))
+    for _ in range(faces_cut):
+        normal = rng.standard_normal(3)
+        along = directions @ (normal / np.linalg.norm(normal))
+        inverse = np.maximum(along, 0.0) / rng.uniform(0.55, 0.9)
+        closeness = np.maximum(closeness, inverse) if worn <= 0.005 else closeness + np.exp(inverse / worn)
+    return 1 / closeness if worn <= 0.005 else 1 / (worn * np.log(closeness))
+
+
+def _stalk(rng: Generator, *, length_m: float, radius_m: float) -> Mesh:
+    """A bent tube along x."""
     rings, sides = 24, 8
-    length_m, radius_m = rng.uniform(0.08, 0.30), rng.uniform(0.002, 0.004)
     along = np.linspace(-0.5, 0.5, rings)
     bend = rng.uniform(-0.5, 0.5) * (along**2) + rng.uniform(-0.3, 0.3) * along**3
     spine = np.stack([along * length_m, bend * length_m, 0.004 * np.abs(np.sin(6 * along + rng.uniform(0, 6)))], axis=1)
@@ -51,13 +88,11 @@ def haulm(rng: Generator) -> Mesh:
     return vertices, faces
 
 
-def leaf(rng: Generator) -> Mesh:
-    """A wilted leaf: a thin curled sheet of 20 to 60 mm."""
-    directions, faces = icosphere(3)
-    half_m = np.array([rng.uniform(0.012, 0.03), rng.uniform(0.008, 0.02), 0.0008])
-    vertices = directions * half_m
-    vertices[:, 2] += rng.uniform(-8, 8) * vertices[:, 0] ** 2 + rng.uniform(-8, 8) * vertices[:, 1] ** 2
-    return vertices, faces
+def _joined(meshes: list[Mesh]) -> Mesh:
+    """One mesh of several."""
+    starts = np.cumsum([0] + [len(vertices) for vertices, _ in meshes[:-1]])
+    faces = np.concatenate([faces + start for (_, faces), start in zip(meshes, starts.tolist(), strict=True)])
+    return np.concatenate([vertices for vertices, _ in meshes]), faces.astype(np.int32)
 
 
 KINDS: dict[str, Callable[[Generator], Mesh]] = {"clod": clod, "stone": stone, "haulm": haulm, "leaf": leaf}

@@ -1,4 +1,4 @@
-"""What goes wrong with a camera, by name: frames lost or delivered twice, a picture that stands still, a clock jump."""
+"""What goes wrong with a camera, by name: frames lost or sent twice, a picture that stands still, clock jumps, dirt."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from numpy.random import Generator
 
 from conveyor.errors import InputError
 
-FAULTS = ("dropped", "duplicated", "frozen", "clock-jump")
+FAULTS = ("dropped", "duplicated", "frozen", "clock-jump", "dirty-lens")
+"""Those of a camera; `worse` has those of the picture, the belt and the tubers."""
+DIRT_SPOTS, DIRT_RADIUS = 5, (0.008, 0.03)
 DROPPED_SHARE = 0.10
 DUPLICATED_SHARE = 0.04
 FROZEN_S = 0.7
@@ -24,6 +26,7 @@ class FaultPlan:
         missing: numbers of frames that never arrive.
         repeats: number of a frame that is its predecessor once more, with the same capture time.
         frozen: number of a frame -> number of the one whose picture it shows, while time and travel go on.
+        dirt: spots on the lens, (u, v) in shares of the image and radius in shares of its width.
         jump_from, jump_back: frames numbered in [from, back) carry a clock that is 45 s ahead.
     """
 
@@ -32,6 +35,7 @@ class FaultPlan:
     frozen: tuple[tuple[int, int], ...] = ()
     jump_from: int | None = None
     jump_back: int | None = None
+    dirt: tuple[tuple[float, float, float], ...] = ()
 
     def time_of(self, seq: int) -> int:
         """Number of the frame whose capture time and travel frame `seq` carries."""
@@ -48,11 +52,15 @@ class FaultPlan:
 
 
 def check_faults(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The names, or an error that lists the known ones."""
-    unknown = [name for name in names if name not in FAULTS]
-    if unknown:
-        raise InputError(f"--inject {unknown[0]} is unknown; known: {', '.join(FAULTS)}")
-    return names
+    """The names, or an error that lists the known ones; 'clock jump' and 'clock_jump' are 'clock-jump'."""
+    from camera_sim.sim.worse import NOISE, WORLD
+
+    known = (*FAULTS, *NOISE, *WORLD)
+    plain = tuple(name.strip().lower().replace(" ", "-").replace("_", "-") for name in names)
+    for name, given in zip(plain, names, strict=True):
+        if name not in known:
+            raise InputError(f"--inject {given} is unknown; known: {', '.join(known)}")
+    return plain
 
 
 def plan_faults(rng: Generator, *, frames: int, fps: float, names: tuple[str, ...], dropped: float) -> FaultPlan:
@@ -71,7 +79,10 @@ def plan_faults(rng: Generator, *, frames: int, fps: float, names: tuple[str, ..
         frozen = tuple((seq, start) for seq in range(start + 1, start + 1 + length))
     if "clock-jump" in names and frames > 6:
         jump = (frames // 3, 2 * frames // 3)
-    return FaultPlan(missing, repeats, frozen, *jump)
+    dirt: list[tuple[float, float, float]] = []
+    if "dirty-lens" in names:
+        dirt = [(float(rng.random()), float(rng.random()), float(rng.uniform(*DIRT_RADIUS))) for _ in range(DIRT_SPOTS)]
+    return FaultPlan(missing, repeats, frozen, *jump, tuple(dirt))
 
 
 def _missing(rng: Generator, frames: int, share: float) -> frozenset[int]:

@@ -29,14 +29,16 @@ class BeltMotion:
         return float(np.interp(time_s / STEP_S, np.arange(len(self.travel_m)), self.travel_m))
 
 
-def plan_motion(rng: Generator, *, travel_m: float, speed_mps: float, profile: Profile) -> BeltMotion:
-    """A belt that has moved `travel_m` at the end, with 1 % of smooth jitter in its speed."""
+def plan_motion(
+    rng: Generator, *, travel_m: float, speed_mps: float, profile: Profile, jitter: float = 1.0
+) -> BeltMotion:
+    """A belt that has moved `travel_m` at the end, with `jitter` times 1 % of smooth jitter in its speed."""
     longest_s = 6.0 * travel_m / speed_mps + 30.0
     time = np.arange(0.0, longest_s, STEP_S)
     phases = rng.uniform(0, 2 * np.pi, 3)
-    jitter = 1 + 0.007 * np.sin(2 * np.pi * 1.7 * time + phases[0])
-    jitter += 0.007 * np.sin(2 * np.pi * 0.37 * time + phases[1])
-    speed = speed_mps * _profile(time, profile, float(phases[2])) * jitter
+    swing = 1 + 0.007 * jitter * np.sin(2 * np.pi * 1.7 * time + phases[0])
+    swing += 0.007 * jitter * np.sin(2 * np.pi * 0.37 * time + phases[1])
+    speed = speed_mps * _profile(time, profile, float(phases[2])) * np.maximum(swing, 0.0)
     travel = np.concatenate([[0.0], np.cumsum(speed[:-1]) * STEP_S])
     end = int(np.searchsorted(travel, travel_m)) + 1
     return BeltMotion(travel[: min(end, len(travel))])

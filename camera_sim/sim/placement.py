@@ -35,6 +35,7 @@ class Packing:
 
 SINGULATED = Packing(tries=2, touching=0.0, gap_m=0.035, aside_m=0.018)
 TOUCHING = Packing(tries=4, touching=0.7, gap_m=0.03, aside_m=0.0)
+LOOSE = Packing(tries=3, touching=0.15, gap_m=0.05, aside_m=0.012)
 CROWDED = Packing(tries=24, touching=0.95, gap_m=0.008, aside_m=0.0)
 CONTACT_M = 0.0005
 SINGLE_GAP_M = 0.015

@@ -69,6 +69,21 @@ def draw(
     _fill(canvas.inverse_depth, canvas.ids, u, v, 1.0 / z, faces, instance)
 
 
+def fill_highest(
+    height_m: NDArray[np.float32],
+    ids: NDArray[np.int32],
+    columns: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    z_m: NDArray[np.float64],
+    faces: NDArray[np.int32],
+) -> None:
+    """Draw a mesh seen from straight above and infinitely far into a map (h, w) of heights; higher surfaces win.
+
+    `columns`, `rows` (V,): where its vertices lie in the map, columns along belt y, rows along belt x.
+    """
+    _fill(height_m, ids, columns, rows, z_m, faces, 1)
+
+
 @njit(cache=True, nogil=True)
 def _fill(
     inverse_depth: NDArray[np.float32],

@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from camera_sim.sim.scenes import Layout, SceneSettings, build_world, layout_named
-from camera_sim.sim.source import simulated_sources, truth_of
-from camera_sim.sources.folder_writer import FolderWriter, write_line_file
+from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
+from camera_sim.sim.worse import worsened
+from camera_sim.sources.folder_writer import FolderWriter, line_file
+from camera_sim.sources.mcap_writer import McapFrameWriter
+from camera_sim.sources.merged import in_time
+from camera_sim.sources.target import TargetFormat, target_format
 from conveyor.messages import Frame
 
 OnFrame = Callable[[int, int], None]
@@ -24,14 +28,42 @@ def record_scene(
     masks: bool = False,
     color: bool = False,
     faults: tuple[str, ...] = (),
+    form: TargetFormat = "auto",
     on_frame: OnFrame = lambda done, total: None,
 ) -> dict[str, Any]:
-    """Write the scene of `settings` as a folder recording under `out`; returns its truth."""
+    """Write the scene of `settings` to `out`, an MCAP file where it ends in .mcap, else a folder; returns its truth.
+
+    The truth goes to `<out>/truth.json`, or beside an MCAP file to `<name>.truth.json`.
+    """
     layout = layout or layout_named(settings.scene)
+    settings = worsened(settings, faults)
     world = build_world(settings, layout)
     sources = simulated_sources(world, settings, layout, masks=masks, color=color, faults=faults)
-    total = sum(source.description.frames or 0 for source in sources)
-    done = 0
+    truth = truth_of(world, sources) | {
+        "scene": settings.scene,
+        "seed": settings.seed,
+        "preset": settings.preset.name,
+        "faults": list(faults),
+    }
+    cameras = [camera.name for camera in world.cameras]
+    texts = {"truth.json": as_text(truth), "line.json": as_text(line_file(cameras, belt_speed_mps=settings.speed_mps))}
+    write = {"folder": _write_folder, "mcap": _write_mcap, "ros2": _write_ros2}[target_format(out, form)]
+    write(out, sources, texts, on_frame)
+    return truth
+
+
+def truth_path(out: Path) -> Path:
+    """Where the truth of the recording `out` lies."""
+    return out.with_suffix(".truth.json") if out.suffix == ".mcap" else out / "truth.json"
+
+
+def as_text(values: dict[str, Any]) -> str:
+    """JSON as it lies in recordings."""
+    return json.dumps(values, indent=1) + "\n"
+
+
+def _write_folder(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
+    total, done = _total(sources), 0
     out.mkdir(parents=True, exist_ok=True)
     for source in sources:
         with FolderWriter(out, source.description) as writer:
@@ -40,12 +72,37 @@ def record_scene(
                     writer.write(frame)
                 done += 1
                 on_frame(done, total)
-    write_line_file(out, [camera.name for camera in world.cameras], belt_speed_mps=settings.speed_mps)
-    truth = truth_of(world, sources) | {
-        "scene": settings.scene,
-        "seed": settings.seed,
-        "preset": settings.preset.name,
-        "faults": list(faults),
-    }
-    (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-    return truth
+    for name, text in texts.items():
+        (out / name).write_text(text, encoding="utf-8")
+
+
+def _write_mcap(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
+    with McapFrameWriter(out) as writer:
+        for source in sources:
+            writer.add_camera(source.description.name, fps=source.description.fps)
+        _write_frames(writer, out, sources, texts, on_frame)
+
+
+def _write_ros2(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
+    from camera_sim.sources.ros2_writer import Ros2McapWriter
+
+    with Ros2McapWriter(out) as writer:
+        for source in sources:
+            writer.add_camera(source.description)
+        _write_frames(writer, out, sources, texts, on_frame)
+
+
+def _write_frames(
+    writer: Any, out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame
+) -> None:
+    for name, text in texts.items():
+        writer.attach(name, text.encode())
+    for done, frame in enumerate(in_time(sources, run="recorded"), start=1):
+        if isinstance(frame, Frame):
+            writer.write(frame)
+        on_frame(done, _total(sources))
+    truth_path(out).write_text(texts["truth.json"], encoding="utf-8")
+
+
+def _total(sources: list[SimulatedSource]) -> int:
+    return sum(source.description.frames or 0 for source in sources)

@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
-from camera_sim.sim.belt import draw_belt
+from camera_sim.sim.belt import draw_belt, draw_rods
 from camera_sim.sim.distractors import draw_distractor
+from camera_sim.sim.drift import draw_drift
 from camera_sim.sim.meshes import Vertices
 from camera_sim.sim.motion import Profile, plan_motion
 from camera_sim.sim.optics import D405_848, Optics
-from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING, Lane, Packing
+from camera_sim.sim.pile import Ground, settle
+from camera_sim.sim.placement import CROWDED, LOOSE, SINGULATED, TOUCHING, Lane, Packing
 from camera_sim.sim.poses import free_rotation, rest_on_belt
 from camera_sim.sim.presets import Preset, initial_rotation
 from camera_sim.sim.tubers import Tuber, draw_tuber
@@ -30,6 +32,9 @@ class Layout:
         cameras: (name, x, y) of each, x in metres along the belt, y in units of a camera's view across.
         tilt_deg: of every camera about its u and v axes.
         dropped: share of frames that are missing, singly and in bursts.
+        piled: share of the tubers that lie on others.
+        unrest: how much tubers rock, roll and slide; 1 on a belt that shakes.
+        rods: a web of rods that one sees through, instead of a belt with cleats.
     """
 
     packing: Packing
@@ -39,6 +44,9 @@ class Layout:
     profile: Profile = "constant"
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     dropped: float = 0.0
+    piled: float = 0.0
+    unrest: float = 0.0
+    rods: bool = False
 
 
 SCENES: dict[str, Layout] = {
@@ -52,12 +60,21 @@ SCENES: dict[str, Layout] = {
     "stop-and-go": Layout(TOUCHING, profile="stop-and-go"),
     "changing-speed": Layout(TOUCHING, profile="changing"),
     "tilted": Layout(TOUCHING, tilt_deg=(3.0, -2.0)),
+    "piled": Layout(CROWDED, piled=0.3),
+    "rolling": Layout(LOOSE, unrest=1.0),
+    "rods": Layout(TOUCHING, rods=True),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSettings:
-    """What the user chooses."""
+    """What the user chooses.
+
+    Attributes:
+        unrest: how much tubers move, where the scene does not move them more; see `drift`.
+        jitter: how unsteady the belt's speed is, 1 = 1 %.
+        claimed_unit_m: what the recording says its depth unit is; None: the truth.
+    """
 
     scene: str
     seed: int
@@ -69,6 +86,9 @@ class SceneSettings:
     belt_distance_m: float = 0.46
     unit_m: float = 0.001
     given_travel: bool = True
+    unrest: float = 0.0
+    jitter: float = 1.0
+    claimed_unit_m: float | None = None
 
 
 def layout_named(name: str) -> Layout:
@@ -87,10 +107,28 @@ def build_world(settings: SceneSettings, layout: Layout) -> World:
     bodies, rear_m = _bodies(settings, layout, rng, start_m=-lead_m)
     last_x = max(x for _, x, _ in layout.cameras)
     motion = plan_motion(
-        rng, travel_m=lead_m + last_x - rear_m + 0.02, speed_mps=settings.speed_mps, profile=layout.profile
+        rng,
+        travel_m=lead_m + last_x - rear_m + 0.02,
+        speed_mps=settings.speed_mps,
+        profile=layout.profile,
+        jitter=settings.jitter,
     )
-    belt = draw_belt(rng, soil_m=0.0012 if settings.preset.name == "easy" else 0.002)
-    return World(bodies, belt, motion, cameras)
+    soil_m = 0.0012 if settings.preset.name == "easy" else 0.002
+    belt = draw_rods(rng, soil_m=soil_m) if layout.rods else draw_belt(rng, soil_m=soil_m)
+    return World(_moving(bodies, settings, layout), belt, motion, cameras)
+
+
+def _moving(bodies: tuple[Body, ...], settings: SceneSettings, layout: Layout) -> tuple[Body, ...]:
+    """The bodies with their motions; drawn apart from all else, so that a scene at rest is the same scene."""
+    strength = max(layout.unrest, settings.unrest)
+    if strength <= 0:
+        return bodies
+    rng = np.random.default_rng([settings.seed, 11])
+    drifts = [draw_drift(rng, body.vertices, strength=strength) for body in bodies]
+    return tuple(
+        replace(body, drift=drift) if body.kind == "tuber" and body.layer == 1 else body
+        for body, drift in zip(bodies, drifts, strict=True)
+    )
 
 
 def _across_m(settings: SceneSettings) -> float:
@@ -118,7 +156,8 @@ def _bodies(
     tubers: list[Body] = []
     others: list[Body] = []
     extra = 0.0
-    while len(tubers) < settings.tubers:
+    on_top = round(layout.piled * settings.tubers)
+    while len(tubers) < settings.tubers - on_top:
         tuber = draw_tuber(rng, level=3)
         points = rest_on_belt(tuber.vertices, initial_rotation(tuber.vertices, settings.preset, rng))
         placed = _put(points, lanes, rng)
@@ -134,8 +173,33 @@ def _bodies(
             placed = _put(_lie(kind, vertices, rng), lanes, rng)
             if placed is not None:
                 others.append(Body(0, kind, placed, faces, None))
+    if on_top:
+        tubers += _pile(settings, layout, rng, tubers, count=on_top, rear_m=min(lane.rear_m for lane in lanes))
     numbered = [replace(body, body_id=len(tubers) + n + 1) for n, body in enumerate(others)]
     return tuple(tubers + numbered), min(lane.rear_m for lane in lanes)
+
+
+def _pile(
+    settings: SceneSettings, layout: Layout, rng: Generator, lying: list[Body], *, count: int, rear_m: float
+) -> list[Body]:
+    """Tubers dropped onto those that lie already, one after the other, each somewhere on its own part of the belt."""
+    across = _across_m(settings)
+    y_m = min(low for low, _ in layout.lanes_m) * across, max(high for _, high in layout.lanes_m) * across
+    front_m = max(float(body.vertices[:, 0].max()) for body in lying)
+    ground = Ground(x_m=(rear_m - 0.3, front_m + 0.3), y_m=(y_m[0] - 0.3, y_m[1] + 0.3))
+    for body in lying:
+        ground.add(body.vertices, body.faces)
+    part_m, piled = (front_m - rear_m) / count, []
+    for n in range(count):
+        tuber = draw_tuber(rng, level=3)
+        points = rest_on_belt(tuber.vertices, initial_rotation(tuber.vertices, settings.preset, rng))
+        x_m = front_m - (n + 1) * part_m, front_m - n * part_m
+        half = float(points[:, 1].max())
+        placed = points + settle(points, ground, rng, x_m=x_m, y_m=(y_m[0] + half, y_m[1] - half))
+        ground.add(placed, tuber.faces)
+        layer = 2 if placed[:, 2].min() > 0.002 else 1
+        piled.append(Body(len(lying) + n + 1, "tuber", placed, tuber.faces, tuber, layer=layer))
+    return piled
 
 
 def _put(points: Vertices, lanes: list[Lane], rng: Generator) -> Vertices | None:

@@ -60,7 +60,7 @@ class SimulatedSource:
             name=self._camera.name,
             origin=f"simulated scene '{self._settings.scene}', seed {self._settings.seed}",
             intrinsics=self._camera.optics.intrinsics,
-            depth_scale_m=self._settings.unit_m,
+            depth_scale_m=self._settings.claimed_unit_m or self._settings.unit_m,
             belt_distance_m=distance_m,
             belt_from_camera=None if plain else believed,
             fps=self._camera.fps,
@@ -101,13 +101,15 @@ class SimulatedSource:
             rng=rng,
         )
         d = self.description
+        if self._faults.dirt:
+            depth[self._dirty(depth.shape)] = 0
         return Frame(
             camera=d.name,
             run=run,
             seq=seq,
             captured_ns=EPOCH_NS + round(time_s * 1e9) + self._faults.clock_shift_ns(seq),
             travel_m=round(travel, 5) if settings.given_travel else None,
-            depth_scale_m=settings.unit_m,
+            depth_scale_m=d.depth_scale_m,
             intrinsics=k,
             belt_distance_m=d.belt_distance_m,
             depth=depth,
@@ -115,6 +117,15 @@ class SimulatedSource:
             mask=self._tuber_labels(canvas) if self._masks else None,
             color_jpeg=paint_jpeg(canvas, self._world, rng) if self._color else None,
         )
+
+    def _dirty(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """(h, w) where dirt on the lens leaves no depth: round spots, the same in every frame."""
+        rows, columns = np.ogrid[: shape[0], : shape[1]]
+        dirty = np.zeros(shape, np.bool_)
+        for u, v, radius in self._faults.dirt:
+            far = ((columns - u * shape[1]) ** 2 + (rows - v * shape[0]) ** 2) / shape[1] ** 2
+            dirty |= far < radius**2
+        return dirty
 
     def _tuber_labels(self, canvas: Canvas) -> NDArray[np.uint16]:
         """(h, w) ids of the tubers seen; distractors and belt are 0."""
@@ -140,22 +151,23 @@ def simulated_sources(
 
 def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
     """truth.json: the tubers whose centre crosses the centre row of a camera that sees it, while it records."""
-    tubers = []
+    tubers, others = [], []
     for body in world.bodies:
-        if body.kind != "tuber":
-            continue
         seen = [
             camera.name
             for camera, source in zip(world.cameras, sources, strict=True)
             if _crosses(world, camera, source, body)
         ]
-        if seen:
-            tubers.append(_truth_row(body, seen))
+        if seen and body.kind == "tuber":
+            tubers.append(_truth_row(body, seen, crossing_place(world, body, seen[0])))
+        elif seen:
+            others.append(_distractor_row(body, seen))
     distractors = [body.kind for body in world.bodies if body.kind != "tuber"]
     return {
         "tubers": tubers,
         "distractors": len(distractors),
         "distractor_kinds": {kind: distractors.count(kind) for kind in sorted(set(distractors))},
+        "distractor_places": others,
         "travel_m": world.motion.travel_at(world.motion.duration_s),
     }
 
@@ -168,8 +180,28 @@ def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Bo
     return first <= at <= last
 
 
-def _truth_row(body: Body, cameras: list[str]) -> dict[str, Any]:
-    tuber, place = tuber_of(body), body.place
+def _distractor_row(body: Body, cameras: list[str]) -> dict[str, Any]:
+    place = body.place
+    reach_m = float(np.ptp(body.vertices[:, :2], axis=0).max()) / 2
+    return {
+        "kind": body.kind,
+        "place_x_m": round(float(place[0]), 5),
+        "place_y_m": round(float(place[1]), 5),
+        "reach_mm": round(reach_m * 1000, 2),
+        "top_mm": round(float(body.vertices[:, 2].max()) * 1000, 2),
+        "cameras": cameras,
+    }
+
+
+def crossing_place(world: World, body: Body, camera: str) -> NDArray[np.float64]:
+    """(3,) the place of a body when it crosses the centre row of the camera."""
+    pose = next(pose for pose in world.cameras if pose.name == camera)
+    travel_m = crossing_travel_m(body, pose)
+    return body.place if travel_m is None else body.place_at(travel_m)
+
+
+def _truth_row(body: Body, cameras: list[str], place: NDArray[np.float64]) -> dict[str, Any]:
+    tuber = tuber_of(body)
     length, width, height = tuber.axes_mm
     return {
         "id": body.body_id,
@@ -184,4 +216,5 @@ def _truth_row(body: Body, cameras: list[str]) -> dict[str, Any]:
         "cultivar": tuber.stock.cultivar,
         "season": tuber.stock.season,
         "cameras": cameras,
+        **({"layer": body.layer} if body.layer > 1 else {}),
     }

@@ -35,6 +35,7 @@ class StereoNoise:
         edge_px: how far edges wander.
         steep: disparity change per pixel above which matching tends to fail.
         bare: share of the surface without texture to match.
+        steps_per_px: disparity is a multiple of one of so many parts of a pixel.
     """
 
     fine_px: float = 0.010
@@ -43,6 +44,7 @@ class StereoNoise:
     edge_px: float = 1.1
     steep: float = 0.55
     bare: float = 0.0003
+    steps_per_px: int = STEPS_PER_PIXEL
 
 
 EASY = StereoNoise()
@@ -107,6 +109,7 @@ def measure(
         float(_upper_quantile(noise.bare)),
         strength / unit_m,
         left_border,
+        float(noise.steps_per_px),
     )
 
 
@@ -157,6 +160,7 @@ def _to_units(
     bare_above: float,
     units: float,
     left_border: bool,
+    steps: float,
 ) -> NDArray[np.uint16]:
     """Quantise, cut holes, and convert to depth units; `units` / d is the depth in units."""
     height, width = d.shape
@@ -172,7 +176,7 @@ def _to_units(
                 continue
             if steepness[v, u] > steep * max(0.4, 1.0 + 0.35 * texture[v, u]) or bare[v, u] > bare_above:
                 continue
-            value = np.floor(d[v, u] * STEPS_PER_PIXEL + 0.5) / STEPS_PER_PIXEL
+            value = np.floor(d[v, u] * steps + 0.5) / steps
             if value <= 0:
                 continue
             depth = np.floor(units / value + 0.5)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camera_sim.sim.belt import Belt, belt_depth
+from camera_sim.sim.drift import Drift
 from camera_sim.sim.meshes import Faces, Vertices, inverse_rigid, rotation_about
 from camera_sim.sim.motion import BeltMotion
 from camera_sim.sim.optics import BASELINE_M, Optics
@@ -27,6 +28,8 @@ class Body:
         body_id: 1, 2, 3, ...; tubers come first.
         kind: 'tuber' or a kind of distractor; `tuber` is given for the former.
         vertices: (V, 3) metres, at its place: x - travel, y, z in belt coordinates.
+        drift: how it moves against the belt; `vertices` are those of its crossing x = 0. None: it lies still.
+        layer: 1 on the belt, 2 on others.
     """
 
     body_id: int
@@ -34,11 +37,26 @@ class Body:
     vertices: Vertices
     faces: Faces
     tuber: Tuber | None
+    drift: Drift | None = None
+    layer: int = 1
 
     @property
     def place(self) -> NDArray[np.float64]:
         """(3,) middle of its box: x - travel, y, z in belt coordinates, metres."""
         return np.asarray((self.vertices.min(axis=0) + self.vertices.max(axis=0)) / 2)
+
+    def place_at(self, travel_m: float) -> NDArray[np.float64]:
+        """(3,) its place when the belt has moved `travel_m`."""
+        place = self.place
+        if self.drift is not None:
+            place[:2] += self.drift.offset_m(place[0] + travel_m)
+        return place
+
+    def vertices_at(self, travel_m: float) -> Vertices:
+        """(V, 3) its vertices at its place when the belt has moved `travel_m`."""
+        if self.drift is None:
+            return self.vertices
+        return self.drift.moved(self.vertices, float(self.place[0]) + travel_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +116,7 @@ def render(world: World, camera: CameraPose, travel_m: float) -> Canvas:
     view_x, view_half = camera.belt_from_camera[0, 3], 1.2 * camera.belt_from_camera[2, 3] * k.height / (2 * k.fy)
     for body in world.bodies:
         if abs(body.place[0] + travel_m - view_x) < view_half + REACH_M:
-            points = transform_points(camera_from_belt, body.vertices + np.array([travel_m, 0.0, 0.0]))
+            points = transform_points(camera_from_belt, body.vertices_at(travel_m) + np.array([travel_m, 0.0, 0.0]))
             draw(canvas, points, body.faces, intrinsics=k, instance=body.body_id)
     return canvas
 
@@ -111,8 +129,10 @@ def crossing_travel_m(body: Body, camera: CameraPose) -> float | None:
     """
     camera_from_belt = inverse_rigid(camera.belt_from_camera)
     row = camera_from_belt[1]
-    place = body.place
-    x = -(row[1] * place[1] + row[2] * place[2] + row[3]) / row[0]
+    place, x = body.place, 0.0
+    for _ in range(1 if body.drift is None else 6):  # one that moves is met where it is when it crosses
+        x = -(row[1] * place[1] + row[2] * place[2] + row[3]) / row[0]
+        place = body.place_at(float(x - place[0]))
     centre = transform_points(camera_from_belt, np.array([[x, place[1], place[2]]]))[0]
     k = camera.optics.intrinsics
     u = k.fx * centre[0] / centre[2] + k.cx

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ class CameraDescription:
         belt_from_camera: (4, 4) or None: straight down.
         frames: how many frames there are, or None where only reading tells.
         live: frames come at their own pace and are lost when nobody takes them.
+        notes: what a user should know about this camera's recording.
     """
 
     name: str
@@ -33,6 +34,7 @@ class CameraDescription:
     fps: float
     frames: int | None
     live: bool = False
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,15 @@ class Source(Protocol):
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """All frames numbered above `after`, in order of their numbers, stamped with `run`."""
+        ...
+
+
+@runtime_checkable
+class PolledSource(Source, Protocol):
+    """A live source that does not block its process while nothing comes."""
+
+    def attach(self, poll: Callable[[float], bool]) -> None:
+        """Call `poll` several times a second with how long nothing has come, seconds; False ends the frames."""
         ...
 
 

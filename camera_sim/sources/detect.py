@@ -10,12 +10,12 @@ from typing import Literal
 from camera_sim.sources.base import CameraDescription, RecordedSource, Source
 from conveyor.errors import InputError
 
-Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag"]
+Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
 LOOKED_FOR = (
     "a folder recording (<camera>/camera.json and frames.csv, or such a camera folder itself)",
     "an MCAP recording (*.mcap)",
     "a 3DPotatoTwin folder (1_rgbd/1_image)",
-    "a ROS bag (*.bag, *.db3, ROS 2 *.mcap, or a bag's folder with metadata.yaml)",
+    "a ROS bag (*.bag, *.db3, *.mcap of ROS or Foxglove, or a bag's folder with metadata.yaml)",
 )
 
 
@@ -51,6 +51,10 @@ def camera_names(path: Path) -> tuple[str, ...]:
         from camera_sim.sources.rosbag import bag_cameras
 
         return bag_cameras(path)
+    if kind == "ros2-export":
+        from camera_sim.sources.ros2_export import exported_cameras
+
+        return tuple(sorted(exported_cameras(path)))
     from camera_sim.sources.potatotwin import seasons
 
     return seasons(path)
@@ -63,13 +67,15 @@ def open_source(
     name: str | None = None,
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
+    ignore_masks: bool = False,
 ) -> Source:
     """The frames of one camera of a recording, its depth scale checked against its belt distance.
 
     Args:
-        camera: which one; may be left out where there is only one.
+        camera: which one; may be left out where there is only one. Of a ROS bag also a depth topic ('/...').
         name: what the line calls it; default: the recording's own name.
         belt_distance_m, depth_scale_m: instead of what the recording says.
+        ignore_masks: leave out the recording's own masks.
 
     Raises:
         InputError: no recording of a known kind, no such camera, or one that cannot be used.
@@ -77,10 +83,16 @@ def open_source(
     from camera_sim.sources.prepared import PreparedSource
 
     kind = recording_kind(path)
-    chosen = _choose(path, list(camera_names(path)), camera)
+    by_topic = kind == "rosbag" and camera is not None and camera.startswith("/")
+    chosen = camera if by_topic and camera else _choose(path, list(camera_names(path)), camera)
     inner = open_unchecked(path, kind, chosen)
     return PreparedSource(
-        inner, where=str(path), name=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m
+        inner,
+        where=str(path),
+        name=name,
+        belt_distance_m=belt_distance_m,
+        depth_scale_m=depth_scale_m,
+        ignore_masks=ignore_masks,
     )
 
 
@@ -104,10 +116,13 @@ def recording_kind(path: Path) -> Kind:
 
 
 def _mcap_kind(path: Path) -> Kind:
-    """Ours where it has a channel of ours; a ROS 2 bag where it has others."""
+    """Ours where it has a channel of ours; a bag where it has others."""
     from camera_sim.sources.mcap_source import foreign_channels, mcap_channels
+    from camera_sim.sources.ros2_export import exported_cameras
 
-    return "rosbag" if not mcap_channels(path) and foreign_channels(path) else "mcap"
+    if mcap_channels(path) or not foreign_channels(path):
+        return "mcap"
+    return "ros2-export" if exported_cameras(path) else "rosbag"
 
 
 def _choose(path: Path, known: list[str], camera: str | None) -> str:
@@ -136,6 +151,10 @@ def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
         from camera_sim.sources.rosbag import RosBagSource
 
         return RosBagSource(path, camera)
+    if kind == "ros2-export":
+        from camera_sim.sources.ros2_export import Ros2ExportSource
+
+        return Ros2ExportSource(path, camera)
     from camera_sim.sources.potatotwin import PotatoTwinSource
 
     return PotatoTwinSource(path, camera)

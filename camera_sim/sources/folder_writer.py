@@ -73,5 +73,10 @@ def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
 
 def write_line_file(recording: Path, cameras: list[str], *, belt_speed_mps: float | None) -> None:
     """line.json of a recording of several cameras."""
-    text = json.dumps({"cameras": cameras, "belt_speed_mps": belt_speed_mps}, indent=1)
+    text = json.dumps(line_file(cameras, belt_speed_mps=belt_speed_mps), indent=1)
     (recording / "line.json").write_text(text + "\n", encoding="utf-8")
+
+
+def line_file(cameras: list[str], *, belt_speed_mps: float | None) -> dict[str, Any]:
+    """What line.json says."""
+    return {"cameras": cameras, "belt_speed_mps": belt_speed_mps}

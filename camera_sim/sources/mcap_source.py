@@ -41,7 +41,7 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     Raises:
         InputError: no MCAP file, or one whose writer was killed.
     """
-    with _reader(path) as reader:
+    with open_mcap(path) as reader:
         summary = reader.get_summary()
     if summary is None:
         raise InputError(f"{path} was not closed: its writer was killed. Mend it with `tuberline recover {path}`")
@@ -57,14 +57,14 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
 
 def foreign_channels(path: Path) -> bool:
     """The file has channels that are not ours."""
-    with _reader(path) as reader:
+    with open_mcap(path) as reader:
         summary = reader.get_summary()
     return any(channel.message_encoding != ENCODING for channel in summary.channels.values())
 
 
 def mcap_attachments(path: Path) -> dict[str, bytes]:
     """The recording's own JSON files by name."""
-    with _reader(path) as reader:
+    with open_mcap(path) as reader:
         return {a.name: bytes(a.data) for a in reader.iter_attachments() if a.name in ATTACHMENTS}
 
 
@@ -90,7 +90,7 @@ class McapSource:
         Raises:
             InputError: a chunk is damaged.
         """
-        with _reader(self._path) as reader:
+        with open_mcap(self._path) as reader:
             for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
                 if message.sequence <= after:
                     continue
@@ -102,7 +102,7 @@ class McapSource:
 
     def keys(self) -> list[FrameKey]:
         """From the messages' sequence numbers and log times."""
-        with _reader(self._path) as reader:
+        with open_mcap(self._path) as reader:
             messages = reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False)
             return [FrameKey(message.sequence, message.log_time) for _, _, message in messages]
 
@@ -136,8 +136,8 @@ def rate_of(times_ns: list[int]) -> float:
 
 
 @contextmanager
-def _reader(path: Path) -> Iterator[Any]:
-    """The library's reader, its errors as ours."""
+def open_mcap(path: Path) -> Iterator[Any]:
+    """The library's reader of the file at `path`, its errors as ours."""
     try:
         with path.open("rb") as file:
             yield SeekingReader(file, validate_crcs=True, record_size_limit=1 << 30)

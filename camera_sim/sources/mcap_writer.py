@@ -32,13 +32,7 @@ class McapFrameWriter:
         self.messages = 0
 
     def __enter__(self) -> Self:
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._path.open("xb")
-        except FileExistsError as error:
-            raise InputError(f"{self._path} exists; recordings are not overwritten, choose another name") from error
-        except OSError as error:
-            raise InputError(f"{self._path} cannot be written: {error.strerror or error}") from error
+        self._file = open_new(self._path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=f"tuberline {__version__}")
         self._schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, SCHEMA_TEXT)
@@ -82,3 +76,18 @@ class McapFrameWriter:
         if self._file is not None:
             self._file.flush()
             os.fsync(self._file.fileno())
+
+
+def open_new(path: Path) -> IO[bytes]:
+    """A new file at `path`, its folder made where it was missing.
+
+    Raises:
+        InputError: it exists, or cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("xb")
+    except FileExistsError as error:
+        raise InputError(f"{path} exists; recordings are not overwritten, choose another name") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from conveyor.wire import MAX_ARRAY_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +21,9 @@ class Refusal:
     text: str
 
 
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_CHUNK = struct.Struct(">I4s")
+_HEADER_SIZE = struct.Struct(">II")
 MISSING = Refusal("missing_file", "does not exist; its frame is a gap")
 BROKEN = Refusal("broken_png", "is truncated or no PNG; copy it again")
 NOT_16_BIT = Refusal("not_16_bit", "is no 16-bit single-channel PNG; write depth as uint16")
@@ -29,7 +35,7 @@ def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:
         data = np.fromfile(path, np.uint8)
     except OSError:
         return MISSING
-    if not _is_whole(data):
+    if not is_whole_png(data):
         return BROKEN
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if image is None:
@@ -39,6 +45,22 @@ def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:
     return np.asarray(image, np.uint16)
 
 
-def _is_whole(data: NDArray[np.uint8]) -> bool:
-    """OpenCV fills the missing rows of a truncated PNG with zeros and says nothing: look for the end chunk."""
-    return len(data) > 20 and data[:8].tobytes() == b"\x89PNG\r\n\x1a\n" and data[-8:-4].tobytes() == b"IEND"
+def is_whole_png(data: NDArray[np.uint8]) -> bool:
+    """OpenCV fills the missing rows of a truncated PNG with zeros and says nothing: walk to the end chunk.
+
+    It also makes room for as many pixels as a damaged header asks for, and for as many bytes as a damaged chunk says it
+    has, gigabytes of them: no frame has so many pixels, and chunks lie within the file.
+    """
+    raw = data.tobytes()
+    if raw[:8] != _SIGNATURE or raw[12:16] != b"IHDR" or len(raw) < 33:
+        return False
+    width, height = _HEADER_SIZE.unpack_from(raw, 16)
+    if not 0 < width * height <= MAX_ARRAY_BYTES // 2:
+        return False
+    at = len(_SIGNATURE)
+    while at + 12 <= len(raw):
+        size, kind = _CHUNK.unpack_from(raw, at)
+        at += 12 + size
+        if kind == b"IEND":
+            return bool(at <= len(raw))
+    return False

@@ -28,9 +28,11 @@ class PreparedSource:
         name: str | None = None,
         belt_distance_m: float | None = None,
         depth_scale_m: float | None = None,
+        ignore_masks: bool = False,
     ) -> None:
         self._inner = inner
         self._where = where
+        self._ignore_masks = ignore_masks
         d = inner.description
         matrix = d.belt_from_camera
         if belt_distance_m is not None and matrix is not None:
@@ -70,6 +72,8 @@ class PreparedSource:
                     belt_distance_m=d.belt_distance_m,
                     belt_from_camera=d.belt_from_camera,
                 )
+            if self._ignore_masks and frame.mask is not None:
+                frame = replace(frame, mask=None)
             if checked < CHECKED_FRAMES:
                 checked += 1
                 check_depth_scale(frame, where=self._where)

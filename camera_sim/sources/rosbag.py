@@ -1,71 +1,50 @@
-"""Reading depth images from ROS 1 and ROS 2 bags (.bag, .db3, .mcap or a bag's folder), RealSense recordings included.
+"""Reading a depth camera of a ROS 1, ROS 2 or Foxglove bag (.bag, .db3, .mcap or a bag's folder).
 
-Bags of ROS nodes do not store the depth unit: 1 mm is taken, as REP 118 prescribes for 16-bit depth. Files of the
-RealSense SDK store it as an option, and then it is read.
+Bags of ROS nodes do not store the depth unit: 16-bit depth is taken as millimetres and float depth as metres, as REP
+118 prescribes. Files of the RealSense SDK store the unit as an option, and then it is read.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from camera_sim.sources.bag_reader import BagReader, Stored, open_bag
 from camera_sim.sources.base import CameraDescription, FrameKey, Refused
-from conveyor.errors import InputError
-from conveyor.geometry import Intrinsics
+from camera_sim.sources.mcap_source import rate_of
+from camera_sim.sources.png16 import Refusal
+from camera_sim.sources.ros_depth import (
+    FLOAT_ENCODING,
+    depth_encoding,
+    depth_pixels,
+    intrinsics_of,
+    unit_m,
+    unsupported,
+)
+from camera_sim.sources.ros_messages import RosCalibration, RosCompressed, RosImage, RosMessage
+from camera_sim.sources.ros_streams import Stream, depth_streams, stream_of
+from conveyor.errors import InputError, MessageError
 from conveyor.messages import Frame
 
-IMAGE, CAMERA_INFO, FLOAT = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo", "std_msgs/msg/Float32"
-DEPTH_ENCODINGS = ("16UC1", "mono16", "Z16")
-REP_118_UNIT_M = 0.001
-
-
-@dataclass(frozen=True, slots=True)
-class _Stream:
-    """A depth stream: its image topic, the topic of its intrinsics, and that of its depth unit where there is one."""
-
-    camera: str
-    images: str
-    info: str
-    unit: str | None
+DISTORTED = 1e-6
+"""Distortion coefficients above this say that the image is not rectified."""
 
 
 def bag_cameras(path: Path) -> tuple[str, ...]:
     """Names of the depth streams in a bag, made from their topics: '/front/depth/image_rect_raw' is 'front'."""
-    with _open(path) as bag:
-        return tuple(stream.camera for stream in _streams(path, bag))
+    with open_bag(path) as bag:
+        return tuple(stream.camera for stream in depth_streams(path, bag))
 
 
 class RosBagSource:
-    """One depth stream of a bag, numbered in the bag's order."""
+    """One depth stream of a bag, numbered in the bag's order. `camera` is its name, or its topic ('/...')."""
 
     def __init__(self, path: Path, camera: str) -> None:
         self._path = path
-        with _open(path) as bag:
-            self._stream = next(stream for stream in _streams(path, bag) if stream.camera == camera)
-            info = _first(bag, self._stream.info)
-            unit = _first(bag, self._stream.unit) if self._stream.unit else None
-            times = [t for _, t, _ in bag.messages(_connections(bag, self._stream.images))]
-        matrix = info.K if hasattr(info, "K") else info.k
-        k = Intrinsics(info.width, info.height, float(matrix[0]), float(matrix[4]), float(matrix[2]), float(matrix[5]))
-        steps = np.diff(np.asarray(times, np.int64))
-        self._times = times
-        self._description = CameraDescription(
-            name=camera,
-            origin=f"ROS bag {path}, topic {self._stream.images}, unit {'stored' if unit else 'of REP 118'}",
-            intrinsics=k,
-            depth_scale_m=round(float(unit.data), 9) if unit else REP_118_UNIT_M,
-            belt_distance_m=None,
-            belt_from_camera=None,
-            fps=round(1e9 / float(np.median(steps)), 3) if len(steps) and np.median(steps) > 0 else 30.0,
-            frames=len(times),
-        )
+        with open_bag(path) as bag:
+            self._stream = stream_of(path, bag, camera)
+            self._times = [stored.stored_ns for stored in bag.stored(self._stream.images)]
+            self._description = self._describe(bag, self._stream)
 
     @property
     def description(self) -> CameraDescription:
@@ -78,105 +57,76 @@ class RosBagSource:
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """Images in the bag's order with their own stamps; one of another kind or size is refused by its number."""
-        with _open(self._path) as bag:
-            messages = bag.messages(_connections(bag, self._stream.images))
-            for seq, (connection, stored_ns, raw) in enumerate(messages):
+        with open_bag(self._path) as bag:
+            for seq, stored in enumerate(bag.stored(self._stream.images)):
                 if seq > after:
-                    yield self._frame(seq, bag.deserialize(raw, connection.msgtype), stored_ns, run)
+                    yield self._frame(bag, stored, seq, run)
 
-    def _frame(self, seq: int, image: Any, stored_ns: int, run: str) -> Frame | Refused:
+    def _describe(self, bag: BagReader, stream: Stream) -> CameraDescription:
+        where = f"topic {stream.info} in {self._path}"
+        info, image = _first(bag, stream.info), _first(bag, stream.images)
+        if not isinstance(info, RosCalibration):
+            raise InputError(f"{where} is no camera info")
+        if not isinstance(image, RosImage | RosCompressed):
+            raise InputError(f"{self._path}: topic {stream.images} holds no images")
+        fault = unsupported(image)
+        if fault:
+            raise InputError(f"{self._path}: depth topic {stream.images} {fault}")
+        self._in_metres = depth_encoding(image) == FLOAT_ENCODING
+        unit = _first(bag, stream.unit) if stream.unit else None
+        scale_m = round(unit, 9) if isinstance(unit, float) and not self._in_metres else None
+        rectified = "rect" in stream.images
+        return CameraDescription(
+            name=stream.camera,
+            origin=f"bag {self._path}, topic {stream.images}, unit {'of REP 118' if scale_m is None else 'stored'}",
+            intrinsics=intrinsics_of(info, rectified=rectified, where=where),
+            depth_scale_m=unit_m(image) if scale_m is None else scale_m,
+            belt_distance_m=None,
+            belt_from_camera=None,
+            fps=rate_of(self._times),
+            frames=len(self._times),
+            notes=tuple(_notes(info, stream, rectified=rectified)),
+        )
+
+    def _frame(self, bag: BagReader, stored: Stored, seq: int, run: str) -> Frame | Refused:
         d, where = self._description, f"frame {seq} of {self._stream.images} in {self._path}"
-        if image.encoding not in DEPTH_ENCODINGS:
-            known = ", ".join(DEPTH_ENCODINGS)
-            return Refused(seq, "encoding", f"{where} has encoding '{image.encoding}'; depth is read from {known}")
-        if (image.height, image.width) != (d.intrinsics.height, d.intrinsics.width):
-            size = f"{d.intrinsics.width}x{d.intrinsics.height}"
-            return Refused(seq, "wrong_size", f"{where} is {image.width}x{image.height}, its CameraInfo says {size}")
-        if len(image.data) < image.height * image.step or image.step < 2 * image.width:
-            return Refused(seq, "truncated", f"{where} has {len(image.data)} bytes, {image.height} rows need more")
-        stamp = image.header.stamp
-        stamp_ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+        try:
+            image = bag.decode(stored)
+        except MessageError as error:
+            return Refused(seq, "undecodable", f"{where}: {error}")
+        if not isinstance(image, RosImage | RosCompressed):
+            return Refused(seq, "undecodable", f"{where} is no image")
+        if unsupported(image) is None and (depth_encoding(image) == FLOAT_ENCODING) != self._in_metres:
+            return Refused(seq, "encoding", f"{where} has encoding '{depth_encoding(image)}', unlike the first image")
+        depth = depth_pixels(image)
+        if isinstance(depth, Refusal):
+            return Refused(seq, depth.reason, f"{where} {depth.text}")
+        k = d.intrinsics
+        if depth.shape != (k.height, k.width):
+            size = f"{depth.shape[1]}x{depth.shape[0]}"
+            return Refused(seq, "wrong_size", f"{where} is {size}, its CameraInfo says {k.width}x{k.height}")
         return Frame(
             camera=d.name,
             run=run,
             seq=seq,
-            captured_ns=stamp_ns or stored_ns,
+            captured_ns=image.stamp_ns or stored.stored_ns,
             travel_m=None,
             depth_scale_m=d.depth_scale_m,
-            intrinsics=d.intrinsics,
+            intrinsics=k,
             belt_distance_m=None,
-            depth=_pixels(image),
+            depth=depth,
         )
 
 
-def _pixels(image: Any) -> NDArray[np.uint16]:
-    rows = np.frombuffer(bytes(image.data), np.uint8)[: image.height * image.step].reshape(image.height, image.step)
-    pixels = np.ascontiguousarray(rows[:, : 2 * image.width]).view(">u2" if image.is_bigendian else "<u2")
-    return pixels.astype(np.uint16)
-
-
-def _streams(path: Path, bag: Any) -> list[_Stream]:
-    types = {connection.topic: connection.msgtype for connection in bag.connections if connection.msgcount}
-    infos = [topic for topic, kind in types.items() if kind == CAMERA_INFO]
-    units = [topic for topic, kind in types.items() if kind == FLOAT and re.search(r"depth.units", topic, re.I)]
-    streams: list[_Stream] = []
-    for topic in sorted(topic for topic, kind in types.items() if kind == IMAGE and "depth" in topic.lower()):
-        info = _nearest(topic, infos)
-        if info is None:
-            raise InputError(f"{path}: depth topic {topic} has no CameraInfo topic beside it: intrinsics are unknown")
-        name = _camera_name(topic)
-        taken = [stream.camera for stream in streams]
-        streams.append(
-            _Stream(name if name not in taken else f"{name}-{len(taken)}", topic, info, _nearest(topic, units))
-        )
-    if not streams:
-        raise InputError(f"{path} has no depth image topic ({IMAGE} with 'depth' in its name); topics: {sorted(types)}")
-    return streams
-
-
-def _nearest(topic: str, others: list[str]) -> str | None:
-    """The one of `others` that shares the longest path with `topic`, at least its first part."""
-    parts = topic.split("/")
-
-    def shared(other: str) -> int:
-        both = zip(parts, other.split("/"), strict=False)
-        return next((n for n, (a, b) in enumerate(both) if a != b), len(parts))
-
-    best = max(sorted(others), key=shared, default=None)
-    return best if best is not None and shared(best) >= 2 else None
-
-
-def _camera_name(topic: str) -> str:
-    before: list[str] = []
-    for part in topic.strip("/").split("/"):
-        if "depth" in part.lower():
-            break
-        if part not in before:
-            before.append(part)
-    return re.sub(r"[^A-Za-z0-9._-]", "_", "-".join(before)) or "depth"
-
-
-def _connections(bag: Any, topic: str) -> list[Any]:
-    return [connection for connection in bag.connections if connection.topic == topic]
-
-
-def _first(bag: Any, topic: str) -> Any:
-    connection, _, raw = next(iter(bag.messages(_connections(bag, topic))))
-    return bag.deserialize(raw, connection.msgtype)
-
-
-@contextmanager
-def _open(path: Path) -> Iterator[Any]:
-    """The library's reader, its errors as ours."""
+def _first(bag: BagReader, topic: str) -> RosMessage:
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise InputError(
-            f"reading ROS bags needs the package rosbags ({error}): pip install 'tuberline[bags]'"
-        ) from error
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
-            yield bag
-    except AnyReaderError as error:
-        raise InputError(f"{path} is no ROS bag that can be read: {error}") from error
+        return bag.decode(next(iter(bag.stored(topic))))
+    except MessageError as error:
+        raise InputError(f"the first message on {topic} cannot be used: {error}") from error
+
+
+def _notes(info: RosCalibration, stream: Stream, *, rectified: bool) -> Iterator[str]:
+    if stream.others:
+        yield f"depth is on other topics too, not taken: {', '.join(stream.others)} (camera = '<topic>' takes one)"
+    if not rectified and any(abs(value) > DISTORTED for value in info.d):
+        yield "the CameraInfo has distortion, which is not undone: record the rectified topic"

@@ -68,12 +68,30 @@ def test_what_is_not_done_is_sent_again_in_order_when_nothing_moves() -> None:
     assert [f.seq for f in window.to_resend(0.2 + RESEND_AFTER_S[1])] == [5, 7, 8]
     assert window.to_resend(3.0) == []
     window.done(5, 3.5)
-    assert window.to_resend(4.5) == []
-    assert [f.seq for f in window.to_resend(5.6)] == [7, 8]
+    assert window.to_resend(7.4) == []
+    assert [f.seq for f in window.to_resend(7.6)] == [7, 8]
     assert window.still_s(13.5) == 10.0
     window.done(8, 14.0)
     assert window.to_resend(99.0) == []
     assert window.still_s(99.0) == 0.0
+
+
+def test_a_slow_link_is_not_filled_with_repeats() -> None:
+    """Frames that took 5 s were sent again every 2 s for ever: most of a slow link carried repeats."""
+    window, now, resent = SendWindow(1), 0.0, []
+    for seq in range(8):
+        window.sent(_frame(seq), now)
+        resent.append(sum(len(window.to_resend(now + 0.1 * tenth)) for tenth in range(50)))
+        now += 5.0
+        window.done(seq, now)
+    assert resent == [1, 1, 0, 0, 0, 0, 0, 0]
+
+
+def test_what_is_lost_again_and_again_is_sent_again_less_and_less_often() -> None:
+    window = SendWindow(1)
+    window.sent(_frame(0), 0.0)
+    moments = [n for n in range(80) if window.to_resend(float(n))]
+    assert moments == [2, 6, 14, 30, 46, 62, 78], "2, 4, 8, then every 16 s"
 
 
 def test_a_quick_line_is_asked_again_sooner() -> None:

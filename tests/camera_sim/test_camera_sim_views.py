@@ -82,7 +82,7 @@ def test_31_views_ride_through_the_image() -> None:
 
 
 def test_what_cannot_be_is_refused(pack: Path) -> None:
-    with pytest.raises(InputError, match="already holds a pack"):
+    with pytest.raises(InputError, match="already holds views"):
         simulate_views(out=pack)
     with pytest.raises(InputError, match=r"--tubers 0 --views 4: both must be at least 1"):
         simulate_views(out=pack.parent / "other", tubers=0)

@@ -1,0 +1,56 @@
+"""The command that makes labelled frames of random belts, for training the segmenter's network."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from conveyor.errors import InputError
+
+
+def simulate_belts(
+    *, out: Path, belts: int = 240, frames: int = 4, tubers: int = 20, seed: int = 1, force: bool = False
+) -> None:
+    """Make labelled frames of belts that differ in all that varies, for `tuberline train-eyes`.
+
+    Belt distance, resolution, tilt, noise, relief, soil, crowding, clods, stones and haulm are drawn anew per belt.
+
+    Parameters
+    ----------
+    out
+        Folder to write `belts-*.npz` and `meta.json` to.
+    belts
+        How many belts.
+    frames
+        Frames of each.
+    tubers
+        Tubers on each; distractors come on top.
+    seed
+        The same seed gives the same frames.
+    force
+        Overwrite a pack that is there.
+    """
+    from rich.progress import Progress
+
+    from camera_sim.progress import console
+    from camera_sim.sim.beltpack import write_belt_pack
+
+    for name, value in (("--belts", belts), ("--frames", frames), ("--tubers", tubers)):
+        if value < 1:
+            raise InputError(f"{name} {value}: must be at least 1")
+    if any(out.glob("belts-*.npz")) and not force:
+        raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
+    for old in out.glob("belts-*.npz"):
+        old.unlink()
+    with Progress(console=console()) as progress:
+        task = progress.add_task("belts", total=belts)
+        made = write_belt_pack(
+            out,
+            belts=belts,
+            frames=frames,
+            tubers=tubers,
+            seed=seed,
+            command=" ".join(["tuberline", *sys.argv[1:]]),
+            on_belt=lambda _: progress.advance(task),
+        )
+    sys.stdout.write(f"{made} frames of {belts} belts in {out}\n")

@@ -1,0 +1,117 @@
+"""Belts drawn at random in everything that varies between harvesters: for training eyes that must not know one belt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from camera_sim.sim.belt import draw_belt
+from camera_sim.sim.optics import D405_848, D405_1280
+from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
+from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET, Preset
+from camera_sim.sim.scenes import Layout, SceneSettings, build_world
+from camera_sim.sim.stereo import NoiseBank, measure
+from camera_sim.sim.world import Body, CameraPose, World, render
+from conveyor.geometry import Intrinsics
+
+DISTANCE_M = (0.30, 0.60)
+MOST_TILT_DEG = 4.0
+MOST_NOISE = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class BeltView:
+    """One frame of a random belt.
+
+    Attributes:
+        depth: (H, W) uint16, units of `depth_scale_m` metres, 0 = none.
+        labels: (H, W) uint16, body numbers as rendered, 0 = belt; also where `depth` is 0.
+        kinds: kind of body number n + 1.
+        belt_from_camera: (4, 4) as the calibration says, with its error.
+    """
+
+    depth: NDArray[np.uint16]
+    labels: NDArray[np.uint16]
+    kinds: tuple[str, ...]
+    depth_scale_m: float
+    intrinsics: Intrinsics
+    belt_from_camera: NDArray[np.float64]
+
+
+def random_belt_views(seed: int, number: int, *, frames: int, tubers: int) -> Iterator[BeltView]:
+    """`frames` views of belt `number` of `seed`, spread over its length; each belt is the same whenever it is drawn."""
+    rng = np.random.default_rng([seed, 40, number])
+    settings, layout = _settings(rng, seed=int(rng.integers(2**31)), tubers=tubers)
+    world = build_world(settings, layout)
+    relief = draw_belt(
+        rng,
+        soil_m=rng.uniform(0.0004, 0.003),
+        cleat_m=rng.uniform(0.0, 0.010),
+        pitch_mm=int(rng.choice(np.array([32, 64, 128]))),
+    )
+    world = replace(world, belt=relief)
+    camera = world.cameras[0]
+    k = camera.optics.intrinsics
+    bank = NoiseBank(rng, height=k.height, width=k.width)
+    places = [body.place[0] for body in world.bodies]
+    middle_m = camera.belt_from_camera[0, 3]
+    for place_m in np.linspace(max(places), min(places), frames + 2)[1:-1].tolist():
+        yield _view(world, camera, settings, bank, rng, travel_m=middle_m - place_m + rng.uniform(-0.02, 0.02))
+
+
+def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+    half = rng.uniform(0.30, 0.52)
+    layout = Layout(
+        packing=(SINGULATED, TOUCHING, CROWDED)[int(rng.choice(3, p=[0.25, 0.45, 0.30]))],
+        lanes_m=((-half, half),),
+        distractors=float(rng.choice(np.array([0.0, 0.4, 0.8, 1.5]), p=[0.1, 0.3, 0.35, 0.25])),
+        tilt_deg=(rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG), rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG)),
+    )
+    settings = SceneSettings(
+        scene="random",
+        seed=seed,
+        tubers=tubers,
+        preset=_noisier(FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET, rng),
+        optics=D405_1280 if rng.random() < 0.4 else D405_848,
+        belt_distance_m=rng.uniform(*DISTANCE_M),
+        unit_m=0.0001 if rng.random() < 0.2 else 0.001,
+    )
+    return settings, layout
+
+
+def _noisier(preset: Preset, rng: Generator) -> Preset:
+    """The preset with its smooth, correlated and white noise up to `MOST_NOISE` times as strong."""
+    by = rng.uniform(1.0, MOST_NOISE) if rng.random() < 0.6 else 1.0
+    n = preset.noise
+    noise = replace(n, fine_px=n.fine_px * by, mid_px=n.mid_px * by, smooth_px=n.smooth_px * by)
+    return replace(preset, noise=noise)
+
+
+def _view(
+    world: World, camera: CameraPose, settings: SceneSettings, bank: NoiseBank, rng: Generator, *, travel_m: float
+) -> BeltView:
+    canvas = render(world, camera, travel_m)
+    depth = measure(
+        (1 / canvas.inverse_depth).astype(np.float32),
+        focal_px=camera.optics.intrinsics.fx,
+        unit_m=settings.unit_m,
+        noise=settings.preset.noise,
+        bank=bank,
+        rng=rng,
+    )
+    return BeltView(
+        depth=depth,
+        labels=canvas.ids.astype(np.uint16),
+        kinds=_kinds(world.bodies),
+        depth_scale_m=settings.unit_m,
+        intrinsics=camera.optics.intrinsics,
+        belt_from_camera=camera.believed_belt_from_camera,
+    )
+
+
+def _kinds(bodies: tuple[Body, ...]) -> tuple[str, ...]:
+    return tuple(body.kind for body in sorted(bodies, key=lambda body: body.body_id))
