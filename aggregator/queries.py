@@ -1,4 +1,4 @@
-"""Answers `query/totals` and `query/tubers` with JSON, on Zenoh's threads and without touching the core's state."""
+"""Answers the `query/...` topics with JSON, on Zenoh's threads and without touching the core's state."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import zenoh
 
+from aggregator.loads import last_loads
 from aggregator.reader import reading
 from aggregator.rows import tuber_from
 from aggregator.schema import TUBER
@@ -21,10 +22,11 @@ from conveyor.node import Node
 from conveyor.topics import Topic
 
 DEFAULT_LIMIT, MOST = 100, 1000
+DEFAULT_LOADS, MOST_LOADS = 10, 50
 
 
 class Queries:
-    """The two queryables of an aggregator."""
+    """The queryables of an aggregator."""
 
     def __init__(self, node: Node, ledger: Path, *, run: str, totals: Totals) -> None:
         self._ledger = ledger
@@ -36,6 +38,7 @@ class Queries:
         self._queryables = [
             self._declare(node, topics.QUERY_TOTALS, self._answer_totals),
             self._declare(node, topics.QUERY_TUBERS, self._answer_tubers),
+            self._declare(node, topics.QUERY_LOADS, self._answer_loads),
         ]
 
     def show(self, totals: Totals) -> None:
@@ -69,6 +72,11 @@ class Queries:
                 f"{TUBER.select} WHERE run = ? AND tuber_id > ? ORDER BY tuber_id LIMIT ?", (self._run, since, limit)
             ).fetchall()
         return [plain(tuber_from(columns)) for *columns, _crc in rows]
+
+    def _answer_loads(self, query: zenoh.Query) -> Any:
+        limit = _whole(query, "limit", default=DEFAULT_LOADS, most=MOST_LOADS)
+        with reading(self._ledger) as db:
+            return last_loads(db, limit=limit)
 
 
 def _whole(query: zenoh.Query, name: str, *, default: int, most: int) -> int:

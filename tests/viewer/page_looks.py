@@ -1,0 +1,115 @@
+"""Looks at a line for the page's tests: one in which all is well, and its parts to change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from conveyor.geometry import Intrinsics
+from conveyor.messages import CameraInfo, Counters, Totals
+from viewer.page.look import Flow, Look, NodeLook, PastLoad
+
+LENS = Intrinsics(848, 480, 430.0, 430.0, 423.5, 239.5)
+HISTOGRAM = (310, 2105, 3420, 2890, 1660, 720, 300, 120, 44, 15, 4, 2)
+
+
+def counters(node: str, *, values: dict[str, int] | None = None, gauges: dict[str, float] | None = None) -> Counters:
+    """A report of `node` ('role/name')."""
+    role, _, name = node.partition("/")
+    host = "harvester" if role in ("camera", "segmenter") else "edge"
+    return Counters(role, name, "monday", 4711, host, "0.1.0", 5000.0, values or {}, gauges or {})
+
+
+def node(
+    name: str, *, values: dict[str, int] | None = None, gauges: dict[str, float] | None = None, **look: Any
+) -> NodeLook:
+    """A node that reported just now."""
+    return NodeLook(**{"report": counters(name, values=values, gauges=gauges), "age_s": 0.4, "alive": True, **look})
+
+
+def segmenter(camera: str, *, gauges: dict[str, float] | None = None, **look: Any) -> NodeLook:
+    """A segmenter at 30 frames a second that lost next to nothing."""
+    sheet = {
+        "frames_published": 146230.0,
+        "frames_received": 146218.0,
+        "frames_processed": 146211.0,
+        "frames_gaps": 12.0,
+        "frames_dropped_too_old": 7.0,
+        "views_sent": 34770.0,
+        "views_weighed": 34770.0,
+        "tracks_counted": 11590.0,
+        "frame_age_ms": 38.0,
+        "belt_drift_mm": -0.8,
+        "belt_alarm": 0.0,
+        "log_uncommitted": 2.0,
+        **(gauges or {}),
+    }
+    more = {"per_s": {"frames_processed": 29.9}, "lowest": sheet, "resting_s": {"frames_processed": 0.6}, **look}
+    return node(f"segmenter/{camera}", gauges=sheet, **more)
+
+
+def totals(**changes: Any) -> Totals:
+    """A trailer's worth of tubers."""
+    count = sum(HISTOGRAM)
+    seen = 172.0 * count
+    made = Totals(
+        run="monday",
+        count=count,
+        weight_g=seen,
+        low_g=0.95 * seen,
+        high_g=1.05 * seen,
+        coverage=0.985,
+        estimated_weight_g=seen / 0.985,
+        estimated_low_g=0.955 * seen,
+        estimated_high_g=1.075 * seen,
+        tubers_per_s=38.2,
+        histogram_step_g=50.0,
+        histogram=HISTOGRAM,
+        cameras={"left": "running", "right": "running"},
+        final=False,
+    )
+    return replace(made, **changes)
+
+
+def camera_info(camera: str, **changes: Any) -> CameraInfo:
+    """A live camera that streams."""
+    made = CameraInfo(camera, "monday", "streaming", "RealSense D405", 30.0, False, LENS, 0.0001, 0, 146229, 146230, {})
+    return replace(made, **changes)
+
+
+def good_look(line: str = "north", **changes: Any) -> Look:
+    """A line in which all is well."""
+    nodes = {
+        "aggregator/aggregator": node("aggregator/aggregator"),
+        **{f"camera/{name}": node(f"camera/{name}") for name in ("left", "right")},
+        **{f"segmenter/{name}": segmenter(name) for name in ("left", "right")},
+        **{
+            f"regressor/r{n}": node(
+                f"regressor/r{n}",
+                values={"views_weighed": 17385},
+                gauges={"last_ms": 11.0},
+                per_s={"views_weighed": 57.3},
+            )
+            for n in (1, 2)
+        },
+    }
+    made = Look(
+        line=line,
+        heard_s=0.4,
+        totals=totals(),
+        totals_age_s=0.3,
+        nodes=nodes,
+        cameras={name: camera_info(name) for name in ("left", "right")},
+        flow=Flow(2292.0, 394.0, 0.42),
+        loads=tuple(
+            PastLoad(f"20261{n}", 1790000000.0 + 3600 * n, 9000 + n, 1.5e6 + 1e4 * n, 1.4e6, 1.6e6, 0.99, True)
+            for n in (3, 2, 1)
+        ),
+    )
+    return replace(made, **changes)
+
+
+def with_node(look: Look, name: str, changed: NodeLook | None) -> Look:
+    """The look with one node changed, or taken away."""
+    others = {key: value for key, value in look.nodes.items() if key != name}
+    return replace(look, nodes=others if changed is None else {**others, name: changed})

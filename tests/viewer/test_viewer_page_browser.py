@@ -1,0 +1,154 @@
+"""The operator's page in a real browser: what stands there, what it says when contact is lost, and that it fits."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import viewer.page.server as server_module
+from tests.deploy.remote_browser import Browser, chromium
+from tests.viewer.page_looks import good_look, segmenter, with_node
+from viewer.page.board import Board
+from viewer.page.server import PageServer
+from viewer.page.snapshot import snapshot
+
+CSS = Path(server_module.__file__).parent / "static" / "page.css"
+SIZES = {"phone": (390, 844), "panel": (1280, 800)}
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with chromium(tmp_path_factory.mktemp("browser") / "profile") as running:
+        yield running
+
+
+def js(browser: Browser, expression: str) -> Any:
+    """The value of an expression in the page."""
+    found = browser.page("Runtime.evaluate", expression=expression, returnByValue=True)
+    assert "exceptionDetails" not in found, found["exceptionDetails"]
+    return found["result"].get("value")
+
+
+def until(true: Callable[[], object], *, what: str) -> None:
+    """A browser that is just starting on a busy machine takes its time."""
+    deadline = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < deadline, f"waited in vain for: {what}"
+        time.sleep(0.15)
+
+
+def text(browser: Browser) -> str:
+    """Everything a person can read."""
+    return re.sub(r"[\u2009\s]+", " ", js(browser, "document.body?.innerText") or "")
+
+
+def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
+    board = Board(["north"])
+    dark = segmenter("left", gauges={"frames_dropped_blind": 360.0}, growing_s={"frames_dropped_blind": 12.4})
+    board.put(snapshot(with_node(good_look(), "segmenter/left", dark)))
+    with ExitStack() as first:
+        page = first.enter_context(PageServer(board, host="127.0.0.1", port=0))
+        port = page.port
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{port}/")
+        until(lambda: "Live" in text(browser) and "1 993 kg" in text(browser), what="the figures in the page")
+        shown = text(browser)
+        for told in (
+            "Camera left is dark, for 12 s.",
+            "90 % sure: 1 894 to 2 093 kg",
+            "Makes up for the 1.5 % of the belt that nobody saw.",
+            "Tubers 11 590",
+            "Belt speed 0.42 m/s",
+            "360 frames not used: dark or covered",
+            "1 530 kg",
+        ):
+            assert told in shown, told
+        assert js(browser, "document.querySelectorAll('.histogram rect').length") == 12
+        assert "camera left blind" in js(browser, "document.getElementById('spoken').textContent")
+    until(lambda: "No contact: last heard" in text(browser), what="the page says that it lost contact")
+    assert "Old figures: last heard" in text(browser)
+    assert js(browser, "document.querySelector('.line').dataset.old") == "yes"
+    assert js(browser, "getComputedStyle(document.querySelector('.side')).opacity") != "1"
+    with PageServer(board, host="127.0.0.1", port=port):
+        board.put(snapshot(good_look()))
+        until(lambda: "No alarms." in text(browser), what="the page comes back by itself")
+        until(lambda: "Live" in text(browser) and "No contact" not in text(browser), what="it is live again")
+
+
+def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -> None:
+    board = Board(["north", "south"])
+    board.put(snapshot(good_look(heard_s=14.0, totals_age_s=14.0)))
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: "Old figures: last heard" in text(browser), what="old figures")
+        deadline = time.monotonic() + 4
+        while time.monotonic() < deadline:
+            board.put(snapshot(good_look("south")))
+            time.sleep(0.5)
+        found = js(browser, "[...document.querySelectorAll('.line')].map((line) => [line.dataset.old, line.innerText])")
+    assert [old for old, _ in found] == ["yes", "no"]
+    seconds = int(re.findall(r"last heard (\d+) s ago", found[0][1])[0])
+    assert 16 <= seconds <= 40, "the age goes on though the watcher of that line says nothing more"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size: str) -> None:
+    board = Board(["north", "south"])
+    for name in ("north", "south"):
+        board.put(snapshot(good_look(name)))
+    width, height = SIZES[size]
+    browser.page(
+        "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+    )
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: text(browser).count("1 993 kg") == 2, what="both lines")
+        assert js(browser, "document.documentElement.scrollWidth") <= width
+        assert js(browser, "document.querySelector('#light').getBoundingClientRect().height") >= 44
+        assert js(browser, "parseFloat(getComputedStyle(document.querySelector('.seen b')).fontSize)") >= 40
+
+
+def test_day_and_night_by_the_keyboard(browser: Browser) -> None:
+    board = Board(["north"])
+    board.put(snapshot(good_look()))
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: "Live" in text(browser), what="the page")
+        js(browser, "document.querySelector('#light').focus()")
+        grounds = []
+        for _ in range(2):
+            for kind in ("keyDown", "keyUp"):
+                browser.page(
+                    "Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r"
+                )
+            grounds.append(js(browser, "getComputedStyle(document.body).backgroundColor"))
+    assert grounds == ["rgb(255, 255, 255)", "rgb(10, 12, 8)"]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance of '#rgb' or '#rrggbb' (WCAG 2)."""
+    digits = colour.removeprefix("#")
+    digits = "".join(2 * digit for digit in digits) if len(digits) == 3 else digits
+    channels = [int(digits[at : at + 2], 16) / 255 for at in (0, 2, 4)]
+    red, green, blue = (c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in channels)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def test_contrast_is_made_for_sunlight() -> None:
+    """7 to 1 (WCAG AAA) for every word on every ground, by day and by night."""
+    themes = re.findall(r"\{\s*color-scheme: \w+;(.*?)\}", CSS.read_text(), re.S)
+    assert len(themes) == 3
+    pairs = [("ink", ground) for ground in ("ground", "card", "good-ground", "trouble-ground", "look-ground")]
+    pairs += [("soft", "ground"), ("soft", "card"), ("good", "good-ground"), ("look", "look-ground")]
+    pairs += [("trouble", "trouble-ground"), ("ground", "trouble"), ("bar", "card")]
+    for theme in themes:
+        colours = dict(re.findall(r"--([\w-]+): (#\w+);", theme))
+        for front, back in pairs:
+            light, dark = sorted((luminance(colours[front]), luminance(colours[back])), reverse=True)
+            wanted = 4.5 if front == "bar" else 7.0 if front in ("ink", "soft", "ground") else 5.5
+            assert (light + 0.05) / (dark + 0.05) >= wanted, (front, back, (light + 0.05) / (dark + 0.05))

@@ -1,0 +1,165 @@
+"""`tuberline page` as its own process on a real line: figures arrive, grow old, come back; and it holds nobody up."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from conveyor import topics
+from conveyor.access import line_identities
+from conveyor.cli import build_app
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.delivery import KeptPublisher, LatestPublisher
+from conveyor.errors import ConfigError
+from conveyor.messages import Travel
+from conveyor.node import Node
+from tests.conftest import wait_until
+from tests.viewer.viewer_line import camera_info, free_port, potatoes, totals
+
+RUN = "load-7"
+PATIENCE_S = 60.0
+
+
+class Page:
+    """A page process, asked as a browser would."""
+
+    def __init__(self, process: subprocess.Popen[bytes], port: int) -> None:
+        self.process = process
+        self.port = port
+
+    def lines(self) -> dict[str, dict[str, Any]]:
+        """What it shows, by line; nothing while it is not there."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        try:
+            connection.request("GET", "/snapshot.json")
+            return {line["line"]: line for line in json.loads(connection.getresponse().read())["lines"]}
+        except OSError:
+            return {}
+        finally:
+            connection.close()
+
+
+@contextmanager
+def page(link: LinkConfig, port: int, *lines: str) -> Iterator[Page]:
+    """The page of some lines at one router."""
+    command = [sys.executable, "-m", "conveyor", "page", "--connect", link.router, "--listen", f"127.0.0.1:{port}"]
+    process = subprocess.Popen([*command, *(word for line in lines for word in ("--line", line))])
+    try:
+        yield Page(process, port)
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait(10)
+
+
+@pytest.mark.graph
+def test_a_line_is_shown_grows_old_and_comes_back(link: LinkConfig) -> None:
+    tubers = potatoes(40, seed=3)
+    config = LineConfig(name="north", link=link)
+    with page(link, free_port(), "north", "south") as shown:
+        with Node("aggregator", "aggregator", config=config, run=RUN) as node:
+            kept = KeptPublisher(node, topics.TOTALS)
+            infos = KeptPublisher(node, topics.CAMERA_INFO, camera="front")
+            travels = LatestPublisher(node, topics.TRAVEL, source="front")
+            asked = node.session.declare_queryable(
+                topics.QUERY_LOADS.key("north"),
+                lambda query: query.reply(query.key_expr, json.dumps([_past(n) for n in (2, 1)])),
+            )
+            infos.put(camera_info())
+            deadline = time.monotonic() + PATIENCE_S
+            north: dict[str, Any] = {}
+            for second in range(10_000):
+                node.progress()
+                kept.put(totals(tubers))
+                travels.put(Travel("front", RUN, second * 200_000_000, 0.084 * second, True))
+                north = shown.lines().get("north", {})
+                if north.get("loads") and (north.get("flow") or {}).get("belt_m_per_s"):
+                    break
+                assert time.monotonic() < deadline, north
+                time.sleep(0.1)
+            asked.undeclare()
+        assert north["load"]["count"] == 40
+        assert north["load"]["seen_g"][1] == pytest.approx(sum(t.weight_g for t in tubers))
+        assert north["flow"]["belt_m_per_s"] == pytest.approx(0.42)
+        assert [load["run"] for load in north["loads"]] == ["load-2", "load-1"]
+        assert [camera["name"] for camera in north["cameras"]] == ["front"]
+        assert shown.lines()["south"]["state"] == "no contact", "two lines at one router do not see each other"
+        wait_until(
+            lambda: shown.lines()["north"]["state"] == "no contact", what="the line's silence", timeout_s=PATIENCE_S
+        )
+        assert shown.lines()["north"]["heard_s"] >= 3.5
+        with Node("aggregator", "aggregator", config=config, run=RUN) as node:
+            kept = KeptPublisher(node, topics.TOTALS)
+
+            def back() -> bool:
+                kept.put(totals(tubers[:7]))
+                return bool(shown.lines()["north"]["load"]["count"] == 7)
+
+            wait_until(back, what="the line is back", timeout_s=PATIENCE_S)
+        shown.process.send_signal(signal.SIGTERM)
+        assert shown.process.wait(20) == 0
+
+
+def _past(n: int) -> dict[str, Any]:
+    figures = {"count": 100 * n, "weight_g": 17000.0 * n, "low_g": None, "high_g": None, "coverage": None}
+    return {"run": f"load-{n}", "started_unix_s": 1.79e9 + n, "final": False, **figures}
+
+
+@pytest.mark.graph
+def test_a_frozen_page_holds_nobody_up(link: LinkConfig) -> None:
+    config = LineConfig(name="north", link=link)
+    with page(link, free_port(), "north") as shown, Node("aggregator", "aggregator", config=config, run=RUN) as node:
+        kept = KeptPublisher(node, topics.TOTALS)
+        kept.put(totals(potatoes(5, seed=1)))
+        wait_until(
+            lambda: shown.lines().get("north", {}).get("load"), what="the page shows the line", timeout_s=PATIENCE_S
+        )
+        shown.process.send_signal(signal.SIGSTOP)
+        slowest_s, used_s = 0.0, time.thread_time()
+        for n in range(2000):
+            started = time.monotonic()
+            kept.put(totals(potatoes(n % 50, seed=1)[:3]))
+            slowest_s = max(slowest_s, time.monotonic() - started)
+        shown.process.send_signal(signal.SIGCONT)
+        sys.stdout.write(
+            f"slowest put {1e3 * slowest_s:.1f} ms, {time.thread_time() - used_s:.2f} s of processor time\n"
+        )
+        assert slowest_s < 2.0, "a put waits for nobody"
+        wait_until(
+            lambda: shown.lines().get("north", {}).get("load", {}).get("count") == 3,
+            what="it goes on",
+            timeout_s=PATIENCE_S,
+        )
+
+
+def test_the_page_is_an_operator_and_operators_send_nothing() -> None:
+    assert "operator" in {identity.role for identity in line_identities(LineConfig())}
+    for topic in topics.TOPICS:
+        assert "operator" not in topic.senders
+    heard = {topic.name for topic in topics.TOPICS if "operator" in topic.receivers}
+    assert {"totals", "counters", "alive", "camera_info", "travel", "query_loads"} <= heard
+    assert not {"frame", "view", "weight", "order_model"} & heard
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--listen", "9180"], "HOST:PORT"),
+        (["--listen", "localhost:http"], "HOST:PORT"),
+        (["--config", "a.toml", "--line", "b"], "not both"),
+        (["--line", "a", "--line", "a"], "the same name"),
+        (["--config", "/nowhere/line.toml"], "cannot be read"),
+    ],
+)
+def test_wrong_use_is_refused_in_one_sentence(words: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        build_app()(["page", *words], exit_on_error=False, print_error=False)

@@ -1,0 +1,39 @@
+"""The newest snapshot of every line as one text, for any number of readers. Newest wins: a slow reader skips.
+
+Each carries `told_s`, how long ago it was put here: a watcher that hangs cannot pass old figures off as new ones.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from typing import Any
+
+
+class Board:
+    """Lines in the order in which they were announced. Writers never wait for readers."""
+
+    def __init__(self, lines: list[str]) -> None:
+        self._changed = threading.Condition()
+        self._snapshots: dict[str, tuple[float, dict[str, Any]] | None] = dict.fromkeys(lines)
+        self._version = 0
+
+    def put(self, snapshot: dict[str, Any]) -> None:
+        """Replace the snapshot of the line it names."""
+        with self._changed:
+            self._snapshots[snapshot["line"]] = (time.monotonic(), snapshot)
+            self._version += 1
+            self._changed.notify_all()
+
+    def newer(self, version: int, timeout_s: float) -> tuple[int, str]:
+        """(version, JSON) once there is something newer than `version`, or what there is after `timeout_s`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version != version, timeout_s)
+            number, snapshots = self._version, dict(self._snapshots)
+        now_s = time.monotonic()
+        lines = [
+            {**found[1], "told_s": round(now_s - found[0], 1)} if found else {"line": name, "state": "starting"}
+            for name, found in snapshots.items()
+        ]
+        return number, json.dumps({"lines": lines}, separators=(",", ":"), allow_nan=False)

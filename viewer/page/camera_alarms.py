@@ -1,0 +1,114 @@
+"""What is wrong with one camera and its segmenter: (key, serious, text, mend) for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from viewer.page.look import Look, NodeLook
+from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, plain, span
+
+Found = tuple[str, bool, str, str]
+SILENT_S = 5.0
+"""A camera that sends nothing for so long; the slowest ones send several frames a second."""
+BRIEF_S = 2.0
+"""Drops that last no longer than this are a hiccup: they stand in the table, not among the alarms."""
+
+
+def camera_alarms(camera: str, look: Look) -> Iterator[Found]:
+    """Everything that is wrong with `camera`; nothing once it has ended or the load is complete."""
+    info = look.cameras.get(camera)
+    if info is not None and info.state == "failed":
+        yield (
+            "failed",
+            True,
+            f"Camera {camera} failed: {info.error or 'it did not say why'}",
+            "Mend that, start it again.",
+        )
+        return
+    if look.final or (info is not None and info.state == "ended"):
+        return
+    source, eyes = look.role("camera").get(camera), look.role("segmenter").get(camera)
+    yield from _gone(camera, source, eyes)
+    if eyes is not None and eyes.alive:
+        yield from _belt(camera, eyes)
+        yield from _frames(camera, source, eyes, waits=info is not None and info.waits)
+        yield from _views(camera, eyes)
+    if look.totals is not None and look.totals.cameras.get(camera) == "silent":
+        yield (
+            "given-up",
+            True,
+            f"The ledger goes on without camera {camera}: it has been silent for too long.",
+            "What passes under it is missing from the load as seen. Start it and its segmenter again.",
+        )
+
+
+def _gone(camera: str, source: NodeLook | None, eyes: NodeLook | None) -> Iterator[Found]:
+    for role, node, mend in (
+        ("Camera", source, "Look at its cable and its computer."),
+        ("The segmenter of camera", eyes, "Start it again; a live camera's frames are lost meanwhile."),
+    ):
+        if node is not None and node.state == "gone":
+            yield f"{role[:3]}-gone", True, f"{role} {camera} has been away for {span(node.away_s)}.", mend
+        elif node is not None and node.state == "silent":
+            yield f"{role[:3]}-quiet", True, f"{role} {camera} has said nothing for {span(node.age_s)}.", mend
+
+
+def _belt(camera: str, eyes: NodeLook) -> Iterator[Found]:
+    drift_mm = eyes.level("belt_drift_mm")
+    if drift_mm is None or not eyes.level("belt_alarm"):
+        return
+    side = "further than" if drift_mm > 0 else "nearer than"
+    text = f"Under camera {camera} the belt is {abs(drift_mm):.0f} mm {side} calibrated: weights are wrong."
+    mend = (
+        "See that the camera's mount has not moved and that no soil lies on the belt. Then measure the distance anew."
+    )
+    yield "belt", True, text, mend
+
+
+def _frames(camera: str, source: NodeLook | None, eyes: NodeLook, *, waits: bool) -> Iterator[Found]:
+    dropping = False
+    for counter, seconds in sorted(eyes.growing_s.items()):
+        reason = counter.removeprefix("frames_dropped_")
+        if reason == counter or seconds < BRIEF_S:
+            continue
+        dropping = True
+        words = FRAME_DROPS.get(reason)
+        if words is None:
+            text = f"Frames of camera {camera} have been dropped for {span(seconds)}: {plain(reason)}."
+            yield reason, True, text, "Read the segmenter's log."
+        else:
+            yield reason, True, f"Camera {camera} {words.now}, for {span(seconds)}.", words.mend
+    lost_s = eyes.growing_s.get("frames_gaps", 0.0)
+    if lost_s >= BRIEF_S and not waits:
+        yield (
+            "gaps",
+            True,
+            f"Frames of camera {camera} have been getting lost on the way for {span(lost_s)}.",
+            "Look at its cable, and at the network between camera and segmenter.",
+        )
+    rests_s = eyes.resting_s.get("frames_processed", 0.0)
+    if not dropping and rests_s > SILENT_S and source is not None and source.alive:
+        still_s = source.level("waiting_for_segmenter_s")
+        if still_s is not None and still_s > SILENT_S:
+            text = f"Camera {camera} has waited for its segmenter for {span(still_s)}; no frame is lost."
+            yield "waits", False, text, "Look at the regressors: the segmenter goes on when tubers are weighed."
+        else:
+            text = f"No frames have come from camera {camera} for {span(rests_s)}."
+            yield "no-frames", True, text, "Look at its cable; unplug it and plug it in again."
+
+
+def _views(camera: str, eyes: NodeLook) -> Iterator[Found]:
+    for counter, seconds in sorted(eyes.growing_s.items()):
+        reason = counter.removeprefix("views_lost_")
+        if reason == counter or seconds < BRIEF_S:
+            continue
+        words = VIEW_LOSSES.get(reason)
+        if words is None:
+            yield (
+                f"views-{reason}",
+                False,
+                f"Views of camera {camera} are lost: {plain(reason)}.",
+                "Read the segmenter's log.",
+            )
+        else:
+            yield f"views-{reason}", False, f"Camera {camera} {words.now}.", words.mend

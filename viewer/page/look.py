@@ -1,0 +1,115 @@
+"""What the page knows of a line at one moment. Ages are seconds since the page itself heard of it, by its own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from conveyor.messages import CameraInfo, Counters, Totals
+
+STALE_S = 3.5
+"""Every node reports once a second, the totals twice: after this silence a figure is old and is shown as old."""
+
+
+@dataclass(frozen=True, slots=True)
+class NodeLook:
+    """One process of the line.
+
+    Attributes:
+        report: its newest counters; None where only its token was seen.
+        age_s: since that report arrived.
+        alive: its liveliness token is there; gone_s: how long it has not been; None where it never was.
+        per_s: growth of each counter over the last seconds.
+        growing_s: for how long each counter has been growing without a pause; those that rest are left out.
+        resting_s: how long ago each counter grew last, or was first seen.
+        lowest: the lowest value of each counter over the last seconds.
+    """
+
+    report: Counters | None
+    age_s: float
+    alive: bool
+    gone_s: float | None = 0.0
+    per_s: Mapping[str, float] = field(default_factory=dict)
+    growing_s: Mapping[str, float] = field(default_factory=dict)
+    resting_s: Mapping[str, float] = field(default_factory=dict)
+    lowest: Mapping[str, float] = field(default_factory=dict)
+
+    def count(self, name: str) -> int:
+        """The count `name`; 0 where it never happened."""
+        return self.report.count(name) if self.report else 0
+
+    def level(self, name: str) -> float | None:
+        """The gauge `name`, or None where the node does not tell."""
+        return self.report.gauges.get(name) if self.report else None
+
+    @property
+    def away_s(self) -> float:
+        """How long it has been gone."""
+        return self.age_s if self.gone_s is None else self.gone_s
+
+    @property
+    def state(self) -> str:
+        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing) or 'gone'."""
+        if not self.alive:
+            return "starting" if self.gone_s is None and self.age_s <= STALE_S else "gone"
+        if self.report is None or self.age_s > STALE_S:
+            return "silent"
+        return self.report.status
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """What comes along now; None where that is not known."""
+
+    tubers_per_min: float | None = None
+    kg_per_min: float | None = None
+    belt_m_per_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PastLoad:
+    """One load of the ledger, as the aggregator tells it."""
+
+    run: str
+    started_unix_s: float
+    count: int
+    weight_g: float
+    low_g: float | None
+    high_g: float | None
+    coverage: float | None
+    final: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link."""
+
+    line: str
+    trouble: str = ""
+    heard_s: float | None = None
+    totals: Totals | None = None
+    totals_age_s: float = 0.0
+    nodes: Mapping[str, NodeLook] = field(default_factory=dict)
+    cameras: Mapping[str, CameraInfo] = field(default_factory=dict)
+    flow: Flow = field(default_factory=Flow)
+    loads: tuple[PastLoad, ...] = ()
+
+    @property
+    def in_contact(self) -> bool:
+        """Something was heard of the line just now."""
+        return self.heard_s is not None and self.heard_s <= STALE_S
+
+    @property
+    def final(self) -> bool:
+        """The load is complete: its figures do not grow old."""
+        return self.totals is not None and self.totals.final
+
+    def role(self, role: str) -> dict[str, NodeLook]:
+        """The nodes of one role, by name."""
+        head = f"{role}/"
+        return {name.removeprefix(head): node for name, node in sorted(self.nodes.items()) if name.startswith(head)}
+
+    def camera_names(self) -> list[str]:
+        """Every camera anybody told of."""
+        told = set(self.totals.cameras) if self.totals else set()
+        return sorted(told | set(self.cameras) | set(self.role("camera")) | set(self.role("segmenter")))

@@ -1,0 +1,129 @@
+// One line: its figures, alarms and tables. Texts are set, never parsed as HTML, and only where they changed.
+import { cameraCards } from "./cameras.js";
+import { histogram } from "./histogram.js";
+import { fill } from "./table.js";
+import { ago, load, loadUnit, number, when } from "./words.js";
+
+const STALE_S = 3.5;
+const STATES = {
+  running: ["good", "Running"],
+  complete: ["good", "Load complete"],
+  waiting: ["wait", "Waiting for the first figures"],
+  starting: ["wait", "Looking for the line"],
+  trouble: ["trouble", "Running, with trouble"],
+  "no contact": ["trouble", "No contact"],
+};
+const LEVELS = { trouble: "Trouble", look: "Look", note: "Note" };
+
+export class LineCard {
+  constructor(template) {
+    this.element = template.content.firstElementChild.cloneNode(true);
+    this.places = Object.fromEntries([...this.element.querySelectorAll("[data-put]")].map((place) => [place.dataset.put, place]));
+    const title = this.places.line;
+    title.id = `line-${Math.random().toString(36).slice(2)}`;
+    this.element.setAttribute("aria-labelledby", title.id);
+    this.found = null;
+  }
+
+  take(found) {
+    this.found = found;
+    this.put("line", found.line);
+    this.alarms(found.alarms ?? []);
+    this.load(found.load);
+    this.flow(found.flow);
+    cameraCards(this.places.cameras, found.cameras ?? []);
+    this.tables(found);
+  }
+
+  // How old the figures are now: what the server said, and the time since it said it.
+  age(sinceS, lost) {
+    const found = this.found;
+    if (found === null) return;
+    const heardS = found.heard_s === null || found.heard_s === undefined ? null : found.heard_s + (found.told_s ?? 0) + (sinceS ?? 0);
+    const final = found.load?.final ?? false;
+    const old = !final && (lost || (heardS !== null && heardS > STALE_S) || (found.load?.old ?? false));
+    const [state, text] = STATES[old && found.state === "running" ? "no contact" : found.state] ?? ["wait", found.state];
+    this.places.state.dataset.state = state;
+    this.put("state", text, this.places.state.querySelector(".text"));
+    this.element.dataset.old = old && found.load ? "yes" : "no";
+    this.places.old.hidden = !(old && found.load);
+    const loadS = (found.load?.age_s ?? 0) + (found.told_s ?? 0) + (sinceS ?? 0);
+    this.put("old", `Old figures: last heard ${ago(Math.max(heardS ?? 0, loadS))} ago`);
+  }
+
+  said() {
+    return (this.found?.alarms ?? []).filter((alarm) => alarm.level !== "note").map((alarm) => `${this.found.line}: ${alarm.key.replaceAll("-", " ")}`).join(". ");
+  }
+
+  alarms(found) {
+    const list = this.places.alarms;
+    const items = found.length ? found : [{ key: "none", level: "fine", text: "No alarms.", mend: "" }];
+    while (list.children.length > items.length) list.lastElementChild.remove();
+    items.forEach((alarm, n) => {
+      let item = list.children[n];
+      if (!item) {
+        item = document.createElement("li");
+        for (const name of ["level", "text", "mend"]) item.append(Object.assign(document.createElement("span"), { className: name }));
+        list.append(item);
+      }
+      item.dataset.level = alarm.level;
+      ["level", "text", "mend"].forEach((name, at) => {
+        const text = name === "level" ? LEVELS[alarm.level] ?? "Good" : alarm[name];
+        if (item.children[at].textContent !== text) item.children[at].textContent = text;
+      });
+    });
+  }
+
+  load(found) {
+    this.element.dataset.load = found ? "yes" : "no";
+    if (!found) return;
+    this.put("run", `run ${found.run}`);
+    this.range("seen", found.seen_g);
+    this.range("estimated", found.estimated_g);
+    const missed = found.coverage === null ? null : 100 * (1 - found.coverage);
+    this.put("estimated-note", missed === null ? "" : missed < 0.05 ? "All of the belt was looked at." : `Makes up for the ${number(missed, 1)} % of the belt that nobody saw.`);
+    this.put("count", number(found.count));
+    this.put("coverage", found.coverage === null ? "–" : `${number(100 * found.coverage, 1)} %`);
+    this.put("mean", found.count ? `${number(found.seen_g[1] / found.count)} g` : "–");
+    histogram(this.places.histogram, this.places.classes, found);
+  }
+
+  range(name, [low, middle, high]) {
+    const scale = loadUnit(middle);
+    const output = this.places[name];
+    if (!output.firstChild) output.append(document.createElement("b"), document.createElement("span"));
+    this.put(name, load(middle, scale), output.firstChild);
+    this.put(name, ` ${scale.unit}`, output.lastChild);
+    this.put(`${name}-range`, `90 % sure: ${load(low, scale)} to ${load(high, scale)} ${scale.unit}`);
+  }
+
+  flow(found) {
+    this.put("tubers_per_min", number(found?.tubers_per_min ?? null));
+    this.put("kg_per_min", number(found?.kg_per_min ?? null, (found?.kg_per_min ?? 0) < 100 ? 1 : 0));
+    const speed = found?.belt_m_per_s ?? null;
+    this.put("belt", speed === null ? "–" : Math.abs(speed) < 0.005 ? "stopped" : `${number(speed, 2)} m/s`);
+  }
+
+  tables(found) {
+    fill(this.places.regressors, ["Regressor", "State", "Views a second", "Weighed", "Took", "Refused", "On"], (found.regressors ?? []).map((node) => [
+      node.name, node.state, number(node.per_s, 1), number(node.weighed), node.last_ms === null ? "–" : `${number(node.last_ms)} ms`, number(node.refused), node.host,
+    ]), "Nobody weighs.");
+    fill(this.places.others, ["Process", "State", "On", "Version", "Up"], (found.others ?? []).map((node) => [
+      node.name, node.state, node.host, node.version, node.up_s === null ? "–" : ago(node.up_s),
+    ]), "None seen.");
+    fill(this.places.loads, ["Begun", "Load as seen", "90 % sure", "Tubers", "Belt looked at", "Run", ""], (found.loads ?? []).map((past) => this.past(past)), "The ledger holds no earlier load.");
+  }
+
+  past(past) {
+    const scale = loadUnit(past.weight_g);
+    return [
+      when(past.started_unix_s), `${load(past.weight_g, scale)} ${scale.unit}`,
+      past.low_g === null ? "–" : `${load(past.low_g, scale)} to ${load(past.high_g, scale)}`,
+      number(past.count), past.coverage === null ? "–" : `${number(100 * past.coverage, 1)} %`, past.run, past.final ? "complete" : "open",
+    ];
+  }
+
+  put(name, text, place = this.places[name]) {
+    if (place.textContent !== text) place.textContent = text;
+  }
+}

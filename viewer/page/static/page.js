@@ -1,0 +1,61 @@
+// Takes the snapshots as they come and says at every moment how old they are. It asks for nothing else.
+import { LineCard } from "./card.js";
+import { ago } from "./words.js";
+import { light } from "./light.js";
+
+const LOST_S = 4; // the server sends at least every 2 s
+const RETRY_MS = 2000;
+const lines = document.getElementById("lines");
+const contact = document.getElementById("contact");
+const spoken = document.getElementById("spoken");
+const cards = new Map();
+let heardAt = null; // performance.now() of the last snapshot
+let saidBefore = "";
+
+function listen() {
+  const events = new EventSource("events");
+  events.onmessage = (event) => {
+    heardAt = performance.now();
+    show(JSON.parse(event.data));
+  };
+  events.onerror = () => {
+    if (events.readyState === EventSource.CLOSED) setTimeout(listen, RETRY_MS);
+  };
+}
+
+function show(snapshot) {
+  for (const found of snapshot.lines) {
+    if (!cards.has(found.line)) {
+      const card = new LineCard(document.getElementById("line"));
+      cards.set(found.line, card);
+      lines.append(card.element);
+      document.body.dataset.lines = cards.size;
+    }
+    cards.get(found.line).take(found);
+  }
+  tick();
+}
+
+function tick() {
+  const sinceS = heardAt === null ? null : (performance.now() - heardAt) / 1000;
+  const lost = sinceS !== null && sinceS > LOST_S;
+  for (const card of cards.values()) card.age(sinceS, lost);
+  const state = sinceS === null ? "wait" : lost ? "trouble" : "good";
+  contact.dataset.state = state;
+  contact.querySelector(".text").textContent =
+    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : "Live";
+  document.body.dataset.contact = lost ? "lost" : "live";
+  say(lost);
+}
+
+// For screen readers: alarms once when they come, not every second with a new duration.
+function say(lost) {
+  const parts = lost ? ["No contact with the page's server, figures are old"] : [...cards.values()].map((card) => card.said());
+  const now = parts.filter(Boolean).join(". ");
+  if (now !== saidBefore) spoken.textContent = now || "No alarms";
+  saidBefore = now;
+}
+
+light(document.getElementById("light"));
+listen();
+setInterval(tick, 500);

@@ -1,0 +1,151 @@
+"""One thread per line: observes it, notes when each figure was heard, and makes looks. It asks for nothing that a node
+would have to wait for, and goes on trying where a line cannot be reached.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from conveyor import topics
+from conveyor.config import LinkConfig
+from conveyor.delivery import KeptSubscriber, LatestSubscriber
+from conveyor.errors import LinkError, TuberlineError
+from conveyor.messages import CameraInfo, Counters, Totals, Travel
+from conveyor.observer import Observer
+from viewer.page.flow import BeltSpeed, LoadFlow, flow
+from viewer.page.growth import Growth
+from viewer.page.look import Look, NodeLook, PastLoad
+
+LOOK_EVERY_S = 0.25
+TELL_EVERY_S = 1.0
+CONNECT_WITHIN_S = 5.0
+RETRY_S = 1.0
+TRAVEL_INBOX = 64
+LOADS_EVERY_S = 20.0
+LOADS_WITHIN_S = 1.0
+LOADS = 12
+MAX_NODES = 256
+
+
+@dataclass(slots=True)
+class _NodeMemory:
+    """What was heard of one node so far."""
+
+    growth: Growth = field(default_factory=Growth)
+    report: Counters | None = None
+    heard_s: float = 0.0
+    alive_s: float | None = None
+
+
+class LineWatch:
+    """Tells `tell` a look about once a second, on its own thread, until stopped."""
+
+    def __init__(self, link: LinkConfig, *, line: str, tell: Callable[[Look], None]) -> None:
+        self.line = line
+        self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
+        self._tell = tell
+        self._stop = threading.Event()
+        self._log = logging.getLogger(f"page/{line}")
+        self._nodes: dict[str, _NodeMemory] = {}
+        self._totals: Totals | None = None
+        self._totals_s: float | None = None
+        self._load, self._belt = LoadFlow(), BeltSpeed()
+        self._loads: tuple[PastLoad, ...] = ()
+        self._asked_s: float | None = None
+        self._thread = threading.Thread(target=self._watch, name=f"watch-{line}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to watch."""
+        self._thread.start()
+
+    def stop(self, within_s: float = 1.0) -> None:
+        """End it; a session that does not close in time is left to the end of the process."""
+        self._stop.set()
+        self._thread.join(within_s)
+
+    def _watch(self) -> None:
+        while not self._stop.is_set():
+            try:
+                with Observer(self._link, line=self.line) as observer:
+                    self._log.info("watching line %s at %s", self.line, self._link.router)
+                    self._observe(observer)
+            except TuberlineError as error:
+                self._log.warning("%s", error)
+                self._tell(self._look({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))
+            self._stop.wait(RETRY_S)
+
+    def _observe(self, observer: Observer) -> None:
+        infos = KeptSubscriber(observer, topics.CAMERA_INFO, CameraInfo, camera="*")
+        travels = LatestSubscriber(observer, topics.TRAVEL, Travel, capacity=TRAVEL_INBOX, source="*")
+        told_s = -TELL_EVERY_S
+        while not self._stop.wait(LOOK_EVERY_S):
+            now_s = time.monotonic()
+            while len(travels) and (travel := travels.get(0.0)) is not None:
+                self._belt.add(travel, now_s)
+            self._hear(observer, now_s)
+            if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
+                self._ask_loads(observer, now_s)
+            if now_s - told_s >= TELL_EVERY_S:
+                told_s = now_s
+                self._tell(self._look({info.camera: info for info in infos.latest().values()}, now_s))
+
+    def _hear(self, observer: Observer, now_s: float) -> None:
+        """Note what is new. A message is a new object, also where it says the same as the one before."""
+        totals = observer.totals()
+        if totals is not None and totals is not self._totals:
+            self._totals, self._totals_s = totals, now_s
+            self._load.add(totals, now_s)
+        alive = observer.alive()
+        reports = observer.nodes()
+        for name in sorted({*reports, *alive})[:MAX_NODES]:
+            memory = self._nodes.setdefault(name, _NodeMemory(heard_s=now_s))
+            if name in alive:
+                memory.alive_s = now_s
+            report = reports.get(name)
+            if report is not None and report is not memory.report:
+                memory.report, memory.heard_s = report, now_s
+                memory.growth.add(report, now_s)
+
+    def _ask_loads(self, observer: Observer, now_s: float) -> None:
+        """The ledger's last loads, from an aggregator that is there; an older one may not answer."""
+        if "aggregator/aggregator" not in observer.alive():
+            return
+        self._asked_s = now_s
+        try:
+            found = observer.query(topics.QUERY_LOADS, parameters=f"limit={LOADS}", timeout_s=LOADS_WITHIN_S)
+            self._loads = tuple(PastLoad(**load) for load in found)
+        except (LinkError, TypeError) as error:
+            self._log.debug("the ledger's loads: %s", error)
+
+    def _look(self, cameras: dict[str, CameraInfo], now_s: float, *, trouble: str = "") -> Look:
+        heard = [memory.heard_s for memory in self._nodes.values() if memory.report is not None]
+        heard += [] if self._totals_s is None else [self._totals_s]
+        return Look(
+            line=self.line,
+            trouble=trouble,
+            heard_s=now_s - max(heard) if heard else None,
+            totals=self._totals,
+            totals_age_s=0.0 if self._totals_s is None else now_s - self._totals_s,
+            nodes={name: _node(memory, now_s) for name, memory in self._nodes.items()},
+            cameras=cameras,
+            flow=flow(self._load, self._belt, now_s),
+            loads=self._loads,
+        )
+
+
+def _node(memory: _NodeMemory, now_s: float) -> NodeLook:
+    alive = memory.alive_s == now_s
+    return NodeLook(
+        report=memory.report,
+        age_s=now_s - memory.heard_s,
+        alive=alive,
+        gone_s=None if memory.alive_s is None else now_s - memory.alive_s,
+        per_s=memory.growth.per_s(),
+        growing_s=memory.growth.growing_s(now_s),
+        resting_s=memory.growth.resting_s(now_s),
+        lowest=memory.growth.lowest(),
+    )
