@@ -48,6 +48,7 @@ def line_identities(config: LineConfig) -> tuple[Identity, ...]:
         "viewer": extra.viewers,
         "recorder": extra.recorders,
         "operator": extra.operators,
+        "keeper": extra.keepers,
         "encoder": extra.encoders,
     }
     return tuple(dict.fromkeys(Identity(role, name) for role, names in named.items() for name in names))
@@ -139,8 +140,8 @@ def _parts(topic: Topic, identity: Identity, *, sending: bool) -> dict[str, str]
     own = {"source": identity.name, "role": identity.role, "name": identity.name} if sending else {}
     if identity.role in _CAMERA_ROLES:
         own["camera"] = identity.name
-    if identity.role == "regressor":
-        own["regressor"] = identity.name
+    if identity.role == "regressor" and (sending or topic.delivery is not Delivery.QUERY):
+        own["regressor"] = identity.name  # what it asks of others has the other's name
     return {part: own.get(part, SHARED) for part in topic.part_names}
 
 

@@ -42,16 +42,21 @@ class LinkConfig(Section):
 class CameraConfig(Section):
     """One camera: where its frames come from."""
 
-    source: Literal["recording", "realsense"] = "recording"
+    source: Literal["recording", "realsense", "ros2"] = "recording"
     path: Path | None = Field(None, description="recording to replay (folder, .mcap, 3DPotatoTwin)")
     camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
     speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
     waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
-    window: int = Field(1, ge=1, le=64, description="frames in flight while waiting; more than 1 may lose frames")
+    window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
     serial: str | None = Field(None, description="realsense: serial number of the device")
+    topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
+    info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
+    ros_domain: int = Field(0, ge=0, le=232, description="ros2: ROS_DOMAIN_ID of the publishing nodes")
+    ros_router: str | None = Field(None, description="ros2: endpoint of their rmw_zenohd; default: the line's router")
     belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
     depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
+    ignore_masks: bool = Field(False, description="find tubers though the recording has masks of its own")
 
     @field_validator("path")
     @classmethod
@@ -62,6 +67,13 @@ class CameraConfig(Section):
 class SegmenterConfig(Section):
     """From a depth frame to tubers on the belt and views worth weighing."""
 
+    method: Literal["classical", "classes", "learned"] = Field(
+        "classical", description="who finds tubers; 'classes': a network tells clods, stones and haulm from them"
+    )
+    weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
+    reject_below: float = Field(
+        -1.5, ge=-6, le=0, description="mean log-odds of tuber against clod under which a track is no tuber"
+    )
     pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
     min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")
     min_area_mm2: float = Field(350.0, ge=50, le=5000, description="smaller blobs are no tubers")
@@ -70,11 +82,19 @@ class SegmenterConfig(Section):
     views_per_tuber: int = Field(3, ge=1, le=16, description="views weighed per tuber")
     max_age_ms: float = Field(500.0, ge=50, le=60000, description="live: frames older than this are dropped, counted")
     ring: int = Field(3, ge=1, le=64, description="live: newest frames kept while busy")
-    credits: int = Field(2, ge=1, le=16, description="views in flight per regressor")
+    credits: int = Field(2, ge=1, le=16, description="views in flight per regressor, more for a quick one, 16 at most")
     job_deadline_s: float = Field(5.0, ge=0.2, le=120, description="a view not answered by then goes to another one")
     max_attempts: int = Field(5, ge=1, le=50, description="then the view is lost, with its reason")
     max_pending_views: int = Field(256, ge=8, le=4096, description="views waiting for a regressor")
-    weigh_deadline_s: float = Field(60.0, ge=1, le=3600, description="then a tuber is logged with its volume alone")
+    spare_wait_s: float = Field(
+        5.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
+    )
+    weigh_deadline_s: float = Field(
+        60.0,
+        ge=1,
+        le=3600,
+        description="then a tuber is logged by its volume; live: at once if it had to wait for half",
+    )
     state_dir: Path | None = Field(None, description="where the log not yet committed is kept across restarts")
 
 
@@ -85,6 +105,13 @@ class RegressorConfig(Section):
     weights: Path | None = Field(None, description="safetensors or upstream .pth; default: the shipped ones")
     threads: int = Field(1, ge=1, le=64, description="threads inside one worker; one worker per core beats threads")
     device: Literal["cpu", "cuda"] = "cpu"
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="bfloat16 is 1.5 times as fast at 0.1 g; weights are flagged with it"
+    )
+    centroids: Literal[64] | None = Field(
+        None, description="64 of the 128 second-stage centroids: 1.5 times as fast at 0.1 g, flagged"
+    )
+    state_dir: Path | None = Field(None, description="where weights given to a running line are kept across restarts")
 
 
 class AggregatorConfig(Section):
@@ -96,6 +123,7 @@ class AggregatorConfig(Section):
     commit_interval_s: float = Field(0.2, ge=0.01, le=10, description="entries are committed together this often")
     histogram_step_g: float = Field(50.0, gt=0, le=1000)
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
+    tickets: Path | None = Field(None, description="load tickets that calibrate totals, see `tuberline calibrate load`")
 
 
 class ViewerConfig(Section):
@@ -118,9 +146,10 @@ class AccessConfig(Section):
     viewers: tuple[str, ...] = ("*",)
     recorders: tuple[str, ...] = ("*",)
     operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
+    keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
     encoders: tuple[str, ...] = ()
 
-    @field_validator("regressors", "viewers", "recorders", "operators", "encoders")
+    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "encoders")
     @classmethod
     def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:

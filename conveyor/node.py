@@ -8,10 +8,13 @@ with Node("segmenter", "front", config=config, run=run) as node:
 
 from __future__ import annotations
 
+import contextlib
+import faulthandler
 import logging
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from types import FrameType, TracebackType
@@ -21,6 +24,7 @@ from conveyor import __version__, topics
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.delivery.kept import KeptPublisher
+from conveyor.heap import give_back, resident_mib
 from conveyor.messages import Counters
 from conveyor.notify import notify
 from conveyor.session import open_client
@@ -28,6 +32,9 @@ from conveyor.topics import check_name
 
 STOP_WITHIN_S = 2.0
 STALL_AFTER_S = 5.0
+STUCK_AFTER_S = 30.0
+"""No Python thread ran for so long: some native call holds the interpreter lock. The process tells where, and ends."""
+GIVE_BACK_EVERY_S = 30.0
 
 
 class Node:
@@ -54,6 +61,7 @@ class Node:
             signal.signal(number, self._on_signal)
         self.session = open_client(self.config.link, name=f"{self.role}/{self.name}")
         self._counters_out = KeptPublisher(self, topics.COUNTERS, role=self.role, name=self.name)
+        self._put_off_watchdog()
         self._reporter = threading.Thread(target=self._report, name="counters", daemon=True)
         self._reporter.start()
         if self._announce_now:
@@ -89,10 +97,22 @@ class Node:
         return time.monotonic() - self._started
 
     def _report(self) -> None:
+        given_back = time.monotonic()
         while not self.stop.wait(1.0):
+            self._put_off_watchdog()
             self._watch_progress()
             self._publish_counters()
+            if time.monotonic() - given_back >= GIVE_BACK_EVERY_S:
+                given_back = time.monotonic()
+                give_back()
+        faulthandler.cancel_dump_traceback_later()
         self._publish_counters()
+
+    def _put_off_watchdog(self) -> None:
+        """Its thread is one of C: it needs no interpreter lock to end a process in which nothing else runs."""
+        if sys.__stderr__ is not None:
+            with contextlib.suppress(OSError, ValueError):  # no file behind it: then there is no watchdog
+                faulthandler.dump_traceback_later(STUCK_AFTER_S, exit=True, file=sys.__stderr__)
 
     def _watch_progress(self) -> None:
         still_s = time.monotonic() - self._progressed
@@ -108,6 +128,8 @@ class Node:
 
     def _publish_counters(self) -> None:
         values, gauges = self.counters.snapshot()
+        resident = resident_mib()
+        gauges = {**gauges, **({} if resident is None else {"resident_mib": resident})}
         self._counters_out.put(
             Counters(
                 role=self.role,

@@ -19,6 +19,10 @@ from conveyor.identity import own_files
 
 TlsFiles = tuple[Path, Path, Path]
 """Authority, certificate, key."""
+FRAME_BATCHES = 16
+"""Batches of 64 kB of frames that may wait for a link; Zenoh's upper bound. Of a message that does not fit, Zenoh drops
+the rest after 50 ms: with its default of 2, no frame of 400 kB ever passed a link of 2 Mbit/s, however often it was
+sent. Waiting longer instead would hold up the router for the sake of one slow reader."""
 ENCRYPTED = ("tls/", "quic/")
 """Endpoints that prove who is at the other end."""
 
@@ -32,8 +36,10 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
     try:
         return zenoh.open(_config(client_settings(link, name=name)))
     except zenoh.ZError as error:
+        reason = _short(error)
+        why = "" if reason.startswith("Unable to connect") else f" ({reason})"  # that much is said already
         raise LinkError(
-            f"no router answered at {link.router} within {link.connect_timeout_s:g} s ({_short(error)}); "
+            f"no router answered at {link.router} within {link.connect_timeout_s:g} s{why}; "
             "start one with `tuberline router`, or mend link.router in the config"
         ) from error
 
@@ -96,7 +102,7 @@ def _common(link: LinkConfig, files: TlsFiles | None) -> dict[str, Any]:
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
         "link": {
-            "tx": {"lease": link.lease_ms, "keep_alive": 4},
+            "tx": {"lease": link.lease_ms, "keep_alive": 4, "queue": {"size": {"data_low": FRAME_BATCHES}}},
             "rx": {"buffer_size": 4 << 20, "max_message_size": 128 << 20},
         },
     }

@@ -100,7 +100,7 @@ CAMERA_INFO = Topic(
     "camera_info",
     "camera/<camera>/info",
     ("camera",),
-    ("segmenter", "aggregator", "viewer", "recorder"),
+    ("segmenter", "aggregator", "viewer", "recorder", "operator"),
     Delivery.KEPT,
     Priority.DATA_HIGH,
     "CameraInfo",
@@ -120,7 +120,7 @@ TRAVEL = Topic(
     "travel",
     "belt/travel/<source>",
     ("encoder", "segmenter"),
-    ("segmenter", "aggregator", "viewer"),
+    ("segmenter", "aggregator", "viewer", "operator"),
     Delivery.LATEST,
     Priority.DATA_HIGH,
     "Travel",
@@ -226,6 +226,37 @@ QUERY_TUBERS = Topic(
     "",
     "answers committed tubers as JSON; parameters: since, limit",
 )
+QUERY_LOADS = Topic(
+    "query_loads",
+    "query/loads",
+    ("aggregator",),
+    ("operator", "viewer"),
+    Delivery.QUERY,
+    Priority.DATA_HIGH,
+    "",
+    "answers the ledger's last loads as JSON; parameter: limit",
+)
+
+QUERY_MODEL = Topic(
+    "query_model",
+    "query/model/<regressor>",
+    ("regressor",),
+    ("regressor", "operator", "keeper"),
+    Delivery.QUERY,
+    Priority.DATA_LOW,
+    "",
+    "answers which weights it weighs with, and their bytes; parameters: do=state, do=piece, digest, offset",
+)
+ORDER_MODEL = Topic(
+    "order_model",
+    "order/model/<regressor>",
+    ("regressor",),
+    ("keeper",),
+    Delivery.QUERY,
+    Priority.DATA_LOW,
+    "",
+    "takes new weights, checks them and changes over; parameters: do=piece, do=check, do=take, digest, offset, size, n",
+)
 
 TOPICS: tuple[Topic, ...] = (
     FRAME,
@@ -242,4 +273,7 @@ TOPICS: tuple[Topic, ...] = (
     ALIVE,
     QUERY_TOTALS,
     QUERY_TUBERS,
+    QUERY_LOADS,
+    QUERY_MODEL,
+    ORDER_MODEL,
 )

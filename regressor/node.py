@@ -21,8 +21,10 @@ from conveyor.errors import ConfigError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View, Weight
 from conveyor.node import Node
+from regressor.fast import Form
 from regressor.prepare import REASONS
 from regressor.weigher import Weigher, weigh_view
+from regressor.weights_service import WeightsService
 
 INBOX_VIEWS = 1024
 REMEMBERED_VIEWS = 8192
@@ -42,18 +44,22 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
             "views a second; start more processes instead"
         )
     torch.set_num_threads(config.regressor.threads)
-    weigher = Weigher.load(config.regressor.weights)
+    weigher = Weigher.load(config.regressor.weights, Form(config.regressor.precision, config.regressor.centroids))
     warm_up(weigher)
     with Node("regressor", name, config=config, run=run, announce=False) as node:
-        _Worker(node, weigher).work()
+        service = WeightsService(node, weigher)
+        try:
+            _Worker(node, service).work()
+        finally:
+            service.close()
 
 
 class _Worker:
-    """The loop around one weigher."""
+    """The loop around one weigher at a time."""
 
-    def __init__(self, node: Node, weigher: Weigher) -> None:
+    def __init__(self, node: Node, service: WeightsService) -> None:
         self._node = node
-        self._weigher = weigher
+        self._service = service
         self._inbox = LatestSubscriber(node, topics.VIEW, View, capacity=INBOX_VIEWS, regressor=node.name)
         self._answers: dict[str, ReliablePublisher] = {}
         self._seen: OrderedDict[str, None] = OrderedDict()
@@ -61,12 +67,14 @@ class _Worker:
             node.counters.add(counter, 0)
 
     def work(self) -> None:
-        """Announce, then weigh view after view."""
+        """Announce, then weigh view after view; between two of them, change over to other weights."""
         node = self._node
+        self._weigher = self._service.open()
         node.announce()
         node.log.info("ready with %s", self._weigher.sidecar.model_id)
         while not node.stop.is_set():
             node.progress()
+            self._weigher = self._service.turn()
             view = self._inbox.get(0.2)
             node.counters.gauge("queue", len(self._inbox))
             if view is not None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json as json_module
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from conveyor.cli.live import LOSS_WORDS
+from conveyor.cli.live import Items, duration, losses, short_name
 from conveyor.cli.status import line_address
 from conveyor.errors import ConfigError
 from conveyor.messages import Counters
@@ -175,7 +176,6 @@ def _node(name: str, first: Counters | None, last: Counters | None, *, alive: bo
     if last is None:
         return GraphNode(name, "silent", "", "", "", None, None, {}, {})
     reported = last.gauges.get("clock_unix_s")
-    counted = {**last.gauges, **last.values}
     return GraphNode(
         name=name,
         state=last.status if alive else "gone",
@@ -185,7 +185,7 @@ def _node(name: str, first: Counters | None, last: Counters | None, *, alive: bo
         age_s=None if reported is None else now_unix_s - reported,
         frame_age_ms=last.gauges.get("frame_age_ms"),
         rates_per_s=_rates(first, last) if alive else {},
-        drops={key: float(n) for key, n in sorted(counted.items()) if n and any(word in key for word in LOSS_WORDS)},
+        drops=losses(last),
     )
 
 
@@ -212,30 +212,56 @@ def _by_sender(edges: Iterable[GraphEdge]) -> dict[tuple[str, str], list[GraphEd
 
 
 def _print(found: Graph) -> None:
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Column, Table
+    from rich.table import Table
 
-    nodes = Table(
-        Column("node", overflow="fold"), "state", "host", "version", "run", "age", "frames", "dropped or lost"
-    )
+    console = Console(highlight=False)
+    if not found.nodes:
+        console.print(f"[red]nobody of line '{found.line}' is there[/]: start it, or mend --line")
+        return
+    usual = {what: _usual(found.nodes, what) for what in ("host", "version", "run")}
+    console.print("  ".join(f"{what} {value}" for what, value in usual.items()))
+    others = {
+        node.name: [v for what, value in usual.items() if (v := getattr(node, what)) not in ("", value)]
+        for node in found.nodes
+    }
+    nodes = Table("node", "state", "age", "frames", "dropped or lost", box=SIMPLE_HEAD)
+    for column in nodes.columns[:4]:
+        column.no_wrap = True
+    if any(others.values()):
+        nodes.add_column("other than above")
     for node in found.nodes:
         colour = "green" if node.state == "ok" else "red"
         nodes.add_row(
-            node.name,
+            short_name(node.name),
             f"[{colour}]{node.state}[/]",
-            node.host,
-            node.version,
-            node.run,
-            "-" if node.age_s is None else f"{node.age_s:.1f} s",
+            "-" if node.age_s is None else duration(node.age_s) if node.age_s >= 10 else f"{node.age_s:.1f} s",
             "-" if node.frame_age_ms is None else f"{node.frame_age_ms:.0f} ms",
-            "  ".join(f"{key} {n:g}" for key, n in node.drops.items()),
+            Items(f"{key} {n:g}" for key, n in node.drops.items()),
+            *([Items(others[node.name])] if any(others.values()) else []),
         )
-    edges = Table("from", "topic", "rate", "to", expand=True)
+    edges = Table("from", "topic", "rate", "to", box=SIMPLE_HEAD)
+    for column in edges.columns[:3]:
+        column.no_wrap = True
     for (sender, topic), receivers in _by_sender(found.edges).items():
         rate = receivers[0].rate_per_s
-        edges.add_row(
-            sender, topic, "-" if rate is None else f"{rate:.1f}/s", ", ".join(edge.receiver for edge in receivers)
-        )
-    console = Console()
+        told = "-" if rate is None else f"{rate:.1f}/s"
+        edges.add_row(short_name(sender), topic, told, together(edge.receiver for edge in receivers))
     console.print(nodes)
     console.print(edges)
+
+
+def together(names: Iterable[str]) -> str:
+    """'regressor/r1, r2' for regressor/r1 and regressor/r2: each role once."""
+    by_role: dict[str, list[str]] = {}
+    for name in names:
+        role, _, own = name.partition("/")
+        by_role.setdefault(role, []).append(own)
+    return ", ".join(role if own == [role] else f"{role}/{', '.join(own)}" for role, own in by_role.items())
+
+
+def _usual(nodes: tuple[GraphNode, ...], what: str) -> str:
+    """What most nodes have."""
+    found = Counter(value for node in nodes if (value := getattr(node, what)))
+    return found.most_common(1)[0][0] if found else "-"

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 
-from rich.console import Group
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.measure import Measurement
 from rich.panel import Panel
 from rich.table import Table
+from rich.text import Text
 
 from conveyor.messages import Counters, Totals
 
@@ -22,9 +26,65 @@ LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
 """A counter whose name holds one of these tells of something that did not arrive or was not used."""
 
 
-def line_table(totals: Totals | None, nodes: Mapping[str, Counters], *, alive: set[str]) -> Group:
+class Pace:
+    """How fast each counter grows: over the last reports of a node, which come once a second."""
+
+    def __init__(self, reports: int = 6) -> None:
+        self._reports = reports
+        self._seen: dict[str, deque[Counters]] = {}
+
+    def update(self, nodes: Mapping[str, Counters]) -> None:
+        """Take the newest reports. A node that started again begins anew."""
+        for name, counters in nodes.items():
+            seen = self._seen.setdefault(name, deque(maxlen=self._reports))
+            if seen and (counters.pid != seen[-1].pid or counters.run != seen[-1].run):
+                seen.clear()
+            if not seen or counters.uptime_s > seen[-1].uptime_s:
+                seen.append(counters)
+
+    def per_s(self, node: str, counter: str) -> float | None:
+        """Growth per second; None before there are two reports."""
+        seen = self._seen.get(node)
+        if not seen or len(seen) < 2:
+            return None
+        return (seen[-1].count(counter) - seen[0].count(counter)) / (seen[-1].uptime_s - seen[0].uptime_s)
+
+
+class Items:
+    """Short texts in one cell of a table: lines break between them, not inside one."""
+
+    def __init__(self, items: Iterable[str], *, style: str = "") -> None:
+        self._items = tuple(items)
+        self._style = style
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        lines: list[str] = []
+        for item in self._items:
+            if lines and len(lines[-1]) + 2 + len(item) <= options.max_width:
+                lines[-1] += f"  {item}"
+            else:
+                lines.append(item)
+        yield Text("\n".join(lines), style=self._style, overflow="fold")
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        longest = max((len(item) for item in self._items), default=0)
+        return Measurement(longest, max(longest, len("  ".join(self._items)))).with_maximum(options.max_width)
+
+
+def line_table(
+    totals: Totals | None, nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None
+) -> Group:
     """What a person wants to see of a running line."""
-    return Group(totals_panel(totals), nodes_table(nodes, alive=alive))
+    return Group(totals_panel(totals), nodes_table(nodes, alive=alive, pace=pace), *_remarks(nodes, alive))
+
+
+def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
+    """What the table alone does not say."""
+    if not nodes and not alive:
+        return ["[red]nobody of this line is there[/]: start it with `tuberline run LINE.toml`, or mend --line"]
+    if not alive:
+        return ["[red]nobody answers any more[/]: the router or the whole line is down; these are the last reports"]
+    return []
 
 
 def totals_panel(totals: Totals | None) -> Panel:
@@ -40,27 +100,57 @@ def totals_panel(totals: Totals | None) -> Panel:
     return Panel(text, title=f"load · run {totals.run}" + (" · final" if totals.final else ""))
 
 
-def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str]) -> Table:
+def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Table:
     """One row a node: state, what it did, what was lost."""
-    table = Table("node", "state", "up", "did", "lost or refused", expand=True)
-    for name, counters in sorted(nodes.items()):
+    table = Table("node", "state", "up", "did", "lost or refused", box=SIMPLE_HEAD, expand=True, padding=(0, 1, 0, 0))
+    for column, least in zip(table.columns[:3], (15, 7, 6), strict=True):
+        column.no_wrap, column.min_width = True, least
+    for name in sorted({*nodes, *alive}):
+        counters = nodes.get(name)
+        if counters is None:
+            table.add_row(short_name(name), "[red]silent[/]", "", "there, and has not reported yet", "")
+            continue
         state = counters.status if name in alive else "gone"
         colour = "green" if state == "ok" else "red"
-        did = "  ".join(
-            f"{key.split('_', 1)[-1]} {counters.count(key)}"
-            for key in _SHOWN.get(counters.role, ())
-            if counters.count(key)
-        )
-        counted = {**counters.gauges, **counters.values}
-        lost = "  ".join(
-            f"{key} {value:g}"
-            for key, value in sorted(counted.items())
-            if value and any(word in key for word in LOSS_WORDS)
-        )
         table.add_row(
-            name, f"[{colour}]{state}[/]", f"{counters.uptime_s:.0f} s", did, f"[yellow]{lost}[/]" if lost else ""
+            short_name(name),
+            f"[{colour}]{state}[/]",
+            duration(counters.uptime_s),
+            Items(_did(name, counters, pace if name in alive else None)),
+            Items((f"{key} {value:g}" for key, value in losses(counters).items()), style="yellow"),
         )
     return table
+
+
+def _did(name: str, counters: Counters, pace: Pace | None) -> Iterator[str]:
+    for key in _SHOWN.get(counters.role, ()):
+        if counters.count(key):
+            rate = pace.per_s(name, key) if pace else None
+            yield f"{key.split('_', 1)[-1]} {counters.count(key)}" + ("" if rate is None else f" ({rate:.1f}/s)")
+
+
+def losses(counters: Counters) -> dict[str, float]:
+    """Every count or level above zero that tells of a loss."""
+    counted = {**counters.gauges, **counters.values}
+    return {
+        key: float(value) for key, value in sorted(counted.items()) if value and any(word in key for word in LOSS_WORDS)
+    }
+
+
+def short_name(node: str) -> str:
+    """'aggregator/aggregator' says everything twice."""
+    role, _, own = node.partition("/")
+    return role if role == own else node
+
+
+def duration(seconds: float) -> str:
+    """42 s, 7 min, 3 h 05, 2 d 4 h: short enough for a column."""
+    minutes, hours = int(seconds / 60), int(seconds / 3600)
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    if minutes < 100:
+        return f"{minutes} min"
+    return f"{hours} h {minutes % 60:02d}" if hours < 48 else f"{hours // 24} d {hours % 24} h"
 
 
 def histogram_lines(histogram: tuple[int, ...], *, step_g: float, width: int = 40) -> list[str]:

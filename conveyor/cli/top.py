@@ -22,10 +22,13 @@ def top(*, config: Path | None = None, connect: str | None = None, line: str | N
     """
     from rich.live import Live
 
-    from conveyor.cli.live import line_table
+    from conveyor.cli.live import Pace, line_table
 
     link, name = line_address(config, connect, line)
+    pace = Pace()
     with Observer(link, line=name) as observer, Live(refresh_per_second=4, screen=True) as live:
         while True:
             observer.wait_totals(0.5)
-            live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()))
+            nodes = observer.nodes()
+            pace.update(nodes)
+            live.update(line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace))

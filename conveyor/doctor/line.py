@@ -52,10 +52,13 @@ def check_nodes(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set
     """Everybody is there and makes progress."""
     found = []
     for name in sorted(expected_nodes(config) - alive):
-        role = name.split("/")[0]
-        found.append(fault("nodes", f"{name} is not there", f"start it (tuberline-{role}@...) and read its log"))
+        role, _, own = name.partition("/")
+        unit = f"tuberline-{role}@{config.name}" + ("" if role == own else f":{own}")
+        mend = f"start it (`tuberline run LINE.toml`, or systemctl start {unit}) and read its log"
+        found.append(fault("nodes", f"{name} is not there", mend))
     if not any(name.startswith("regressor/") for name in alive):
-        found.append(fault("nodes", "no regressor is there", "start one: `tuberline regressor --config LINE.toml`"))
+        mend = "start one: `tuberline regressor --config LINE.toml --name r1 --run RUN`, RUN as `tuberline status` says"
+        found.append(fault("nodes", "no regressor is there", mend))
     for name, counters in sorted(nodes.items()):
         if name in alive and counters.status != "ok":
             found.append(

@@ -1,4 +1,4 @@
-"""Rerun's hub with its page behind a real nginx, as deploy/proxy sets it up."""
+"""Rerun's hub with its page, and the operator's page, behind a real nginx, as deploy/proxy sets it up."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from conveyor.certs import issue, make_authority
 from conveyor.identity import Identity
 from tests.conftest import ROOT, wait_until
 from viewer.launch import Ports, RerunProgram, free_port
+from viewer.page.board import Board
+from viewer.page.server import PageServer
 
 USER, PASSWORD = "office", "harvest-moon"
 READ = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
@@ -30,12 +32,14 @@ EMPTY_MESSAGE = bytes(5)
 
 @dataclass(frozen=True, slots=True)
 class Proxy:
-    """A proxy that listens, and the hub behind it."""
+    """A proxy that listens, the hub behind it, and the board of the operator's page behind it."""
 
     port: int
     ca: Path
     url: str
+    page_url: str
     hub: Ports
+    board: Board
 
     def ask(
         self,
@@ -89,20 +93,21 @@ def _running(folder: Path) -> Iterator[Proxy]:
     certs, site, port = folder / "certs", folder / "site", free_port()
     make_authority(certs, site="north")
     issue(certs, Identity("router"), line="north", hosts=["localhost"])
-    ports = Ports(free_port(), free_port())
-    arguments = ["localhost", site, certs / "router.pem", certs / "router.key", port, ports.page, ports.hub]
+    ports, board = Ports(free_port(), free_port()), Board(["replay"])
+    page = PageServer(board, host="127.0.0.1", port=0)
+    arguments = ["localhost", site, certs / "router.pem", certs / "router.key", port, ports.page, ports.hub, page.port]
     made = subprocess.run(
         [str(ROOT / "deploy/proxy/make"), *map(str, arguments)], capture_output=True, text=True, check=True, timeout=20
     )
     secret = subprocess.run(["openssl", "passwd", "-6", PASSWORD], capture_output=True, text=True, check=True).stdout
     (site / "passwords").write_text(f"{USER}:{secret}")
     (site / "passwords").chmod(0o644)
-    with RerunProgram(ports, page=True):
+    with page, RerunProgram(ports, page=True):
         process = subprocess.Popen(
             [nginx_program(), "-c", str(site / "nginx.conf")], stderr=(folder / "nginx.log").open("wb")
         )
         try:
-            proxy = Proxy(port, certs / "ca.pem", made.stdout.strip(), ports)
+            proxy = Proxy(port, certs / "ca.pem", *made.stdout.split(), ports, board)
             wait_until(lambda: _answers(proxy, process, folder / "nginx.log"), what="nginx")
             yield proxy
         finally:

@@ -72,7 +72,8 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
         command, arguments = parsed(words)
         roles.add(command)
         assert service.split("-")[0] == command
-        assert arguments["config"] == Path(spec["configs"][0]["target"])
+        target = Path(spec["configs"][0]["target"])
+        assert arguments["config"] in (target, (target,))  # the page takes several
         if "camera" in arguments:
             cameras.add((command, arguments["camera"]))
         if command in ("camera", "segmenter", "regressor", "aggregator"):
@@ -85,7 +86,7 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
             expected = {"aggregator": "aggregator", "regressor": NAME}.get(command, arguments.get("camera"))
             assert node == (f"{command}/{expected}" if expected else None)
     assert cameras == {(role, camera) for role in ("camera", "segmenter") for camera in line.cameras}
-    assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "viewer"} <= roles
+    assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "page", "viewer"} <= roles
 
 
 def test_only_the_router_of_a_site_is_reachable_from_outside() -> None:
@@ -97,7 +98,9 @@ def test_only_the_router_of_a_site_is_reachable_from_outside() -> None:
     }
     assert ports == {
         "compose.yaml:metrics": ["127.0.0.1:9108:9108"],
+        "compose.yaml:page": ["127.0.0.1:9180:9180"],
         "compose.site.yaml:metrics": ["127.0.0.1:9108:9108"],
+        "compose.site.yaml:page": ["127.0.0.1:9180:9180"],
         "compose.site.yaml:router": ["7447:7447"],
     }
     site = load_config(DOCKER / "site.toml")

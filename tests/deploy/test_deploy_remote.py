@@ -1,7 +1,10 @@
-"""deploy/proxy with a real nginx before a real hub: TLS and password needed, page and data come, nobody writes."""
+"""deploy/proxy with a real nginx before a real hub and a real operator's page: TLS and password needed, pages and
+data come, nobody writes.
+"""
 
 from __future__ import annotations
 
+import gzip
 import socket
 import ssl
 import subprocess
@@ -12,6 +15,8 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.deploy.remote_site import EMPTY_MESSAGE, READ, WRITE, Proxy, nginx_program, remote_proxy
+from tests.viewer.page_looks import good_look
+from viewer.page.snapshot import snapshot
 
 rerun = pytest.importorskip("rerun", reason="remote viewing needs tuberline[viewer]")
 
@@ -27,7 +32,9 @@ def proxy() -> Iterator[Proxy]:
         stream.disconnect()
 
 
-@pytest.mark.parametrize("path", ["/", "/re_viewer_bg.wasm", READ, WRITE, "/proxy"])
+@pytest.mark.parametrize(
+    "path", ["/", "/re_viewer_bg.wasm", READ, WRITE, "/proxy", "/page/", "/page/events", "/page/snapshot.json"]
+)
 @pytest.mark.parametrize("password", [None, "guessed"])
 def test_nothing_without_the_password(proxy: Proxy, path: str, password: str | None) -> None:
     assert proxy.ask(path, password=password)[0] == (403 if path in (WRITE, "/proxy") else 401)
@@ -69,8 +76,20 @@ def test_the_hub_cannot_be_written(proxy: Proxy, path: str) -> None:
     assert proxy.ask(path, method="POST", body=EMPTY_MESSAGE)[0] == 403
 
 
-def test_the_page_takes_no_uploads(proxy: Proxy) -> None:
-    assert proxy.ask("/", method="POST", body=b"x")[0] == 403
+def test_the_operators_page_comes_with_its_figures(proxy: Proxy) -> None:
+    proxy.board.put(snapshot(good_look("replay")))
+    status, headers, page = proxy.ask("/page/")
+    assert (status, headers["content-encoding"], b"<title>Tuberline" in gzip.decompress(page)) == (200, "gzip", True)
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert proxy.ask("/page")[0] == 301
+    status, headers, events = proxy.ask("/page/events", head=400)
+    assert (status, headers["content-type"]) == (200, "text/event-stream; charset=utf-8")
+    assert events.startswith(b'retry: 1000\n\ndata: {"lines":[{"line":"replay"')
+
+
+@pytest.mark.parametrize("path", ["/", "/page/", "/page/events"])
+def test_the_pages_take_no_uploads(proxy: Proxy, path: str) -> None:
+    assert proxy.ask(path, method="POST", body=b"x")[0] == 403
 
 
 def test_make_refuses_what_nginx_would_misread(tmp_path: Path) -> None:

@@ -12,10 +12,11 @@ from xml.etree import ElementTree
 import pytest
 
 from benchmarks.__main__ import benchmarks
+from benchmarks.link import EmulatedLink
+from benchmarks.link_wire import LinkSettings
 from benchmarks.site_net import Network, Traffic, ip
 from benchmarks.site_picture import draw_site, site_hosts
 from benchmarks.site_share import CpuShare
-from benchmarks.site_slowlink import SlowLink
 from conveyor.errors import TuberlineError
 from tests.conftest import ROOT
 
@@ -60,7 +61,7 @@ def test_the_far_host_has_the_links_rate_and_delay_and_its_own_name() -> None:
     try:
         network.add("edge")
         try:
-            network.add_far("office", bits_per_s=RATE_BITS_PER_S, delay_s=DELAY_S)
+            network.add_far("office", LinkSettings(bits_per_s=RATE_BITS_PER_S, delay_s=DELAY_S))
         except OSError as error:
             pytest.skip(f"no TAP devices here, so the slow link was not built: {error}")
         server = subprocess.Popen(network.command("edge", [sys.executable, "-c", SERVER]), stdout=subprocess.PIPE)
@@ -103,10 +104,10 @@ def test_the_picture_shows_every_host_and_its_bytes() -> None:
     assert words.count("← 1.5 MB") == 5
 
 
-def test_the_slow_link_gives_its_devices_back() -> None:
+def test_the_emulated_link_gives_its_devices_back() -> None:
     left, right = f"tlx{os.getpid() % 9999}", f"tly{os.getpid() % 9999}"
     try:
-        with SlowLink(left, right, bits_per_s=1e6, delay_s=0.01):
+        with EmulatedLink(left, right, LinkSettings(bits_per_s=1e6, delay_s=0.01)):
             assert left in ip("link", "show")
     except (OSError, TuberlineError) as error:
         pytest.skip(f"no TAP devices here: {error}")

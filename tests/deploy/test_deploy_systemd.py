@@ -19,7 +19,7 @@ from tests.conftest import ROOT
 
 DEPLOY = ROOT / "deploy"
 TUBERLINE = Path(sys.executable).with_name("tuberline")
-ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics"
+ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics,page"
 
 pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
 
@@ -54,6 +54,7 @@ def test_a_target_wants_what_this_host_runs(installed: Path) -> None:
         "router@field",
         "aggregator@field",
         "metrics@field",
+        "page@field",
         "segmenter@field:left",
         "camera@field:left",
         "segmenter@field:right",
@@ -157,6 +158,23 @@ def test_a_unit_starts_a_command_that_takes_its_arguments(installed: Path, role:
     assert ":" in instance or "camera" not in bound.arguments
 
 
+def test_one_page_shows_several_lines(installed: Path, tmp_path: Path) -> None:
+    shutil.copytree(installed / "etc/tuberline", tmp_path / "etc")
+    shutil.copy(tmp_path / "etc/lines/field.toml", tmp_path / "etc/lines/south.toml")
+    node = str(installed / "usr/local/lib/tuberline/node")
+    environment = {"PATH": os.environ["PATH"], "TUBERLINE": "/bin/echo", "TUBERLINE_ETC": str(tmp_path / "etc")}
+
+    def started(instance: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([node, "page", instance], env=environment, capture_output=True, text=True, check=False)
+
+    words = started("field:south").stdout.split()
+    command, bound, _ = build_app().parse_args(words, print_error=False, exit_on_error=False)
+    lines = tuple(tmp_path / "etc/lines" / f"{name}.toml" for name in ("field", "south"))
+    assert (command.__name__, bound.arguments["config"], bound.arguments["listen"]) == ("page", lines, "127.0.0.1:9180")
+    refused = started("field:west")
+    assert (refused.returncode, "west.toml is not there" in refused.stderr) == (2, True)
+
+
 def test_ready_and_watchdog_reach_systemd(tmp_path: Path, free_port: int) -> None:
     """The unit's own command line under a real notification socket, as systemd starts it."""
     lines = tmp_path / "lines"
@@ -212,7 +230,7 @@ def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
         return "\n".join(line for line in done.stderr.splitlines() if "tuberline" in line)
 
     templates = sorted(unit.name.replace("@.", "@field.") for unit in units.glob("*@.service"))
-    assert len(templates) == 8
+    assert len(templates) == 9
     for unit in (*templates, "tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer"):
         assert verify(unit) == ""
     common = units / "tuberline-.service.d" / "10-common.conf"

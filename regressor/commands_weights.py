@@ -1,0 +1,176 @@
+"""`tuberline weights`: which weights a running line weighs with, new ones for it, and the way back."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App
+
+if TYPE_CHECKING:
+    from regressor.weights_client import Changed
+    from regressor.weights_messages import WeightsState
+
+weights = App(name="weights", help="The weights a running line weighs with: list, change, go back.")
+
+
+@weights.command(name="list")
+def list_(
+    *, config: Path | None = None, connect: str | None = None, line: str | None = None, json: bool = False
+) -> None:
+    """Print which weights each regressor weighs with.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    connect
+        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
+    line
+        Name of the line, where no config says it.
+    json
+        For machines.
+    """
+    from conveyor.cli.status import line_address
+    from conveyor.session import open_client
+    from regressor.weights_client import all_states
+
+    link, name = line_address(config, connect, line)
+    with open_client(link, name="observer") as session:
+        found = all_states(session, name)
+    if json:
+        _write({"line": name, "regressors": {key: asdict(state) for key, state in found.items()}})
+    else:
+        _print_states(found)
+
+
+@weights.command
+def use(
+    file: Path,
+    /,
+    *,
+    config: Path | None = None,
+    connect: str | None = None,
+    line: str | None = None,
+    json: bool = False,
+) -> None:
+    """Let all regressors of a running line weigh with other weights; no view is lost.
+
+    Every regressor first tries them on three reference clouds; if one refuses, all go on as before. What the ledger
+    counts from then on carries their name. Who joins later takes them too. To start the line with them next time, set
+    regressor.weights in its config.
+
+    Parameters
+    ----------
+    file
+        A .safetensors file with its .json beside it, or the authors' .pth.
+    config
+        The line's TOML file.
+    connect
+        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
+    line
+        Name of the line, where no config says it.
+    json
+        For machines.
+    """
+    from conveyor.cli.status import line_address
+    from conveyor.config import LineConfig, load_config
+    from conveyor.session import open_client
+    from regressor.weigher import Weigher
+    from regressor.weights_check import check_weights
+    from regressor.weights_client import use as give
+    from regressor.weights_messages import read_parcel
+
+    link, name = line_address(config, connect, line)
+    parcel = read_parcel(file)
+    # Here first: a file that is no good is refused before a byte of it is sent.
+    check_weights(Weigher.load(file), load_config(config) if config else LineConfig())
+    with open_client(link, name="keeper") as session:
+        changed = give(session, name, parcel, tell=_tell)
+    _report(name, changed, json=json)
+
+
+@weights.command
+def rollback(
+    *, config: Path | None = None, connect: str | None = None, line: str | None = None, json: bool = False
+) -> None:
+    """Let all regressors go back to the weights before the last change; once more goes forward again.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    connect
+        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
+    line
+        Name of the line, where no config says it.
+    json
+        For machines.
+    """
+    from conveyor.cli.status import line_address
+    from conveyor.session import open_client
+    from regressor.weights_client import rollback as go_back
+
+    link, name = line_address(config, connect, line)
+    with open_client(link, name="keeper") as session:
+        changed = go_back(session, name, tell=_tell)
+    _report(name, changed, json=json)
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"{text} ...\n")
+
+
+def _write(report: dict[str, Any]) -> None:
+    sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
+
+
+def _report(line: str, changed: Changed, *, json: bool) -> None:
+    """What was changed; exits with 1 where a regressor did not take over."""
+    if json:
+        _write({"line": line, **asdict(changed)})
+    else:
+        _print_changed(changed)
+    if changed.missed:
+        sys.exit(1)
+
+
+def _print_states(found: dict[str, WeightsState]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table("regressor", "host", "order", "weighs with", "kept for a roll-back")
+    for name, state in found.items():
+        order = f"{state.n}" if state.n else "config"
+        table.add_row(name, state.host, order, state.model, state.previous_model or "-")
+    console = Console()
+    console.print(table)
+    for name, state in found.items():
+        if state.refused:
+            console.print(f"[red]{name} refuses[/] {escape(state.refused)}")
+
+
+def _print_changed(changed: Changed) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    if changed.reports:
+        report = changed.reports[0]
+        table = Table("reference cloud", "true g", f"{report.now_model} g", f"{report.model} g", "difference")
+        for old, new in zip(report.now_answers, report.answers, strict=True):
+            percent = 100 * (new.weight_g / old.weight_g - 1)
+            table.add_row(
+                new.cloud, f"{new.true_g:.0f}", f"{old.weight_g:.1f}", f"{new.weight_g:.1f}", f"{percent:+.1f} %"
+            )
+        console.print(table)
+    else:
+        console.print("all regressors weigh with these weights already")
+    _print_states(changed.after)
+    for name, why in changed.missed.items():
+        console.print(f"[red]{name} did not take over[/]: {escape(why)}; it follows by itself when it is back")

@@ -1,0 +1,69 @@
+"""`tuberline doctor` on the belt's distance: measured in frames, told by segmenters, against what is configured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from camera_sim.commands import simulate
+from conveyor.cli.doctor import examine
+from conveyor.config import parse_config
+from conveyor.doctor import Level
+from conveyor.doctor.belt import check_belt_seen, check_running_belts
+from conveyor.messages import Counters
+
+
+@pytest.mark.parametrize(
+    ("given_m", "seen_m", "level", "says"),
+    [
+        (0.460, [0.4605, 0.4598, 0.4601], Level.OK, "seen at 0.4601 m in 3 of 5 frames, given 0.4600 m: +0.1 mm"),
+        (0.460, [0.452, 0.452, 0.452], Level.WARNING, "-8.0 mm"),
+        (0.460, [0.345, 0.345, 0.346], Level.FAULT, "given 0.4600 m: -115.0 mm"),
+        (0.460, [4.60, 4.61], Level.FAULT, "seen at 4.6050 m"),
+        (None, [0.345, 0.345], Level.WARNING, "no distance is given: each start fits it anew"),
+        (0.460, [0.46], Level.WARNING, "too little belt shows in 5 frames"),
+    ],
+)
+def test_a_belt_is_compared_with_its_calibration(
+    given_m: float | None, seen_m: list[float], level: Level, says: str
+) -> None:
+    found = check_belt_seen("left", given_m=given_m, seen_m=seen_m, frames=5)
+    assert found.level is level
+    assert says in found.text
+
+
+def test_the_mend_can_be_pasted() -> None:
+    off = check_belt_seen("left", given_m=0.46, seen_m=[0.4812, 0.4812], frames=5)
+    assert "set cameras.left.belt_distance_m = 0.4812" in off.mend
+    assert "tuberline calibrate belt" in off.mend
+    scale = check_belt_seen("left", given_m=0.46, seen_m=[4.6, 4.6], frames=5)
+    assert scale.mend == "the depth scale is wrong: mend cameras.left.depth_scale_m"
+
+
+def test_a_running_segmenter_is_believed() -> None:
+    config = parse_config({"cameras": {"left": {}, "right": {}, "new": {}}}, where="test")
+    nodes = {
+        f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 9.0, {}, gauges)
+        for name, gauges in {
+            "left": {"belt_drift_mm": -0.2, "belt_alarm": 0.0},
+            "right": {"belt_drift_mm": 11.0, "belt_tilt_off_deg": 1.5, "belt_alarm": 1.0},
+            "new": {},
+        }.items()
+    }
+    found = check_running_belts(config, nodes, alive=set(nodes))
+    assert [(f.check, f.level) for f in found] == [("belt of left", Level.OK), ("belt of right", Level.FAULT)]
+    assert found[1].text == "segmenter/right sees it +11.0 mm off its calibration, leaning 1.5 deg"
+    assert check_running_belts(config, nodes, alive=set()) == []
+
+
+def test_doctor_measures_a_recordings_belt(tmp_path: Path) -> None:
+    simulate(out=tmp_path / "belt", seed=3, scene="singulated", tubers=2, fps=5.0, camera="d405-848")
+    (name,) = [file.parent.name for file in (tmp_path / "belt").glob("*/camera.json")]
+    raw = {"cameras": {name: {"path": str(tmp_path / "belt")}}, "aggregator": {"out": str(tmp_path)}}
+    right = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
+    assert right[f"belt of {name}"].level is Level.OK
+    raw["cameras"][name]["belt_distance_m"] = 0.445  # type: ignore[index]
+    moved = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
+    assert moved[f"belt of {name}"].level is Level.WARNING
+    assert "given 0.4450 m: +1" in moved[f"belt of {name}"].text

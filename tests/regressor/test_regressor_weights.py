@@ -1,0 +1,151 @@
+"""Weights given to a running regressor, piece by piece: parcels, uploads, the store on disk, the check before use."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conveyor.config import parse_config
+from conveyor.errors import InputError, MessageError
+from regressor.checkpoint import SHIPPED, load_checkpoint, save_checkpoint
+from regressor.weigher import Weigher
+from regressor.weights_check import check_weights, reference_clouds
+from regressor.weights_messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
+from regressor.weights_store import Order, WeightsStore
+from regressor.weights_upload import Upload
+from tests.fuzz.damage import damaged, outcome, quick
+
+LINE = parse_config({"cameras": {"left": {"belt_distance_m": 0.345}}}, where="test")
+
+
+def scaled_weights(path: Path, factor: float) -> Path:
+    """The shipped weights with a network that answers `factor` times as many grams."""
+    model, sidecar = load_checkpoint()
+    state = dict(model.state_dict())
+    last = max(name for name in state if name.startswith("regression_head.lins."))
+    layer = last.rsplit(".", 1)[0]
+    for part in ("weight", "bias"):
+        state[f"{layer}.{part}"] = state[f"{layer}.{part}"] * factor
+    save_checkpoint(path, state, sidecar.model_copy(update={"name": path.stem}))
+    return path
+
+
+def test_a_parcel_gives_back_file_and_sidecar(tmp_path: Path) -> None:
+    parcel = read_parcel(SHIPPED)
+    assert parcel == read_parcel(SHIPPED), "the same weights have the same name everywhere"
+    path = write_checkpoint(parcel, tmp_path)
+    assert path.read_bytes() == SHIPPED.read_bytes()
+    assert Weigher.load(path).sidecar == Weigher.load().sidecar
+    with pytest.raises(InputError, match=r"absent.pth or their sidecar cannot be read"):
+        read_parcel(tmp_path / "absent.pth")
+    with pytest.raises(InputError, match=r"no .safetensors or .pth file"):
+        read_parcel(tmp_path / "model.onnx")
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd.pth", ".pth", "a/b.pth", "x.exe", "a" * 90 + ".pth"])
+def test_a_parcel_cannot_name_a_file_elsewhere(name: str) -> None:
+    with pytest.raises(MessageError, match="not the name of a"):
+        WeightsParcel(name, "", np.zeros(1, np.uint8))
+
+
+def test_damaged_parcels() -> None:
+    @quick(40)
+    @given(damaged(WeightsParcel("a.safetensors", "{}", np.arange(64, dtype=np.uint8)).encode(), head=150))
+    def decode(data: bytes) -> None:
+        outcome(lambda: WeightsParcel.decode(data))
+
+    decode()
+
+
+@quick(50)
+@given(st.binary(min_size=1, max_size=400), st.integers(1, 97), st.data())
+def test_pieces_come_twice_late_and_never_with_a_gap(parcel: bytes, step: int, data: st.DataObject) -> None:
+    upload, digest, have, whole = Upload(), digest_of(parcel), 0, None
+    while whole is None:
+        offset = data.draw(st.sampled_from([have, max(0, have - step), have + 1]))
+        piece = parcel[offset : offset + step]
+        if offset > have:
+            with pytest.raises(InputError, match="does not follow"):
+                upload.take(digest, offset=offset, size=len(parcel), piece=b"x")
+            continue
+        have, whole = upload.take(digest, offset=offset, size=len(parcel), piece=piece)
+    assert whole == parcel
+
+
+def test_an_upload_that_is_not_what_its_name_says_is_refused() -> None:
+    upload = Upload()
+    with pytest.raises(InputError, match="they were damaged on the way"):
+        upload.take(digest_of(b"other"), offset=0, size=3, piece=b"abc")
+    with pytest.raises(InputError, match="weights of 99999999999 bytes"):
+        upload.take("0" * 64, offset=0, size=99999999999, piece=b"")
+    assert upload.take(digest_of(b"abc"), offset=0, size=3, piece=b"abc") == (3, b"abc")
+
+
+def test_the_store_keeps_parcels_and_the_order_across_a_restart(tmp_path: Path) -> None:
+    folder = tmp_path / "r1"
+    store, parcel = WeightsStore(folder), read_parcel(SHIPPED)
+    assert not store.has(digest_of(parcel))
+    assert store.recorded(config_digest="c") is None
+    assert not folder.exists(), "nothing is written before weights are given"
+    digest = store.add(parcel)
+    order = Order(3, digest, "p", "old@1", "c")
+    store.record(order)
+    again = WeightsStore(folder)
+    assert again.recorded(config_digest="c") == order
+    assert again.recorded(config_digest="another config's") is None
+    assert again.load(digest).sidecar.model_id == Weigher.load().sidecar.model_id
+    damaged_parcel = bytearray(parcel)
+    damaged_parcel[-1] ^= 1
+    (folder / f"{digest}.parcel").write_bytes(damaged_parcel)
+    with pytest.raises(InputError, match="were damaged on the disk"):
+        again.load(digest)
+    (folder / "order.json").write_text(json.dumps({"n": "x"}))
+    with pytest.raises(InputError, match=r"order.json cannot be read"):
+        again.recorded(config_digest="c")
+    again.keep_only(set())
+    assert not again.has(digest)
+
+
+def test_without_a_folder_given_weights_live_as_long_as_the_process() -> None:
+    store = WeightsStore(None)
+    digest = store.add(b"parcel")
+    assert store.parcel(digest) == b"parcel"
+    store.close()
+    assert not store.has(digest)
+
+
+def test_of_two_orders_one_holds_whoever_looks() -> None:
+    one, two, config = Order(2, "b"), Order(2, "a"), Order(0, "z")
+    assert one.newer_than(two)
+    assert not two.newer_than(one)
+    assert two.newer_than(config)
+    assert not config.newer_than(replace(config, digest="a")), "the config's own weights follow nobody's"
+
+
+def test_the_shipped_weights_know_the_reference_potatoes() -> None:
+    truths = [true_g for _, true_g, _ in reference_clouds(0.345)]
+    assert np.allclose(truths, [71.3, 175.6, 338.4], atol=0.05)
+    for answer in check_weights(Weigher.load(), LINE):
+        assert answer.weight_g == pytest.approx(answer.true_g, rel=0.12)
+        assert answer.low_g < answer.true_g < answer.high_g
+
+
+def test_a_network_in_other_units_is_refused_with_the_numbers(tmp_path: Path) -> None:
+    kilograms = Weigher.load(scaled_weights(tmp_path / "kilograms.safetensors", 0.001))
+    with pytest.raises(InputError, match=r"kilograms@\w{8} fail .* network 0 g for the small one of 71 g"):
+        check_weights(kilograms, LINE)
+    broken = Weigher.load(scaled_weights(tmp_path / "broken.safetensors", -1.0))
+    with pytest.raises(InputError, match="the network gives no answer to the small one"):
+        check_weights(broken, LINE)
+
+
+def test_weights_for_another_camera_height_are_refused() -> None:
+    high = parse_config({"cameras": {"left": {"belt_distance_m": 0.345}, "tall": {"belt_distance_m": 0.8}}}, where="t")
+    with pytest.raises(InputError, match=r"camera 'tall': it hangs 0.800 m over the belt, they were trained for 0.280"):
+        check_weights(Weigher.load(), high)
