@@ -85,6 +85,7 @@ def augmented_batch(
     highest_m: float,
     count: int = 128,
     resample: bool = True,
+    power: int = 3,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Moved and freshly sampled clouds.
 
@@ -93,6 +94,7 @@ def augmented_batch(
         highest_m: clamp of the height. count: points to sample.
         resample: sample anew from a random first point, with jitter; False takes the sampling of a prediction, which
             turns and flips leave as it is.
+        power: of the scale that the target goes with: 3 for a weight or a volume, 1 for a length.
 
     Returns:
         ((B, count, 3) in sampling order, (B,) clamped heights, (B,) weights), all float32.
@@ -112,7 +114,7 @@ def augmented_batch(
     return (
         sampled,
         np.clip(height, 0.0, highest_m).astype(np.float32),
-        (weight_g * scale**3).astype(np.float32),
+        (weight_g * scale**power).astype(np.float32),
     )
 
 

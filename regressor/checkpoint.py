@@ -71,7 +71,8 @@ class Sidecar(_Part):
     format: Literal["tuberline-pointraft/1"] = FORMAT
     name: str = Field(pattern=r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
     sha256: str = ""
-    target: str = "weight_g"
+    target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g"
+    network: Literal["pointraft", "pointnet"] = "pointraft"
     input: InputSpec = InputSpec()
     start: StartPolicy = StartPolicy()
     belt_distance_m: Range = Range(low=0.25, high=0.6)
@@ -80,6 +81,7 @@ class Sidecar(_Part):
     volume_share: float = Field(0.0, ge=0, lt=1)
     disagreement_factor: float = Field(1.6, gt=1)
     shared_sd_share: float = Field(0.9, ge=0, le=1)
+    shared_bias_share: float = Field(0.05, ge=0, le=1)
     interval: dict[str, Any] | None = None
     volume_rule: dict[str, Any] | None = None
     training: dict[str, Any] = Field(default_factory=dict)
@@ -121,20 +123,35 @@ def _replace(path: Path, data: bytes) -> None:
     partial.replace(path)
 
 
-def load_checkpoint(path: Path | None = None) -> tuple[PointRaft, Sidecar]:
+def load_checkpoint(path: Path | None = None, *, any_target: bool = False) -> tuple[PointRaft, Sidecar]:
     """(model in eval mode, its sidecar) of a .safetensors or an upstream .pth file; the shipped ones by default.
 
     Raises:
-        InputError: missing, unreadable, hash other than the sidecar's, or of another architecture.
+        InputError: missing, unreadable, hash other than the sidecar's, of another architecture, or of another target
+            than a weight (unless `any_target`).
     """
     path = path or SHIPPED
-    data = _bytes(path)
-    state = _tensors(path, data)
-    sidecar = _sidecar(path, hashlib.sha256(data).hexdigest())
+    state, sidecar = read_checkpoint(path)
+    if sidecar.network != "pointraft":
+        raise InputError(f"weights {path} are of a '{sidecar.network}', a baseline that only `ablate` knows")
+    if sidecar.target != "weight_g" and not any_target:
+        raise InputError(
+            f"weights {path} give {sidecar.target}: a line weighs; only `evaluate` and `train` know others"
+        )
     model = PointRaft(height_embedding=any(name.startswith("height_embed.") for name in state))
     check_architecture(state, model.state_dict(), where=str(path))
     model.load_state_dict(state)
     return model.eval(), sidecar
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Tensor], Sidecar]:
+    """(tensors by name, sidecar) of a checkpoint of any network.
+
+    Raises:
+        InputError: missing, unreadable, hash other than the sidecar's.
+    """
+    data = _bytes(path)
+    return _tensors(path, data), _sidecar(path, hashlib.sha256(data).hexdigest())
 
 
 def _bytes(path: Path) -> bytes:
@@ -179,7 +196,9 @@ def _sidecar(path: Path, digest: str) -> Sidecar:
     return sidecar
 
 
-def check_architecture(state: dict[str, Tensor], expected: dict[str, Tensor], *, where: str) -> None:
+def check_architecture(
+    state: dict[str, Tensor], expected: dict[str, Tensor], *, where: str, network: str = "PointRAFT"
+) -> None:
     """Compare names and shapes.
 
     Raises:
@@ -188,7 +207,7 @@ def check_architecture(state: dict[str, Tensor], expected: dict[str, Tensor], *,
     faults = [f"'{name}' is missing" for name in expected if name not in state]
     faults += [f"'{name}' is unknown" for name in state if name not in expected]
     faults += [
-        f"'{name}' has shape {tuple(value.shape)}, PointRAFT has {tuple(expected[name].shape)}"
+        f"'{name}' has shape {tuple(value.shape)}, {network} has {tuple(expected[name].shape)}"
         for name, value in state.items()
         if name in expected and value.shape != expected[name].shape
     ]
@@ -199,4 +218,4 @@ def check_architecture(state: dict[str, Tensor], expected: dict[str, Tensor], *,
     ]
     if faults:
         more = f" (and {len(faults) - 3} more)" if len(faults) > 3 else ""
-        raise InputError(f"weights {where} are not of PointRAFT's architecture: {'; '.join(faults[:3])}{more}")
+        raise InputError(f"weights {where} are not of {network}'s architecture: {'; '.join(faults[:3])}{more}")

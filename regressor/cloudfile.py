@@ -62,7 +62,7 @@ def read_cloud(path: Path) -> NDArray[np.float64]:
 def _read_numpy(path: Path) -> NDArray[np.float64]:
     try:
         loaded = np.load(path, allow_pickle=False)
-        if path.suffix.lower() == ".npz":
+        if isinstance(loaded, np.lib.npyio.NpzFile):  # by what it is, not by what it is called
             with loaded as file:
                 fitting = [key for key in file.files if file[key].ndim == 2 and file[key].shape[1] == 3]
                 if len(fitting) != 1 and "points" not in fitting:

@@ -1,8 +1,8 @@
 """Labelled views as arrays: prepared once, cached, and ready for training and evaluation.
 
 Each cloud is kept as its first `KEEP` farthest points, which hold the network's 128 exactly and enough more to draw a
-fresh sample from for every epoch. The cache carries a hash of the input files and of the code that prepares them, so
-it is made anew when either changed.
+fresh sample from for every epoch (PointNet reads 1024). The cache carries a hash of the input files and of the code
+that prepares them, so it is made anew when either changed.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +26,17 @@ from regressor.sampling import farthest_points
 
 KEEP = 384
 
+Target = Literal["weight_g", "volume_ml", "length_mm"]
+TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
+"""What a network may learn, and the power of a tuber's scale that it grows with."""
+
 
 @dataclass(frozen=True, slots=True)
 class CloudSet:
     """n prepared clouds with their labels.
 
     Attributes:
-        points: (n, KEEP, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
+        points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
             repeat their points.
         height_m: (n,) float64, above the belt, not clamped. features: (n, 5) as in `volume.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, row_share: (n,) float64.
@@ -61,6 +66,21 @@ class CloudSet:
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
         return CloudSet(**{k: v if k == "refused" else v[rows] for k, v in parts.items()})
 
+    def with_target(self, target: Target) -> CloudSet:
+        """The set with `target` in the place of the weight; views where it is not known are refused.
+
+        Raises:
+            InputError: it is known for no view.
+        """
+        if target == "weight_g":
+            return self
+        known = np.isfinite(getattr(self, target)) & (getattr(self, target) > 0)
+        if not known.any():
+            raise InputError(f"no view of this set has a known {target}: it cannot be the target")
+        chosen = self.subset(known)
+        refused = {**self.refused, f"no_{target}": int((~known).sum())} if not known.all() else self.refused
+        return replace(chosen, weight_g=getattr(chosen, target), refused=refused)
+
 
 def load_cloudset(
     folder: Path,
@@ -68,6 +88,7 @@ def load_cloudset(
     split: str | None = None,
     cache: Path | None = None,
     max_views: int | None = None,
+    keep: int = KEEP,
     progress: Callable[[int], None] | None = None,
 ) -> CloudSet:
     """All labelled views of `folder`, prepared.
@@ -76,17 +97,18 @@ def load_cloudset(
         folder: view pack or 3DPotatoTwin folder. split: as in its splits.csv.
         cache: folder for the cache file; None prepares without one.
         max_views: take this many at most, evenly over the set.
+        keep: points to keep of each cloud, in sampling order.
         progress: called with the number of views done so far.
 
     Raises:
         InputError: nothing usable in the folder.
     """
-    key = _fingerprint(folder, split)
+    key = _fingerprint(folder, split, keep)
     file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
     if file is not None and file.is_file():
         data = _read_cache(file)
     else:
-        data = _prepare_all(read_labelled(folder, split=split), folder, progress)
+        data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
         if file is not None:
             _write_cache(file, data)
     if max_views is not None and max_views < len(data):
@@ -94,9 +116,9 @@ def load_cloudset(
     return data
 
 
-def _fingerprint(folder: Path, split: str | None) -> str:
+def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     """Changes with the input files (name, size, time) and with the code that prepares them."""
-    digest = hashlib.sha256(json.dumps([KEEP, split]).encode())
+    digest = hashlib.sha256(json.dumps([keep, split]).encode())
     for path in labelled_files(folder):
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
@@ -105,7 +127,9 @@ def _fingerprint(folder: Path, split: str | None) -> str:
     return digest.hexdigest()[:16]
 
 
-def _prepare_all(views: Iterable[LabelledView], folder: Path, progress: Callable[[int], None] | None) -> CloudSet:
+def _prepare_all(
+    views: Iterable[LabelledView], folder: Path, keep: int, progress: Callable[[int], None] | None
+) -> CloudSet:
     kept: list[tuple[LabelledView, NDArray[np.float32], float, NDArray[np.float64], int]] = []
     refused: Counter[str] = Counter()
     for done, view in enumerate(views, start=1):
@@ -114,7 +138,9 @@ def _prepare_all(views: Iterable[LabelledView], folder: Path, progress: Callable
         except RefusedCloud as error:
             refused[error.reason] += 1
             continue
-        kept.append((view, _first_points(cloud.points), cloud.height_m, cloud.surface.as_array(), len(cloud.points)))
+        kept.append(
+            (view, _first_points(cloud.points, keep), cloud.height_m, cloud.surface.as_array(), len(cloud.points))
+        )
         if progress is not None and done % 200 == 0:
             progress(done)
     if not kept:
@@ -142,9 +168,9 @@ def _prepare_all(views: Iterable[LabelledView], folder: Path, progress: Callable
     )
 
 
-def _first_points(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    order = farthest_points(points, min(KEEP, len(points)))
-    return points[np.resize(order, KEEP)]
+def _first_points(points: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
+    order = farthest_points(points, min(keep, len(points)))
+    return points[np.resize(order, keep)]
 
 
 def _write_cache(file: Path, data: CloudSet) -> None:

@@ -90,7 +90,8 @@ def train(
     data: Path,
     val: Path,
     out: Path,
-    recipe: Literal["tuberline", "paper"] = "tuberline",
+    recipe: Literal["tuberline", "paper", "fine-tune"] = "tuberline",
+    start: Path | None = None,
     epochs: float | None = None,
     minutes: float | None = None,
     resume: bool = False,
@@ -108,6 +109,7 @@ def train(
     validate_minutes: float = 5.0,
     max_validation_views: int = 2000,
     name: str = "pointraft",
+    target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g",
 ) -> None:
     """Train PointRAFT; writes weights.safetensors with its sidecar, log.csv and a state to resume from.
 
@@ -120,9 +122,11 @@ def train(
     out
         Folder to write into.
     recipe
-        Defaults of everything below: the paper's, or ours.
+        Defaults of everything below: ours, the paper's, or ours for going on from trained weights.
+    start
+        Weights to begin with (.safetensors), for the recipe fine-tune; default: random ones.
     epochs
-        Passes over the training views (50).
+        Passes over the training views (50; 2 to fine-tune).
     minutes
         Train by the clock instead; the schedule adapts to the steps really made.
     resume
@@ -134,7 +138,7 @@ def train(
     weight_decay
         Adam's L2 (1e-4).
     dropout
-        In the head (paper 0.5, ours 0.1).
+        In the head (paper 0.5, ours 0.1, none to fine-tune).
     height_embedding
         Feed the height above the belt; off for the paper's ablation.
     shear
@@ -155,13 +159,18 @@ def train(
         Taken evenly over the validation set.
     name
         Of the weights, as it will stand in ledgers.
+    target
+        What is learned. A line weighs, so it takes weights for weight_g alone; `evaluate` takes all.
     """
     import torch
 
+    from conveyor.errors import InputError
     from regressor.trainbar import TrainingBar
     from regressor.trainrun import RunOptions
     from regressor.trainrun import train as run
 
+    if (recipe == "fine-tune") != (start is not None):
+        raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
     torch.set_num_threads(threads)
     settings = _recipe(
         recipe,
@@ -176,6 +185,7 @@ def train(
         compute=compute,
         seed=seed,
         shear=shear,
+        target=target,
     )
     options = RunOptions(
         data=data,
@@ -187,6 +197,7 @@ def train(
         validate_minutes=validate_minutes,
         max_validation_views=max_validation_views,
         command=shlex.join(["tuberline", *sys.argv[1:]]),
+        start=start,
     )
     with TrainingBar() as bar:
         sidecar = run(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
@@ -199,7 +210,8 @@ def _recipe(recipe: str, *, shear: float | None, **given: Any) -> TrainSettings:
 
     from regressor.recipe import TrainSettings
 
-    settings = TrainSettings.paper() if recipe == "paper" else TrainSettings()
+    recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
+    settings = recipes[recipe]()
     settings = replace(settings, **{key: value for key, value in given.items() if value is not None})
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))
 
@@ -282,7 +294,7 @@ def evaluate(
         task = bar.add_task("reading views")
         result = run(
             data,
-            Weigher.load(weights),
+            Weigher.load(weights, any_target=True),
             split=split,
             max_views=max_views,
             progress=lambda done: bar.update(task, description=f"{done} views weighed"),
@@ -328,16 +340,18 @@ def ablate(
     out: Path,
     epochs: float | None = None,
     minutes: float | None = None,
+    lr: float | None = None,
     compute: Literal["float32", "bfloat16"] = "float32",
     max_views: int | None = None,
+    cache: Path | None = None,
     seed: int = 133,
 ) -> None:
-    """Train the paper's ablations with one recipe and compare them in one table.
+    """Train the paper's ablations and the other networks with one recipe and compare them in one table.
 
     Parameters
     ----------
     names
-        Of full, no-height, no-dropout, 512-points, 2048-points; default: all.
+        Of full, no-height (PointNet++), pointnet, no-dropout, 512-points, 2048-points; default: all.
     data
         Training views, as for `train`.
     val
@@ -350,10 +364,14 @@ def ablate(
         Per variant.
     minutes
         Per variant, by the clock.
+    lr
+        First learning rate (1e-3).
     compute
         As for `train`.
     max_views
         Compare on the first so many.
+    cache
+        Folder of prepared clouds, shared by the variants; default: in --out.
     seed
         Of everything random.
     """
@@ -361,22 +379,23 @@ def ablate(
     from rich.console import Console
     from rich.markdown import Markdown
 
-    from regressor.ablate import VARIANTS, markdown
+    from regressor.ablate import VARIANTS, markdown, read_table
     from regressor.ablate import ablate as run
     from regressor.trainbar import TrainingBar
     from regressor.trainrun import RunOptions
 
     torch.set_num_threads(1)
-    settings = _recipe("tuberline", shear=None, epochs=epochs, minutes=minutes, compute=compute, seed=seed)
+    settings = _recipe("tuberline", shear=None, epochs=epochs, minutes=minutes, lr=lr, compute=compute, seed=seed)
     command = shlex.join(["tuberline", *sys.argv[1:]])
-    options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command)
+    options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
     with TrainingBar() as bar:
-        table = run(
+        run(
             names or tuple(VARIANTS),
             settings,
             options,
             test=test,
             max_views=max_views,
-            on_step=lambda name, training: bar.step(training),
+            on_step=lambda name, training: bar.step(training, name),
         )
-    Console().print(Markdown(markdown(table)))
+    table, words = read_table(out)
+    Console().print(Markdown(markdown(table, recipe=words)))

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from regressor.alone import Scale
 from regressor.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.labelled import LabelledView, read_labelled
 from regressor.metrics import scores
 from regressor.prepare import RefusedCloud
 from regressor.volume import NAMES, TYPICAL_RULE
-from regressor.weigher import Weighed, Weigher
+from regressor.weigher import Weighed
 
 NETWORK = "PointRAFT"
 SHIPPED = "PointRAFT with visible volume (as weighed)"
@@ -40,7 +42,7 @@ class Evaluation:
         predicted: method to (n,) grams. low_g, high_g: (n,) the 90 % interval as weighed.
         weight_g: (n,) truth. tuber, and `groups` (name of a grouping to (n,) labels): (n,) str.
         flags: how many views carried each. refused: views that could not be weighed, by reason.
-        shared_sd_share: of the weights' sidecar, for the intervals of fused tubers.
+        shared_sd_share, shared_bias_share: of the weights' sidecar, for the intervals of fused tubers and of loads.
     """
 
     predicted: dict[str, NDArray[np.float64]]
@@ -52,12 +54,14 @@ class Evaluation:
     flags: dict[str, int]
     refused: dict[str, int]
     shared_sd_share: float
+    shared_bias_share: float
     model: str
+    target: str = "weight_g"
 
 
 def evaluate(
     folder: Path,
-    weigher: Weigher,
+    weigher: Scale,
     *,
     split: str | None = None,
     max_views: int | None = None,
@@ -66,15 +70,29 @@ def evaluate(
     """Weigh all labelled views of `folder` (or the first `max_views`).
 
     Raises:
+        InputError: unreadable, or nothing to weigh.
+    """
+    views = read_labelled(folder, split=split)
+    return evaluate_views(islice(views, max_views), weigher, where=str(folder), progress=progress)
+
+
+def evaluate_views(
+    labelled: Iterable[LabelledView],
+    weigher: Scale,
+    *,
+    where: str,
+    progress: Callable[[int], None] | None = None,
+) -> Evaluation:
+    """Weigh `labelled` views; `where` they are from.
+
+    Raises:
         InputError: nothing to weigh.
     """
     views: list[LabelledView] = []
     answers: list[Weighed] = []
     features: list[list[float]] = []
     refused: Counter[str] = Counter()
-    for done, view in enumerate(read_labelled(folder, split=split), start=1):
-        if max_views is not None and done > max_views:
-            break
+    for done, view in enumerate(labelled, start=1):
         try:
             cloud = view.prepare()
         except RefusedCloud as refusal:
@@ -87,7 +105,7 @@ def evaluate(
         if progress is not None:
             progress(done)
     if not views:
-        raise InputError(f"{folder} holds no view that can be weighed; refused: {dict(refused)}")
+        raise InputError(f"{where} holds no view that can be weighed; refused: {dict(refused)}")
     return _collect(views, answers, np.array(features), dict(refused), weigher)
 
 
@@ -96,9 +114,9 @@ def _collect(
     answers: list[Weighed],
     features: NDArray[np.float64],
     refused: dict[str, int],
-    weigher: Weigher,
+    weigher: Scale,
 ) -> Evaluation:
-    weight_g = np.array([view.weight_g for view in views])
+    weight_g = np.array([getattr(view, weigher.sidecar.target) for view in views])
     tuber = np.array([view.tuber for view in views])
     rule = weigher.sidecar.fitted_volume_rule or TYPICAL_RULE
     surface, box = features[:, : len(NAMES)], features[:, len(NAMES) :]
@@ -120,7 +138,9 @@ def _collect(
         flags=dict(Counter(flag for answer in answers for flag in answer.flags)),
         refused=refused,
         shared_sd_share=weigher.sidecar.shared_sd_share,
+        shared_bias_share=weigher.sidecar.shared_bias_share,
         model=weigher.sidecar.model_id,
+        target=weigher.sidecar.target,
     )
 
 
@@ -168,26 +188,42 @@ def group_scores(result: Evaluation, method: str = SHIPPED) -> dict[str, dict[st
 
 
 def coverage(result: Evaluation) -> dict[str, float]:
-    """Share of views, and of tubers with their views fused, whose truth lies in the 90 % interval."""
+    """Share of views, of fused tubers and of loads of 300 drawn tubers whose truth lies in the 90 % interval."""
+    middle, truth, below, above = fused_tubers(result)
+    held = (result.weight_g >= result.low_g) & (result.weight_g <= result.high_g)
+    # A load's own errors shrink with the count; what its tubers have in common does not.
+    drawn = np.random.default_rng(0).integers(0, len(truth), (LOADS, LOAD_TUBERS))
+    total = middle[drawn].sum(1)
+    shared = result.shared_bias_share * total
+    low = total - np.hypot(np.sqrt((below[drawn] ** 2).sum(1)), shared)
+    high = total + np.hypot(np.sqrt((above[drawn] ** 2).sum(1)), shared)
+    of_loads = truth[drawn].sum(1)
+    return {
+        "views": round(float(held.mean()), 4),
+        "tubers": round(float(((truth >= middle - below) & (truth <= middle + above)).mean()), 4),
+        "loads": round(float(((of_loads >= low) & (of_loads <= high)).mean()), 4),
+        "mean_width_g": round(float((result.high_g - result.low_g).mean()), 2),
+        "load_half_width_percent": round(100 * float(((high - low) / (2 * total)).mean()), 3),
+    }
+
+
+def fused_tubers(
+    result: Evaluation,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(weight, truth, interval below, interval above), each (tubers,) grams, of the mean of each tuber's views.
+
+    Views of a tuber share most of their error, so the interval shrinks by that and not by the root of their number.
+    """
     values = result.predicted[SHIPPED]
     _, owner = np.unique(result.tuber, return_inverse=True)
     count = np.bincount(owner)
-
-    def fused(per_view: NDArray[np.float64]) -> NDArray[np.float64]:
-        mean: NDArray[np.float64] = np.bincount(owner, weights=per_view) / count
-        return mean
-
-    # Views of a tuber share most of their error, so the interval shrinks by this and not by the root of their number.
     share = result.shared_sd_share
     shrink = np.sqrt(share**2 + (1 - share**2) / count)
-    middle, truth = fused(values), fused(result.weight_g)
-    low = middle - shrink * (middle - fused(result.low_g))
-    high = middle + shrink * (fused(result.high_g) - middle)
-    return {
-        "views": round(float(((result.weight_g >= result.low_g) & (result.weight_g <= result.high_g)).mean()), 4),
-        "tubers": round(float(((truth >= low) & (truth <= high)).mean()), 4),
-        "mean_width_g": round(float((result.high_g - result.low_g).mean()), 2),
-    }
+    middle, truth, low, high = (
+        np.bincount(owner, weights=per_view) / count
+        for per_view in (values, result.weight_g, result.low_g, result.high_g)
+    )
+    return middle, truth, shrink * (middle - low), shrink * (high - middle)
 
 
 def load_bias(

@@ -29,7 +29,9 @@ class ExportedPointRaft(nn.Module):
 
     def __init__(self, model: PointRaft) -> None:
         super().__init__()
-        self.model = model.eval()
+        self.model = model
+        # All of it: the exporter puts the whole back into the mode it found it in.
+        self.eval()
 
     def forward(self, groups: Tensor, height_m: Tensor) -> Tensor:
         """(B,) grams of (B, 256, 3) groups and (B,) heights."""

@@ -4,18 +4,28 @@ Against the readable form: batch norm is folded into the weights, first layers a
 edge, only the centroids that are read are computed, and the edges pass through in blocks of 32 centroids that stay in
 the second-level cache. Clouds do not meet in a product, so a weight does not depend on the batch it came with; on a
 CPU nothing is lost by that, the products of one cloud are large enough.
+
+Two ways to save time are not exact and have to be asked for (`Form`): products of bfloat16 operands, and fewer
+second-stage centroids. What they cost in grams stands in docs/pointraft.md (`python -m benchmarks regressor`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from regressor.edges import (
+    edge_differences,
+    edge_differences_bfloat16,
+    pooled_maximum,
+    pooled_maximum_bfloat16,
+)
 from regressor.grouping import GatheredGroups, SharedGroups
 from regressor.pointraft import NEIGHBOURS, PointRaft, SharedMlp
 
@@ -25,25 +35,53 @@ Layer = Callable[[Tensor, Tensor, Tensor | None, bool], Tensor]
 
 
 @dataclass(frozen=True, slots=True)
+class Form:
+    """How a network is computed. The default is exact.
+
+    Attributes:
+        precision: of the operands of the wide products; sums are float32 in both.
+        centroids: of the second stage that are used, at most; None is all of them.
+    """
+
+    precision: Literal["float32", "bfloat16"] = "float32"
+    centroids: int | None = None
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """What a weight from this form is flagged with."""
+        rounded = ("bfloat16",) if self.precision == "bfloat16" else ()
+        return rounded if self.centroids is None else (*rounded, f"centroids_{self.centroids}")
+
+
+EXACT = Form()
+
+
+@dataclass(frozen=True, slots=True)
 class _Folded:
-    """Weights (out, in) and biases of a shared MLP with its batch norms folded in."""
+    """Weights (out, in) and biases of a shared MLP with its batch norms folded in; `wide` as the products take them."""
 
     weights: tuple[Tensor, ...]
     biases: tuple[Tensor, ...]
+    wide: tuple[Tensor, ...]
+    wide_biases: tuple[Tensor, ...]
 
 
 class FastPointRaft:
     """Grams from groups. Not thread-safe: one instance per worker."""
 
-    def __init__(self, model: PointRaft) -> None:
+    def __init__(self, model: PointRaft, form: Form = EXACT) -> None:
+        self.form = form
+        self._dtype = torch.bfloat16 if form.precision == "bfloat16" else torch.float32
         self._layer = fused_layer()
-        self._stage1 = _fold(model.sa1_module.conv.local_nn)
-        self._stage2 = _fold(model.sa2_module.conv.local_nn)
-        self._stage3 = _fold(model.sa3_module.nn)
+        self._stage1 = _fold(model.sa1_module.conv.local_nn, self._dtype)
+        self._stage2 = _fold(model.sa2_module.conv.local_nn, self._dtype)
+        self._stage3 = _fold(model.sa3_module.nn, self._dtype)
         self._height = _fold(model.height_embed) if model.height_embed is not None else None
         self._head = _fold(model.regression_head)
+        rows = BLOCK_CENTROIDS * NEIGHBOURS
+        kind = np.uint16 if self._dtype == torch.bfloat16 else np.float32
         self._block = {
-            width: torch.empty(BLOCK_CENTROIDS, NEIGHBOURS, width)
+            width: np.empty((rows, width), kind)
             for width in (self._stage1.weights[0].shape[0], self._stage2.weights[0].shape[0])
         }
 
@@ -54,34 +92,59 @@ class FastPointRaft:
 
     def _describe(self, groups: SharedGroups | GatheredGroups) -> Tensor:
         """(1024,) global feature."""
+        used = slice(self.form.centroids)
         if isinstance(groups, SharedGroups):
             source, index1, index2 = torch.from_numpy(groups.neighbours), None, None
         else:
-            source = torch.from_numpy(groups.points)
-            index1, index2 = torch.from_numpy(groups.neighbours1), torch.from_numpy(groups.neighbours2)
-        centroids1, centroids2 = torch.from_numpy(groups.centroids1), torch.from_numpy(groups.centroids2)
+            source, index1, index2 = torch.from_numpy(groups.points), groups.neighbours1, groups.neighbours2[used]
+        centroids1, centroids2 = torch.from_numpy(groups.centroids1), torch.from_numpy(groups.centroids2[used])
         features1 = self._abstract(self._stage1, source, centroids1, index1)
         features2 = self._abstract(self._stage2, torch.cat([features1, centroids1], dim=1), centroids2, index2)
-        x = torch.cat([features2, centroids2], dim=1)
-        for weight, bias in zip(self._stage3.weights[:-1], self._stage3.biases[:-1], strict=True):
+        mlp = self._stage3
+        x = torch.cat([features2, centroids2], dim=1).to(self._dtype)
+        for weight, bias in zip(mlp.wide[:-1], mlp.wide_biases[:-1], strict=True):
             x = self._layer(x, weight, bias, True)
-        return self._layer(x, self._stage3.weights[-1], None, False).amax(0) + self._stage3.biases[-1]
+        return self._layer(x, mlp.wide[-1], None, False).amax(0).float() + mlp.biases[-1]
 
-    def _abstract(self, mlp: _Folded, inputs: Tensor, centroids: Tensor, index: Tensor | None) -> Tensor:
+    def _abstract(self, mlp: _Folded, inputs: Tensor, centroids: Tensor, index: NDArray[np.int64] | None) -> Tensor:
         """(C, O): max over the neighbours (`inputs` (K, G + 3), or those that (C, 64) `index` picks)."""
-        source = torch.addmm(mlp.biases[0], inputs, mlp.weights[0].T)
-        centroid = centroids @ mlp.weights[0][:, -3:].T
-        pooled = torch.empty(len(centroids), mlp.weights[2].shape[0])
+        source = torch.addmm(mlp.biases[0], inputs, mlp.weights[0].T).numpy()
+        centroid = (centroids @ mlp.weights[0][:, -3:].T).numpy()
+        pooled = np.empty((len(centroid), mlp.weights[2].shape[0]), np.float32)
         block = self._block[source.shape[1]]
-        for begin in range(0, len(centroids), BLOCK_CENTROIDS):
-            part = slice(begin, min(begin + BLOCK_CENTROIDS, len(centroids)))
-            edges = block[: part.stop - begin]
-            of_source = source[None] if index is None else source[index[part]]
-            torch.sub(of_source, centroid[part, None], out=edges)
-            hidden = self._layer(edges.relu_().flatten(0, 1), mlp.weights[1], mlp.biases[1], True)
-            values = self._layer(hidden, mlp.weights[2], None, False)
-            torch.amax(values.view(len(edges), NEIGHBOURS, -1), dim=1, out=pooled[part])
-        return pooled.add_(mlp.biases[2])
+        for begin in range(0, len(centroid), BLOCK_CENTROIDS):
+            part = slice(begin, min(begin + BLOCK_CENTROIDS, len(centroid)))
+            edges = block[: (part.stop - begin) * NEIGHBOURS]
+            if index is None:
+                self._differences(source, centroid[part], edges)
+            else:
+                for row in range(part.stop - begin):
+                    one = slice(begin + row, begin + row + 1)
+                    here = edges[row * NEIGHBOURS : (row + 1) * NEIGHBOURS]
+                    self._differences(source[index[begin + row]], centroid[one], here)
+            self._pool(self._products(edges, mlp), pooled[part])
+        return torch.from_numpy(pooled).add_(mlp.biases[2])
+
+    def _products(self, edges: NDArray[np.float32] | NDArray[np.uint16], mlp: _Folded) -> Tensor:
+        x = torch.from_numpy(edges)
+        x = x.view(torch.bfloat16) if self._dtype == torch.bfloat16 else x
+        hidden = self._layer(x, mlp.wide[1], mlp.wide_biases[1], True)
+        return self._layer(hidden, mlp.wide[2], None, False)
+
+    def _differences(
+        self,
+        source: NDArray[np.float32],
+        centroid: NDArray[np.float32],
+        out: NDArray[np.float32] | NDArray[np.uint16],
+    ) -> None:
+        kernel: Callable[..., None] = edge_differences_bfloat16 if out.dtype == np.uint16 else edge_differences
+        kernel(source, centroid, out)
+
+    def _pool(self, values: Tensor, out: NDArray[np.float32]) -> None:
+        if self._dtype == torch.bfloat16:
+            pooled_maximum_bfloat16(values.view(torch.int16).numpy(), out)
+        else:
+            pooled_maximum(values.numpy(), out)
 
     def _head_of(self, described: Tensor, height_m: float) -> Tensor:
         x = described[None]
@@ -96,8 +159,8 @@ def _plain(mlp: _Folded, x: Tensor) -> Tensor:
     return torch.nn.functional.linear(x, mlp.weights[-1], mlp.biases[-1])
 
 
-def _fold(mlp: SharedMlp) -> _Folded:
-    """Each batch norm folded into the linear layer before it, in float64."""
+def _fold(mlp: SharedMlp, wide: torch.dtype = torch.float32) -> _Folded:
+    """Each batch norm folded into the linear layer before it, in float64; `wide`: dtype of the wide products."""
     weights, biases = [], []
     for index in range(len(mlp.lins)):
         weight, bias = mlp.linear(index).weight.double(), mlp.linear(index).bias.double()
@@ -110,7 +173,8 @@ def _fold(mlp: SharedMlp) -> _Folded:
             bias = (bias - norm.running_mean.double()) * scale + norm.bias.double()
         weights.append(weight.detach().float().contiguous())
         biases.append(bias.detach().float().contiguous())
-    return _Folded(tuple(weights), tuple(biases))
+    rounded = (tuple(value.to(wide) for value in values) for values in (weights, biases))
+    return _Folded(tuple(weights), tuple(biases), *rounded)
 
 
 def fused_layer() -> Layer:

@@ -83,12 +83,12 @@ def _edges_max(
     dtype = compute or source.dtype
     batch, neighbours, width = source.shape
     pairs = torch.relu(source.to(dtype)[:, None] - centroid.to(dtype)[:, :, None]).reshape(-1, width)
-    hidden = torch.relu(_normed(pairs @ second.weight.T.to(dtype), second.bias, norm))
+    hidden = torch.relu(normed(pairs @ second.weight.T.to(dtype), second.bias, norm))
     values = (hidden @ third.weight.T.to(dtype)).reshape(batch, -1, neighbours, third.out_features)
     return values.amax(2).to(third.weight.dtype) + third.bias
 
 
-def _normed(x: Tensor, bias: Tensor, norm: nn.BatchNorm1d) -> Tensor:
+def normed(x: Tensor, bias: Tensor, norm: nn.BatchNorm1d) -> Tensor:
     """norm(x + bias). In train mode the bias cancels, so it is left out and only moves the running mean."""
     if norm.running_mean is None or norm.running_var is None or norm.num_batches_tracked is None:
         raise ValueError("batch norm without running statistics cannot be used here")

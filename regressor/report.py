@@ -18,6 +18,7 @@ def summary(result: Evaluation) -> dict[str, Any]:
     """Everything measured, as one JSON document."""
     return {
         "model": result.model,
+        "target": result.target,
         "methods": method_scores(result),
         "groups": group_scores(result),
         "coverage": coverage(result),
@@ -41,11 +42,13 @@ def markdown(measured: dict[str, Any], *, title: str) -> str:
     """The tables for people."""
     first = next(iter(measured["methods"].values()))
     ratio = measured["methods"][NETWORK]["mae_g"] / measured["methods"][LINEAR_BOX]["mae_g"]
+    of = measured.get("target", "weight_g")
+    other = "" if of == "weight_g" else f" The target is {of}: read its unit where the tables say g."
     lines = [
         f"# {title}",
         "",
         f"Weights `{measured['model']}`; {first['views']:.0f} views of {first['tubers']:.0f} tubers. "
-        f"MAE of PointRAFT is {ratio:.2f} times that of the paper's linear baseline.",
+        f"MAE of PointRAFT is {ratio:.2f} times that of the paper's linear baseline.{other}",
         "",
         "| method | MAE g | RMSE g | bias g | R2 | MAE g per tuber | RMSE g per tuber | bias of a 300-tuber load % |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
@@ -60,8 +63,9 @@ def markdown(measured: dict[str, Any], *, title: str) -> str:
     held = measured["coverage"]
     lines += [
         "",
-        f"90 % intervals cover {100 * held['views']:.1f} % of the views and {100 * held['tubers']:.1f} % of the fused "
-        f"tubers; mean width {held['mean_width_g']:.1f} g.",
+        f"90 % intervals cover {100 * held['views']:.1f} % of the views (mean width {held['mean_width_g']:.1f} g), "
+        f"{100 * held['tubers']:.1f} % of the fused tubers and {100 * held['loads']:.1f} % of loads of 300 drawn "
+        f"tubers (half width {held['load_half_width_percent']:.2f} %).",
         f"Flags: {_counts(measured['flags'])}. Refused: {_counts(measured['refused'])}.",
         "",
         "## As weighed, by group",

@@ -18,10 +18,12 @@ from torch import Tensor, nn
 
 from conveyor.errors import InputError
 from regressor.augment import augmented_batch
-from regressor.cloudset import CloudSet
-from regressor.pointraft import NEIGHBOURS, PointRaft
+from regressor.cloudset import TARGET_POWER, CloudSet
+from regressor.networks import POINTNET_POINTS, Network, new_network, run_network
+from regressor.pointnet import PointNet
+from regressor.pointraft import NEIGHBOURS
 from regressor.recipe import TrainSettings
-from regressor.reduced import FULL, Resolution, reduced_forward
+from regressor.reduced import FULL, Resolution
 
 CLASS_G = 50.0
 CLASSES = 10
@@ -49,7 +51,7 @@ class Training:
         self.data = data
         self.validation = validation
         self.rng = np.random.default_rng(settings.seed)
-        self.model = PointRaft(height_embedding=settings.height_embedding, dropout=settings.dropout)
+        self.model = self._new_network()
         start_at_mean(self.model, data.weight_g)
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.lr, weight_decay=settings.weight_decay)
@@ -82,7 +84,7 @@ class Training:
                 if isinstance(module, nn.BatchNorm1d):
                     module.eval()
         self.optimiser.zero_grad(set_to_none=True)
-        predicted = reduced_forward(
+        predicted = run_network(
             self.model, points, heights, resolution=self.settings.resolution(share), compute=self.compute
         )
         loss = nn.functional.smooth_l1_loss(predicted, weights, beta=self.settings.beta_g)
@@ -116,8 +118,9 @@ class Training:
             rng,
             self.settings.augmentation,
             highest_m=self.settings.max_height_m,
-            count=max(NEIGHBOURS, self.settings.full.centroids),
+            count=self.settings.read_points,
             resample=not (natural and self.settings.natural_share > 0),
+            power=TARGET_POWER[self.settings.target],
         )
         points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)) for array in arrays)
         return points, heights, weights
@@ -132,9 +135,13 @@ class Training:
                 else:
                     self.average[name].copy_(value)
 
-    def finished_model(self) -> PointRaft:
+    def _new_network(self) -> Network:
+        settings = self.settings
+        return new_network(settings.network, height_embedding=settings.height_embedding, dropout=settings.dropout)
+
+    def finished_model(self) -> Network:
         """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights."""
-        model = PointRaft(height_embedding=self.settings.height_embedding, dropout=self.settings.dropout)
+        model = self._new_network()
         model.load_state_dict(self.average if self.settings.average else self.model.state_dict())
         return model.eval()
 
@@ -147,6 +154,18 @@ class Training:
         if self.settings.average and not self.progress.frozen:
             self.model.load_state_dict(self.average)
         self.progress.frozen = True
+
+    def start_from(self, weights: dict[str, Tensor]) -> None:
+        """Begin with the weights and batch-norm statistics of a trained network instead of random ones.
+
+        Raises:
+            InputError: they are of another network.
+        """
+        try:
+            self.model.load_state_dict(weights)
+        except RuntimeError as error:
+            raise InputError(f"the weights to start from are of another network: {error}") from error
+        self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
@@ -170,7 +189,7 @@ class Training:
         self.progress = Progress(**state["progress"])
 
 
-def start_at_mean(model: PointRaft, weight_g: NDArray[np.float64]) -> None:
+def start_at_mean(model: Network, weight_g: NDArray[np.float64]) -> None:
     """Let the last layer start at the mean weight and with a spread of grams: Adam would take thousands of steps."""
     last: nn.Linear = model.regression_head.lins[-1]  # type: ignore[assignment]
     with torch.no_grad():
@@ -187,7 +206,7 @@ def class_weights(weight_g: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def predict(
-    model: PointRaft,
+    model: Network,
     data: CloudSet,
     *,
     highest_m: float,
@@ -195,14 +214,15 @@ def predict(
     batch: int = 32,
     compute: torch.dtype | None = None,
 ) -> NDArray[np.float64]:
-    """(n,) grams on the reduced graph."""
+    """(n,) grams, PointRAFT's on the reduced graph."""
     model.eval()
+    used = POINTNET_POINTS if isinstance(model, PointNet) else max(NEIGHBOURS, resolution.centroids)
     out = []
     with torch.inference_mode():
         for begin in range(0, len(data), batch):
             rows = slice(begin, begin + batch)
             heights = np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)
-            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, : max(NEIGHBOURS, resolution.centroids)]))
-            weights = reduced_forward(model, points, torch.from_numpy(heights), resolution=resolution, compute=compute)
+            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, :used]))
+            weights = run_network(model, points, torch.from_numpy(heights), resolution=resolution, compute=compute)
             out.append(weights.numpy())
     return np.concatenate(out).astype(np.float64)

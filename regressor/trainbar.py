@@ -30,10 +30,11 @@ class TrainingBar:
         """`done` views of the `what` set are prepared."""
         self._bar.update(self._task, description=f"preparing {what} views: {done}")
 
-    def step(self, training: Training) -> None:
-        """One more step is made."""
+    def step(self, training: Training, name: str = "") -> None:
+        """One more step of the training `name` is made."""
         progress = training.progress
-        words = f"step {progress.step}, {progress.seconds / progress.step:.2f} s each, loss {progress.loss:.2f}"
+        pace = progress.seconds / progress.step
+        words = f"{name} step {progress.step}, {pace:.2f} s each, loss {progress.loss:.2f}".lstrip()
         self._bar.update(self._task, description=words, completed=training.share, total=1.0)
 
     def validated(self, training: Training, metrics: dict[str, Any]) -> None:

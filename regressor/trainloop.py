@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from conveyor.errors import InputError
-from regressor.pointraft import PointRaft
+from regressor.networks import Network
 from regressor.train import Training, predict
 
 LOG_FIELDS = ("minutes", "step", "epoch", "share", "neighbours", "centroids", "lr", "loss", "val_loss", "val_mae_g")
@@ -26,9 +26,9 @@ def run_training(
     out: Path,
     save_minutes: float,
     validate_minutes: float,
-    on_validated: Callable[[PointRaft, NDArray[np.float64], bool], None],
+    on_validated: Callable[[Network, NDArray[np.float64], bool], None],
     on_step: Callable[[Training], None],
-) -> PointRaft:
+) -> Network:
     """Train to the end; the finished model.
 
     Args:
@@ -54,10 +54,10 @@ def run_training(
 def _validate(
     training: Training,
     out: Path,
-    on_validated: Callable[[PointRaft, NDArray[np.float64], bool], None],
+    on_validated: Callable[[Network, NDArray[np.float64], bool], None],
     *,
     final: bool,
-) -> PointRaft:
+) -> Network:
     model = training.finished_model()
     predicted = predict(
         model,

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from regressor.checkpoint import InputSpec, Range, Sidecar, save_checkpoint
-from regressor.cloudset import CloudSet, load_cloudset
+from regressor.calibration import calibration
+from regressor.checkpoint import InputSpec, Range, Sidecar, read_checkpoint, save_checkpoint
+from regressor.cloudset import KEEP, CloudSet, load_cloudset
 from regressor.grouping import stage_counts
-from regressor.interval import calibrate, shared_share
 from regressor.metrics import scores
-from regressor.pointraft import PointRaft
+from regressor.networks import Network
 from regressor.recipe import TrainSettings
 from regressor.train import Training
 from regressor.trainloop import load_state, run_training
@@ -29,7 +29,11 @@ M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Where a training reads and writes. `command` goes into the sidecar as it was typed."""
+    """Where a training reads and writes. `command` goes into the sidecar as it was typed.
+
+    `cache` holds prepared clouds and may be shared by several trainings; None is a folder in `out`. `start`: weights to
+    begin with; None begins with random ones.
+    """
 
     data: Path
     validation: Path
@@ -40,6 +44,8 @@ class RunOptions:
     validate_minutes: float
     max_validation_views: int
     command: str
+    cache: Path | None = None
+    start: Path | None = None
 
 
 def keep_memory() -> None:
@@ -69,9 +75,12 @@ def train(
         InputError: data that cannot be used, a state to resume that is not there.
     """
     keep_memory()
-    data, validation = load_sets(options, on_prepared)
+    data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
+    data, validation = (views.with_target(settings.target) for views in (data, validation))
     rule = fit_volume_rule(data.features, data.weight_g)
     training = Training(data, validation, settings)
+    if options.start is not None:
+        training.start_from(read_checkpoint(options.start)[0])
     state = options.out / "state.pt"
     if options.resume:
         training.restore(load_state(state))
@@ -80,7 +89,7 @@ def train(
     options.out.mkdir(parents=True, exist_ok=True)
     result: list[Sidecar] = []
 
-    def write(model: PointRaft, predicted: NDArray[np.float64], best: bool) -> None:
+    def write(model: Network, predicted: NDArray[np.float64], best: bool) -> None:
         sidecar = make_sidecar(training, predicted, rule, options)
         on_validated(training, sidecar.metrics)
         name = "weights.safetensors" if best or training.share >= 1.0 else "latest.safetensors"
@@ -97,20 +106,24 @@ def train(
     return result[-1]
 
 
-def load_sets(options: RunOptions, on_prepared: Callable[[str, int], None]) -> tuple[CloudSet, CloudSet]:
+def load_sets(
+    options: RunOptions, on_prepared: Callable[[str, int], None], *, keep: int = KEEP
+) -> tuple[CloudSet, CloudSet]:
     """(training, validation) sets without a tuber in both: shared ones are left out of the training."""
-    cache = options.out / "cache"
+    cache = options.cache or options.out / "cache"
     validation = load_cloudset(
         options.validation,
         cache=cache,
         split="val" if options.validation == options.data else None,
         max_views=options.max_validation_views,
+        keep=keep,
         progress=lambda done: on_prepared("validation", done),
     )
     data = load_cloudset(
         options.data,
         cache=cache,
         split="train" if options.validation == options.data else None,
+        keep=keep,
         progress=lambda done: on_prepared("training", done),
     )
     shared = np.isin(_identity(data), _identity(validation))
@@ -134,10 +147,10 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
     by_volume = rule.weights_g(validation.features)
     share = best_share(predicted, by_volume, validation.weight_g)
     blended = blend(predicted, by_volume, share)
-    residual = blended - validation.weight_g
-    spread = np.maximum(validation.weight_g, 50.0)
     return Sidecar(
         name=options.name,
+        target=training.settings.target,
+        network=training.settings.network,
         input=InputSpec(
             points=training.settings.points,
             centroids=stage_counts(training.settings.points),
@@ -147,9 +160,8 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         belt_distance_m=_range(data.belt_distance_m, 0.02),
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
-        shared_sd_share=shared_share(residual / spread, validation.tuber),
         volume_share=share,
-        interval=calibrate(blended, validation.weight_g).to_json(),
+        **calibration(predicted, by_volume, validation, volume_share=share).sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,

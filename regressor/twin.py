@@ -2,6 +2,7 @@
 
 `1_rgbd/1_image/<label>/<label>_rgb_<row>.png` (RGBA, alpha 255 = the tuber) beside `<label>_depth_<row>.png` (uint16),
 `1_rgbd/2_pcd/<label>/<label>_pcd_<row>.ply`, `1_rgbd/0_camera_intrinsics/*.json` (Open3D: 9 numbers, column-major).
+A column belt_distance_m of ground_truth.csv says where the camera hung; without it the paper's seasons do.
 """
 
 from __future__ import annotations
@@ -76,8 +77,11 @@ def read_twin(folder: Path, *, split: str | None = None) -> Iterator[TwinView]:
 
 def _view(folder: Path, path: Path, row: dict[str, str]) -> TwinView:
     season = row.get("growing_season") or row.get("label", "")[:4]
-    if season not in BELT_DISTANCE_M:
-        raise InputError(f"{path}: growing season '{season}' has no known belt distance; known: {BELT_DISTANCE_M}")
+    if not row.get("belt_distance_m") and season not in BELT_DISTANCE_M:
+        raise InputError(
+            f"{path}: growing season '{season}' has no known belt distance; known: {BELT_DISTANCE_M}; another one "
+            "stands in a column belt_distance_m of ground_truth.csv"
+        )
     depth = cloud = intrinsics = None
     scale = 0.001
     if path.suffix == ".png":
@@ -92,7 +96,7 @@ def _view(folder: Path, path: Path, row: dict[str, str]) -> TwinView:
         cloud=cloud,
         depth_scale_m=scale,
         intrinsics=intrinsics,
-        belt_distance_m=BELT_DISTANCE_M[season],
+        belt_distance_m=_number(row, "belt_distance_m", path, default=BELT_DISTANCE_M.get(season)),
         weight_g=_number(row, "weight_g_inctack", path),
         volume_ml=_number(row, "volume_metashape", path, default=float("nan")),
         length_mm=_number(row, "x1_length_mm", path, default=float("nan")),

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from conveyor.messages import View, Weight
 from regressor.checkpoint import Sidecar, load_checkpoint
-from regressor.fast import FastPointRaft
+from regressor.fast import EXACT, FastPointRaft, Form
 from regressor.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
 from regressor.pointraft import PointRaft
 from regressor.prepare import PreparedCloud, RefusedCloud, prepare_view
+from regressor.viewscale import view_terms
 from regressor.volume import TYPICAL_RULE, blend
 
 VOLUME_MODEL = "volume"
@@ -44,24 +45,30 @@ class Weigher:
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise).
+    visible volume says otherwise), 'bfloat16' and 'centroids_64' (not computed in the exact form).
     """
 
-    def __init__(self, model: PointRaft | None, sidecar: Sidecar) -> None:
+    def __init__(self, model: PointRaft | None, sidecar: Sidecar, form: Form = EXACT) -> None:
         self.sidecar = sidecar
-        self._network = FastPointRaft(model) if model is not None else None
+        self.form = form
+        self._model = model
+        self._network = FastPointRaft(model, form) if model is not None else None
         self._interval = sidecar.interval_rule
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
         self._group = _grouping(sidecar)
 
     @classmethod
-    def load(cls, path: Path | None = None) -> Weigher:
-        """With the weights at `path`, or the shipped ones.
+    def load(cls, path: Path | None = None, form: Form = EXACT, *, any_target: bool = False) -> Weigher:
+        """With the weights at `path`, or the shipped ones, computed in `form`; only `any_target` admits a volume.
 
         Raises:
             InputError: weights that cannot be used.
         """
-        return cls(*load_checkpoint(path))
+        return cls(*load_checkpoint(path, any_target=any_target), form)
+
+    def in_form(self, form: Form) -> Weigher:
+        """The same weights, computed in `form`."""
+        return self if form == self.form else Weigher(self._model, self.sidecar, form)
 
     def weigh(self, cloud: PreparedCloud) -> Weighed:
         """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it."""
@@ -73,7 +80,7 @@ class Weigher:
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
         weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
-        low, high = self._bounds(weight_g)
+        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g)
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
@@ -82,7 +89,7 @@ class Weigher:
             volume_g=round(by_volume_g, 3),
             method="pointraft",
             model=self.sidecar.model_id,
-            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g)),
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *self.form.flags),
         )
 
     def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
@@ -98,11 +105,17 @@ class Weigher:
             flags=flags,
         )
 
-    def _bounds(self, weight_g: float) -> tuple[float, float]:
+    def _bounds(
+        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float
+    ) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        low, high = self._interval.bounds_g(np.array([weight_g]))
+        weight, network, by_volume, height = (
+            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m)
+        )
+        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height)
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms)
         return float(low[0]), float(high[0])
 
     def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:

@@ -12,13 +12,17 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.ablate import ablate
+from regressor.ablate import RULES, ablate, read_table
 from regressor.augment import Augmentation, augmented_batch
+from regressor.calibration import recalibrate
 from regressor.checkpoint import load_checkpoint
 from regressor.cloudset import CloudSet, load_cloudset
+from regressor.evaluate import LINEAR_BOX, evaluate
+from regressor.pointnet import PointNet
 from regressor.pointraft import PointRaft
 from regressor.recipe import TrainSettings
 from regressor.reduced import Resolution, reduced_forward
+from regressor.report import markdown, summary
 from regressor.sampling import farthest_points
 from regressor.train import Training, class_weights, predict
 from regressor.trainloop import load_state, save_state
@@ -82,6 +86,19 @@ def test_reduced_graph_equals_the_readable_network_in_evaluation(data: CloudSet)
         expected = model(whole, heights)
         found = reduced_forward(model, points, heights)
     assert found.numpy() == pytest.approx(expected.numpy(), rel=1e-4, abs=1e-5)
+
+
+def test_pointnet_sees_a_set_and_no_more() -> None:
+    """The order of the points, their repetition and the batch around a cloud change nothing; one more point may."""
+    torch.manual_seed(2)
+    model = PointNet().eval()
+    cloud = torch.randn(1, 300, 3) * 0.02
+    with torch.inference_mode():
+        expected = float(model(cloud))
+        assert float(model(cloud.flip(1))) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, cloud[:, :50]], dim=1))) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, torch.randn(1, 300, 3)]))[0]) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, torch.full((1, 1, 3), 0.5)], dim=1))) != expected
 
 
 def test_scale_changes_height_and_weight_with_it() -> None:
@@ -193,6 +210,12 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert rule.weights_g(data.features) == pytest.approx(data.weight_g, rel=0.15)
     assert predict(model, data, highest_m=0.08).shape == (40,)
     assert Weigher(model, loaded).sidecar.interval_rule is not None
+    before = (tmp_path / "out" / "weights.safetensors").read_bytes()
+    again = recalibrate(tmp_path / "out" / "weights.safetensors", packs / "train", cache=None, max_views=30)
+    assert again.metrics["calibration"]["views"] == 30
+    assert again.interval_rule != loaded.interval_rule
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
+    assert load_checkpoint(tmp_path / "out" / "weights.safetensors")[1] == again
     with pytest.raises(InputError, match="--resume"):
         train(
             options,
@@ -203,19 +226,47 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
         )
 
 
+def test_another_target_is_a_setting(packs: Path, tmp_path: Path) -> None:
+    sidecar = train(
+        _options(packs, tmp_path / "out"),
+        replace(QUICK, epochs=0.2, target="volume_ml"),
+        on_prepared=lambda what, done: None,
+        on_step=lambda training: None,
+        on_validated=lambda training, metrics: None,
+    )
+    weights = tmp_path / "out" / "weights.safetensors"
+    truth = load_cloudset(packs / "train").volume_ml
+    assert sidecar.target == "volume_ml"
+    assert (sidecar.weight_g.low, sidecar.weight_g.high) == pytest.approx((truth.min(), truth.max()), abs=1e-3)
+    with pytest.raises(InputError, match="give volume_ml: a line weighs"):
+        Weigher.load(weights)
+    result = evaluate(packs / "val", Weigher.load(weights, any_target=True))
+    assert result.weight_g == pytest.approx(load_cloudset(packs / "val").volume_ml)
+    assert "read its unit" in markdown(summary(result), title="x")
+    with pytest.raises(InputError, match="a known length_mm: it cannot be the target"):
+        replace(load_cloudset(packs / "val"), length_mm=np.full(20, np.nan)).with_target("length_mm")
+
+
 def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) -> None:
     settings = replace(QUICK, epochs=0.2)
     options = _options(packs, tmp_path / "out")
     steps: list[str] = []
 
     def run() -> dict[str, dict[str, float]]:
-        names = ("no-height", "2048-points")
+        names = ("no-height", "pointnet", "2048-points")
         return ablate(
             names, settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: steps.append(name)
         )
 
     table = run()
-    assert set(steps) == set(table) == {"no-height", "2048-points"}
+    assert set(steps) == {"no-height", "pointnet", "2048-points"}
+    assert set(table) == set(steps) | set(RULES)
+    assert read_table(options.out)[0] == table
+    words = (options.out / "ablation.md").read_text(encoding="utf-8")
+    assert f"| {LINEAR_BOX} | – |" in words
+    assert "23.0 g, 31.8 g, 0.91" in words
+    with pytest.raises(InputError, match="are of a 'pointnet'"):
+        load_checkpoint(tmp_path / "out" / "pointnet" / "weights.safetensors")
     model, sidecar = load_checkpoint(tmp_path / "out" / "no-height" / "weights.safetensors")
     assert model.height_embed is None
     assert not sidecar.input.height_embedding

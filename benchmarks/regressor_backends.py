@@ -1,0 +1,174 @@
+"""Ways to compute PointRAFT on one core, each as a function from a slice of the clouds to their grams."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from conveyor.errors import TuberlineError
+from regressor.checkpoint import load_checkpoint
+from regressor.export import export_onnx
+from regressor.fast import FastPointRaft, Form, fused_layer, groups_tensor
+from regressor.grouping import SharedGroups, group_prefix
+from regressor.labelled import read_labelled
+from regressor.sampling import farthest_points
+
+VIEWS = 64
+POINTS = 1024
+CALIBRATION_VIEWS = 32
+PRODUCTS = (
+    (2048, 64, 64, 2),
+    (2048, 64, 128, 2),
+    (2048, 128, 128, 4),
+    (2048, 128, 256, 4),
+    (128, 259, 256, 1),
+    (128, 256, 512, 1),
+    (128, 512, 1024, 1),
+)
+"""Rows, inner and outer width, and how often: the products of one cloud in blocks of 2048 edges, 1.09 GFLOP."""
+
+Runner = Callable[[slice], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True)
+class Clouds:
+    """Cleaned, centred clouds, (N, 3) float32 metres each, and their clamped heights; no radius binds in them."""
+
+    points: tuple[NDArray[np.float32], ...]
+    height_m: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @classmethod
+    def load(cls, folder: Path | None, *, weights: Path | None, scratch: Path) -> Self:
+        """The first 64 fitting views of a pack, or of one simulated now."""
+        if folder is None:
+            folder = scratch / "views"
+            options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
+            command = [sys.executable, "-m", "conveyor", "simulate-views", "--out", str(folder), *options]
+            subprocess.run(command, check=True, capture_output=True)
+        highest_m = load_checkpoint(weights)[1].input.max_height_m
+        kept = []
+        for view in read_labelled(folder):
+            cloud = view.prepare()
+            if len(cloud.points) > POINTS and isinstance(group_prefix(cloud.points), SharedGroups):
+                kept.append((cloud.points, cloud.clamped_height_m(highest_m)))
+            if len(kept) == VIEWS:
+                break
+        if len(kept) < VIEWS:
+            raise TuberlineError(f"{folder} holds {len(kept)} clouds that fit; {VIEWS} are needed")
+        return cls(tuple(points for points, _ in kept), np.array([height for _, height in kept], np.float32))
+
+
+def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str, Runner]:
+    """Every back end by name, warm."""
+    model, sidecar = load_checkpoint(weights)
+    graph = scratch / "network.onnx"
+    export_onnx(graph, model, sidecar)
+    forms = {
+        "torch, exact": Form(),
+        "torch, exact, 64 centroids": Form(centroids=64),
+        "torch, bfloat16": Form("bfloat16"),
+        "torch, bfloat16, 64 centroids": Form("bfloat16", 64),
+    }
+    runners: dict[str, Runner] = {"the reference's operators": _reference(model, clouds)}
+    runners |= {name: _fast(FastPointRaft(model, form), clouds) for name, form in forms.items()}
+    runners["ONNX Runtime, float32"] = _onnxruntime(graph, clouds)
+    runners["ONNX Runtime, int8"] = _onnxruntime(_quantised(graph, clouds), clouds)
+    runners["OpenVINO, float32"] = _openvino(graph, clouds, "f32")
+    runners["OpenVINO, bfloat16"] = _openvino(graph, clouds, "bf16")
+    for run in runners.values():
+        run(slice(0, 2))
+    return runners
+
+
+def _reference(model: Any, clouds: Clouds) -> Runner:
+    """Sampling to 1024, 512 and 128 points, ball queries, every edge: the readable form, as the reference computes."""
+
+    def run(rows: slice) -> NDArray[np.float64]:
+        sampled = [torch.from_numpy(cloud[farthest_points(cloud, POINTS)]) for cloud in clouds.points[rows]]
+        with torch.inference_mode():
+            return np.asarray(model(sampled, torch.from_numpy(clouds.height_m[rows])).numpy(), np.float64)
+
+    return run
+
+
+def _fast(network: FastPointRaft, clouds: Clouds) -> Runner:
+    def run(rows: slice) -> NDArray[np.float64]:
+        pairs = zip(clouds.points[rows], clouds.height_m[rows], strict=True)
+        return np.array([network.weigh(group_prefix(points), float(height)) for points, height in pairs])
+
+    return run
+
+
+def _inputs(clouds: Clouds, rows: slice) -> dict[str, NDArray[np.float32]]:
+    groups = [group_prefix(points) for points in clouds.points[rows]]
+    stacked = np.stack([groups_tensor(group) for group in groups if isinstance(group, SharedGroups)])
+    return {"groups": stacked, "height_m": clouds.height_m[rows]}
+
+
+def _onnxruntime(graph: Path, clouds: Clouds) -> Runner:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(str(graph), options, providers=["CPUExecutionProvider"])
+    return lambda rows: np.asarray(session.run(None, _inputs(clouds, rows))[0], np.float64)
+
+
+def _openvino(graph: Path, clouds: Clouds, precision: str) -> Runner:
+    import openvino
+
+    settings = {"INFERENCE_NUM_THREADS": 1, "NUM_STREAMS": 1, "INFERENCE_PRECISION_HINT": precision}
+    compiled = openvino.Core().compile_model(str(graph), "CPU", settings)
+    request = compiled.create_infer_request()
+    return lambda rows: np.asarray(request.infer(_inputs(clouds, rows))[compiled.output(0)], np.float64)
+
+
+def _quantised(graph: Path, clouds: Clouds) -> Path:
+    """The wide products in int8 (static ranges from 32 clouds, weights per channel)."""
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    class Reader(CalibrationDataReader):
+        def __init__(self) -> None:
+            self._rest = iter([_inputs(clouds, slice(at, at + 1)) for at in range(CALIBRATION_VIEWS)])
+
+        def get_next(self) -> dict[str, NDArray[np.float32]] | None:
+            return next(self._rest, None)
+
+    out = graph.with_name("int8.onnx")
+    quantize_static(
+        str(graph),
+        str(out),
+        Reader(),
+        quant_format=QuantFormat.QDQ,
+        op_types_to_quantize=["MatMul", "Gemm"],
+        per_channel=True,
+        activation_type=QuantType.QUInt8,
+        weight_type=QuantType.QInt8,
+    )
+    return out
+
+
+def product_seconds() -> float:
+    """Process time of one cloud's float32 products alone, by the same routine: the limit of the exact form."""
+    layer = fused_layer()
+    total = 0.0
+    for rows, inner, outer, times in PRODUCTS:
+        x, weight = torch.ones(rows, inner), torch.ones(outer, inner)
+        layer(x, weight, None, False)
+        started = time.process_time()
+        for _ in range(times):
+            layer(x, weight, None, False)
+        total += time.process_time() - started
+    return total

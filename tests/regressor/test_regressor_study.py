@@ -1,0 +1,148 @@
+"""Around a training: splits, the search for a recipe, drift and the page of results."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from conveyor.errors import InputError
+from regressor import drift as drifting
+from regressor.ablate import RULES
+from regressor.cloudset import load_cloudset
+from regressor.drift import SHIFTS, drift, write_drift
+from regressor.evaluate import NETWORK, SHIPPED, evaluate
+from regressor.labelled import read_labelled
+from regressor.page import evaluation_page
+from regressor.recipe import TrainSettings
+from regressor.report import write_report
+from regressor.search import search
+from regressor.split import stratified_split, write_splits
+from regressor.weigher import Weigher
+from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
+
+
+@pytest.fixture(scope="module")
+def pack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study") / "pack"
+    write_pack(folder, tubers=12, views=1, seed=8)
+    return folder
+
+
+def test_a_split_shares_out_every_weight_class(rng: np.random.Generator) -> None:
+    weights = rng.gamma(2.4, 70, 859)
+    part = stratified_split(weights)
+    assert [int((part == name).sum()) for name in ("train", "val", "test")] == [515, 172, 172]
+    decile = np.argsort(np.argsort(weights)) * 10 // len(weights)
+    for which in range(10):
+        assert (part[decile == which] == "train").mean() == pytest.approx(0.6, abs=0.03)
+        assert (part[decile == which] == "test").mean() == pytest.approx(0.2, abs=0.03)
+    assert np.array_equal(part, stratified_split(weights))
+    assert not np.array_equal(part, stratified_split(weights, seed=21))
+
+
+def test_splits_are_written_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"ground_truth.csv cannot be read"):
+        write_splits(tmp_path)
+    rows = "\n".join(f"T{i},{50 + 3 * i}" for i in range(60))
+    (tmp_path / "ground_truth.csv").write_text(f"label,weight_g_inctack\n{rows}\n", encoding="utf-8")
+    assert write_splits(tmp_path) == {"train": 36, "val": 12, "test": 12}
+    with (tmp_path / "splits.csv").open(newline="", encoding="utf-8") as file:
+        written = {row["label"]: row["split"] for row in csv.DictReader(file)}
+    assert len(written) == 60
+    with pytest.raises(InputError, match="--force"):
+        write_splits(tmp_path)
+    (tmp_path / "ground_truth.csv").write_text("label,weight_g_inctack\nT1,heavy\n", encoding="utf-8")
+    with pytest.raises(InputError, match="a number"):
+        write_splits(tmp_path, force=True)
+
+
+def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    data = load_cloudset(pack)
+    settings = TrainSettings(epochs=0.3, warm_share=1.0, wide_share=0.0)
+    settings = replace(settings, average=0.0)
+    large = data.subset(np.resize(np.arange(len(data)), 64))
+    first = search(large, data, settings, storage=tmp_path / "search.db", trials=1)
+    rows = search(large, data, settings, storage=tmp_path / "search.db", trials=2)
+    assert [row["trial"] for row in first] == [0]
+    assert sorted(row["trial"] for row in rows) == [0, 1]
+    assert first[0] in rows
+    assert rows[0]["val_mae_g"] <= rows[1]["val_mae_g"]
+    assert rows[0]["batch"] in (16, 32, 64)
+    assert search(large, data, settings, storage=tmp_path / "search.db", trials=2) == rows
+
+
+def test_shifts_do_what_they_say(pack: Path, rng: np.random.Generator) -> None:
+    view = next(read_labelled(pack))
+    nearer = SHIFTS["belt 3 mm nearer than believed"](view, rng)
+    assert nearer is not None
+    assert nearer.belt_distance_m == pytest.approx(view.belt_distance_m + 0.003)
+    noisy = SHIFTS["noise x3"](view, rng)
+    assert noisy is not None
+    assert noisy.depth is not None
+    assert view.depth is not None
+    assert np.array_equal(noisy.depth > 0, view.depth > 0)
+    added_m = (noisy.depth.astype(float) - view.depth)[view.depth > 0] * view.depth_scale_m
+    at_m = float(np.median(view.depth[view.depth > 0])) * view.depth_scale_m
+    assert added_m.std() == pytest.approx(np.sqrt(8) * 0.06 * at_m**2 / (view.fx * 0.018), rel=0.35)
+    assert SHIFTS["only 2025 (knobby)"](view, rng) is None
+
+
+def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = ("as it is", "belt 6 mm nearer than believed", "only Sayaka")
+    monkeypatch.setattr(drifting, "SHIFTS", {name: SHIFTS[name] for name in chosen})
+    weigher = Weigher.load()
+    measured = drift(pack, {"the same again": pack}, weigher, max_views=12)
+    assert list(measured["shifts"]) == ["as it is", "belt 6 mm nearer than believed", "the same again"]
+    plain, tall = (measured["shifts"][name]["methods"][SHIPPED] for name in chosen[:2])
+    assert measured["shifts"]["the same again"]["methods"][SHIPPED] == plain
+    # Six millimetres are a tenth of a tuber's height.
+    assert 5 < tall["total_bias_percent"] - plain["total_bias_percent"] < 30
+    result = evaluate(pack, weigher)
+    write_report(result, tmp_path / "evaluation", title="x")
+    text = write_drift(measured, tmp_path / "drift")
+    assert f"| as it is | 12 | {plain['mae_g']:.1f}" in text
+    row = dict.fromkeys(("mae_g", "rmse_g", "bias_g", "r2", "tuber_mae_g", "load_bias_percent"), 1.0)
+    table = {"full": {**row, "steps": 7.0}, **dict.fromkeys(RULES, row)}
+    (tmp_path / "ablation.json").write_text(json.dumps({"recipe": "R.", "table": table}), encoding="utf-8")
+    folder = tmp_path / "evaluation"
+    page = evaluation_page(folder, folder, ablation=tmp_path, drift=tmp_path / "drift", speed=None, image="a.png")
+    assert page.count("\n## field\n") == 1
+    assert f"| {NETWORK} | " in page
+    assert "| full: PointRAFT | 7 | 1.000 |" in page
+    assert text.strip() in page
+    with pytest.raises(InputError, match=r"speed.md cannot be read"):
+        evaluation_page(folder, folder, ablation=None, drift=None, speed=tmp_path, image=None)
+
+
+def test_another_crop_in_the_same_layout(tmp_path: Path) -> None:
+    """Apples, nearly round, seen from 0.42 m in a season of their own: docs/pointraft.md, another crop."""
+    images = tmp_path / "1_rgbd" / "1_image"
+    intrinsics = tmp_path / "1_rgbd" / "0_camera_intrinsics" / "camera_intrinsic.json"
+    intrinsics.parent.mkdir(parents=True)
+    matrix = [D405.fx, 0, 0, 0, D405.fy, 0, D405.cx, D405.cy, 1]
+    intrinsics.write_text(json.dumps({"width": 1280, "height": 720, "intrinsic_matrix": matrix, "depth_scale": 1000}))
+    rows = ["label,growing_season,cultivar,weight_g_inctack,belt_distance_m"]
+    for number, radius_m in enumerate((0.033, 0.037, 0.041)):
+        name = f"apple{number}"
+        depth_m = ellipsoid_depth_m((radius_m, radius_m, 0.93 * radius_m), belt_distance_m=0.42)
+        (images / name).mkdir(parents=True)
+        cv2.imwrite(str(images / name / f"{name}_depth_360.png"), np.round(1000 * depth_m).astype(np.uint16))
+        mask = np.zeros((720, 1280, 4), np.uint8)
+        mask[..., 3] = 255 * (depth_m > 0)
+        cv2.imwrite(str(images / name / f"{name}_rgb_360.png"), mask)
+        rows.append(f"{name},2026,Elstar,{0.85e6 * 4 / 3 * np.pi * 0.93 * radius_m**3:.1f},0.42")
+    (tmp_path / "ground_truth.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    apples = load_cloudset(tmp_path)
+    assert apples.weight_g == pytest.approx([119.0, 167.7, 228.2], abs=0.1)
+    assert apples.belt_distance_m == pytest.approx([0.42] * 3)
+    assert apples.height_m == pytest.approx([2 * 0.93 * r for r in (0.033, 0.037, 0.041)], abs=0.002)
+    (tmp_path / "ground_truth.csv").write_text("\n".join(row.rpartition(",")[0] for row in rows), encoding="utf-8")
+    with pytest.raises(InputError, match="column belt_distance_m"):
+        load_cloudset(tmp_path)
