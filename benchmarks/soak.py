@@ -1,10 +1,11 @@
 """A live line for minutes or hours, somebody killed every minute: does anything grow?
 
-    python -m benchmarks.soak --minutes 30 [--recording FOLDER] [--out FOLDER]
+    python -m benchmarks.soak --minutes 30 --out FOLDER [--recording FOLDER] [--kill-every-s 60]
 
 A recording is laid end to end (links to its frames, travel going on) and played in real time to a line whose cameras
-wait for nobody. In turn segmenter, regressor, aggregator and router are killed with SIGKILL. Memory, descriptors and
-threads of each process and the files in /dev/shm are sampled; the table is Markdown.
+wait for nobody. Camera, segmenter, regressor, aggregator and router are killed in turn with SIGKILL; a second regressor
+never is. Memory, descriptors and threads of each process and the files in /dev/shm are sampled. FOLDER/soak.md
+holds the table, FOLDER/soak.json everything, the samples of each minute too.
 """
 
 from __future__ import annotations
@@ -21,44 +22,58 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
+from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict
 from conveyor.cli.replay import prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
 from conveyor.processes import line_processes
-from conveyor.supervisor import Supervisor
+from conveyor.supervisor import ProcessSpec, Supervisor
 
 SAMPLE_S = 5.0
-SETTLED_S = 40.0
-"""A process is measured from this age on: before that it loads and compiles."""
+ROLES = ("camera", "segmenter", "regressor", "aggregator", "router")
+"""The first process of each is killed in turn."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One process at one moment."""
+@dataclass(slots=True)
+class Watch:
+    """What was seen of the line."""
 
-    at_s: float
-    age_s: float
-    rss_mib: float
-    descriptors: int
-    threads: int
+    samples: dict[str, list[Sample]] = field(default_factory=lambda: defaultdict(list))
+    shm_files: list[int] = field(default_factory=list)
+    kills: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    restarts: dict[str, int] = field(default_factory=dict)
+
+    def look(self, supervisor: Supervisor, specs: Sequence[ProcessSpec], at_s: float) -> None:
+        """Sample every process and /dev/shm."""
+        self.shm_files.append(sum(1 for _ in Path("/dev/shm").iterdir()))
+        for spec in specs:
+            if (pid := supervisor.pid(spec.name)) is not None and (seen := sample(pid, at_s)):
+                self.samples[spec.name].append(seen)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the line and print what was measured; 1 where the books do not balance."""
+    """Run the line and tell what was measured; 1 where the books do not balance or something grows."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--kill-every-s", type=float, default=60.0)
+    parser.add_argument("--warm-up-s", type=float, default=WARM_UP_S, help="age at which a process counts; busy: more")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
-    parser.add_argument("--out", type=Path, help="keep ledger and logs here")
+    parser.add_argument("--out", type=Path, help="keep ledger, logs, soak.md and soak.json here")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         recording = options.recording or simulated(Path(folder) / "belt")
         looped = loop(recording, Path(folder) / "looped", for_s=options.minutes * 60 + 60)
         out = options.out or Path(folder) / "out"
-        return soak(looped, out, for_s=options.minutes * 60, kill_every_s=options.kill_every_s)
+        watch = soak(looped, out, for_s=options.minutes * 60, kill_every_s=options.kill_every_s)
+        books = read_books(out)
+        report = told(watch, books, minutes=options.minutes, warm_up_s=options.warm_up_s)
+        (out / "soak.json").write_text(json.dumps(report, indent=1) + "\n")
+        (out / "soak.md").write_text(markdown(report))
+        print((out / "soak.md").read_text())
+    return 0 if books["balanced"] and report["verdict"] != "grows" else 1
 
 
 def simulated(path: Path) -> Path:
@@ -90,8 +105,8 @@ def loop(recording: Path, into: Path, *, for_s: float) -> Path:
     return into
 
 
-def soak(recording: Path, out: Path, *, for_s: float, kill_every_s: float) -> int:
-    """Run a live line on `recording`; prints the table and the audit."""
+def soak(recording: Path, out: Path, *, for_s: float, kill_every_s: float) -> Watch:
+    """Run a live line on `recording` and kill one process of each role in turn."""
     prepare_out(out)
     names = recording_cameras(recording)
     cameras = {name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False} for name in names}
@@ -100,31 +115,26 @@ def soak(recording: Path, out: Path, *, for_s: float, kill_every_s: float) -> in
     )
     config_path = out / "line.toml"
     config_path.write_text(dump_toml(config))
-    victims = [f"segmenter-{names[0]}", "regressor-r1", "aggregator", "router"]
-    samples: dict[str, list[Sample]] = defaultdict(list)
-    shm: list[int] = []
     specs = line_processes(config, config_path=config_path, run="soak")
+    victims = [next(spec.name for spec in specs if spec.args[0] == role) for role in ROLES]
+    watch = Watch()
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
         started = time.monotonic()
-        kill_due, sample_due, kills = started + kill_every_s, started, 0
+        kill_due, sample_due = started + kill_every_s, started
         while (now := time.monotonic()) < started + for_s:
             supervisor.poll()
             if now >= kill_due:
-                pid = supervisor.pid(victims[kills % len(victims)])
-                if pid is not None:
-                    os.kill(pid, signal.SIGKILL)
-                    kills += 1
                 kill_due += kill_every_s
+                victim = victims[sum(watch.kills.values()) % len(victims)]
+                if (pid := supervisor.pid(victim)) is not None:
+                    os.kill(pid, signal.SIGKILL)
+                    watch.kills[victim] += 1
             if now >= sample_due:
                 sample_due += SAMPLE_S
-                shm.append(len(list(Path("/dev/shm").iterdir())))
-                for spec in specs:
-                    if (pid := supervisor.pid(spec.name)) is not None and (seen := sample(pid, now - started)):
-                        samples[spec.name].append(seen)
+                watch.look(supervisor, specs, now - started)
             time.sleep(0.2)
-        restarts = supervisor.restarts
-    print_table(samples, restarts, shm, minutes=for_s / 60, kills=kills)
-    return print_books(out)
+        watch.restarts = dict(supervisor.restarts)
+    return watch
 
 
 def sample(pid: int, at_s: float) -> Sample | None:
@@ -137,52 +147,92 @@ def sample(pid: int, at_s: float) -> Sample | None:
         descriptors = len(os.listdir(f"/proc/{pid}/fd"))
         uptime_s = float(Path("/proc/uptime").read_text().split()[0])
         age_s = uptime_s - ticks / os.sysconf("SC_CLK_TCK")
-        return Sample(at_s, age_s, int(status["VmRSS"].split()[0]) / 1024, descriptors, int(status["Threads"]))
+        return Sample(at_s, age_s, pid, int(status["VmRSS"].split()[0]) / 1024, descriptors, int(status["Threads"]))
     except (OSError, KeyError, IndexError):
         return None
 
 
-def print_table(
-    samples: dict[str, list[Sample]], restarts: dict[str, int], shm: list[int], *, minutes: float, kills: int
-) -> None:
-    """Figures of each process from the age at which it has settled; growth between the first and last third."""
-    print(f"{minutes:g} minutes, {kills} kills; {shm[0]} files in /dev/shm at the start, {shm[-1]} at the end\n")
-    print("| process | restarts | RSS MiB first, last, most | growth MiB/h | descriptors first, last, most | threads |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for name, all_seen in samples.items():
-        seen = [s for s in all_seen if s.age_s >= SETTLED_S]
-        if len(seen) < 3:
-            print(f"| {name} | {restarts[name]} | too short | | | |")
-            continue
-        rss, fds = [s.rss_mib for s in seen], [s.descriptors for s in seen]
-        threads = sorted({s.threads for s in seen})
-        print(
-            f"| {name} | {restarts[name]} | {rss[0]:.0f}, {rss[-1]:.0f}, {max(rss):.0f} | {growth_mib_h(seen):+.0f} "
-            f"| {fds[0]}, {fds[-1]}, {max(fds)} | {threads[0]} to {threads[-1]} |"
-        )
+def told(watch: Watch, books: dict[str, Any], *, minutes: float, warm_up_s: float) -> dict[str, Any]:
+    """Everything that was measured, as plain values."""
+    found = {name: role_verdict(name, seen, warm_up_s=warm_up_s) for name, seen in watch.samples.items()}
+    roles = [verdict for verdict in found.values() if verdict]
+    line = line_verdict(dict(watch.samples), warm_up_s=warm_up_s)
+    words = {verdict.word for verdict in roles} | ({line.verdict} if line else set())
+    shm = watch.shm_files
+    return {
+        "minutes": minutes,
+        "warm_up_s": warm_up_s,
+        "verdict": "grows" if "grows" in words else "untold" if "untold" in words or not words else "flat",
+        "line_rss_mib": asdict(line) if line else None,
+        "kills": dict(watch.kills),
+        "restarts": watch.restarts,
+        "shm_files": {"first": shm[0], "last": shm[-1], "most": max(shm)},
+        "roles": [verdict.as_dict() for verdict in roles],
+        "rows": [_row(verdict, watch.restarts.get(verdict.name, 0)) for verdict in roles],
+        "never_settled": [name for name, verdict in found.items() if verdict is None],
+        "books": books,
+        "per_minute": {name: per_minute(seen) for name, seen in watch.samples.items()},
+    }
 
 
-def growth_mib_h(seen: list[Sample]) -> float:
-    """Growth within the lives of a process, MiB per hour: a restart begins anew and counts for nothing."""
-    gained = lived_s = 0.0
-    for before, after in pairwise(seen):
-        if after.age_s > before.age_s:
-            gained += after.rss_mib - before.rss_mib
-            lived_s += after.at_s - before.at_s
-    return gained / lived_s * 3600 if lived_s else 0.0
+def per_minute(seen: Sequence[Sample]) -> list[dict[str, float]]:
+    """The first sample of each minute."""
+    minutes: dict[int, Sample] = {}
+    for one in seen:
+        minutes.setdefault(int(one.at_s // 60), one)
+    return [{"minute": minute, **asdict(one)} for minute, one in sorted(minutes.items())]
 
 
-def print_books(out: Path) -> int:
-    """The audit of what was counted."""
-    audit = tuberline("audit", str(out), "--json", check=False)
-    books = json.loads(audit.stdout)
-    print(f"\naudit: {'balanced' if books['balanced'] else 'NOT BALANCED'}; tracks {books['tracks']}")
+def _row(verdict: RoleVerdict, restarts: int) -> str:
+    rss, fds, threads = (
+        f"{verdict.first[m]:.0f}, {verdict.last[m]:.0f}, {verdict.most[m]:.0f}" for m in MEASURES
+    )  # fmt: skip
+    lives = ", ".join(f"{g.per_h:+.0f}" for life in verdict.per_life if (g := life["rss_mib"])) or "too short"
+    return (
+        f"| {verdict.name} | {restarts} | {rss} | {_slope(verdict.pooled['rss_mib'])} | {lives} | {fds} | {threads} "
+        f"| {verdict.word} |"
+    )
+
+
+def _slope(growth: Growth | None) -> str:
+    return (
+        "too short" if growth is None else f"{growth.per_h:+.0f} ({growth.low_per_h:+.0f} to {growth.high_per_h:+.0f})"
+    )
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """The report for people."""
+    books, shm, line = report["books"], report["shm_files"], report["line_rss_mib"]
+    whole = "too short to tell" if line is None else (
+        f"{line['per_h']:+.0f} MiB/h ({line['low_per_h']:+.0f} to {line['high_per_h']:+.0f}): {line['verdict']}"
+    )  # fmt: skip
+    rows = [
+        f"{report['minutes']:g} minutes, {sum(report['kills'].values())} kills; verdict: **{report['verdict']}**. "
+        f"All processes together: {whole}. Files in /dev/shm: {shm['first']} at the start, {shm['last']} at the end, "
+        f"{shm['most']} at most.",
+        "",
+        "| process | restarts | RSS MiB first, last, most | growth MiB/h (95 %) | in each life | descriptors | threads "
+        "| verdict |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        *report["rows"],
+        *(f"| {name} | | never lived long enough | | | | | untold |" for name in report["never_settled"]),
+        "",
+        f"Audit: {'balanced' if books['balanced'] else 'NOT BALANCED'}; tracks {books['tracks']}.",
+    ]
     for camera, sheet in books["cameras"].items():
-        print(f"{camera}: frames {sheet['frames']}; views {sheet['views']}; tracks {sheet['tracks']}")
-    ledger = sum(file.stat().st_size for file in out.glob("ledger.db*"))
-    logs = sum(file.stat().st_size for file in (out / "state").glob("*"))
-    print(f"ledger {ledger / 1024:.0f} KiB, track logs {logs / 1024:.0f} KiB")
-    return audit.returncode
+        rows.append(f"{camera}: frames {sheet['frames']}; views {sheet['views']}; tracks {sheet['tracks']}.")
+    rows.append(f"Ledger {books['ledger_kib']:.0f} KiB, track logs {books['track_logs_kib']:.0f} KiB.")
+    return "\n".join(rows) + "\n"
+
+
+def read_books(out: Path) -> dict[str, Any]:
+    """The audit of what was counted, and what lies on the disk."""
+    books: dict[str, Any] = json.loads(tuberline("audit", str(out), "--json", check=False).stdout)
+    return {
+        **books,
+        "ledger_kib": sum(file.stat().st_size for file in out.glob("ledger.db*")) / 1024,
+        "track_logs_kib": sum(file.stat().st_size for file in (out / "state").glob("*")) / 1024,
+    }
 
 
 def tuberline(*arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:

@@ -10,7 +10,9 @@ from pathlib import Path
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Travel, View, Weight
 from segmenter.balance import FrameBalance
 from segmenter.dispatch import Dispatcher, DispatchSettings
-from segmenter.pipeline import ClosedTrack, Resume, Segmenter, Settings, StepResult
+from segmenter.pipeline import ClosedTrack, Segmenter, Settings, StepResult
+from segmenter.resume import Resume
+from segmenter.thinning import Thinning
 from segmenter.tracklog import TrackLog
 from segmenter.weighing import Weighing
 
@@ -46,6 +48,7 @@ class CameraRun:
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s)
         self.core = Segmenter(settings.core)
+        self._thinning = Thinning()
         self.ended = False
         self._done_seq = -1
         self._marked: tuple[int, float] | None = None
@@ -66,16 +69,7 @@ class CameraRun:
         if mark is None or (self.settings.replays and not mark.final):
             return
         self.ended = mark.final
-        self.core = Segmenter(
-            self.settings.core,
-            resume=Resume(
-                complete_ns=mark.complete_ns,
-                complete_place_x_m=mark.complete_place_x_m,
-                travel_m=mark.travel_m,
-                looked_at_m=mark.looked_at_m,
-                travelled_m=mark.travelled_m,
-            ),
-        )
+        self.core = Segmenter(self.settings.core, resume=_resume(mark, self.log.since_mark, self.log.speed_mps))
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = _views_left(mark.views, self.log.since_mark)
         self._base_tracks = _tracks_left(mark.tracks, logged=len(self.log.since_mark))
@@ -86,10 +80,15 @@ class CameraRun:
         self.log.__exit__(None, None, None)
 
     def frame(self, frame: Frame, now_s: float, *, drop: str = "") -> StepResult | None:
-        """Take a frame; None where it is a duplicate. `drop`: count it as dropped for this reason instead."""
+        """Take a frame; None where it is a duplicate, or the one before it is still to come.
+
+        `drop`: count it as dropped for this reason instead.
+        """
         self._heard_s = now_s
-        if self.ended or not self.frames.receive(frame.seq):
+        if self.ended or not self.frames.receive(frame.seq, after_seq=frame.after_seq):
             return None
+        if not drop and self.dispatcher.pressed and self._thinning.spares(frame.captured_ns):
+            drop = "overload"
         if drop:
             self.frames.dropped[drop] += 1
             return None
@@ -99,6 +98,7 @@ class CameraRun:
         else:
             self.frames.processed += 1
             self._newest_ns = max(self._newest_ns, frame.captured_ns)
+            self._thinning.looked(frame.captured_ns, self.core.travel_m)
         self._take(list(result.closed), now_s)
         return result
 
@@ -109,7 +109,7 @@ class CameraRun:
         if self._heard_s is None:
             self._heard_s = now_s
         self.frames.known_range(info.first_seq, info.last_seq)
-        here = info.last_seq is None or self.frames.newest_seq >= info.last_seq
+        here = info.last_seq is not None and self.frames.newest_seq >= info.last_seq
         silent = now_s - self._heard_s >= EMPTY_S
         # A camera that waits sends a frame again until it is done: silence means a bad link or a process that was
         # stopped for a while, never a frame to give up. Only what its source refused will not come.
@@ -179,7 +179,7 @@ class CameraRun:
         for track in closed:
             self.weighing.add(track, now_s)
             for view in track.views:
-                self.dispatcher.offer(view)
+                self.dispatcher.offer(view, now_s=now_s)
 
     def _mark_due(self) -> Mark | None:
         if self.log.last_mark is not None and self.log.last_mark.final:
@@ -228,6 +228,26 @@ class CameraRun:
             views=counts["views"],
             tracks=counts["tracks"],
         )
+
+
+def _resume(mark: Mark, logged: list[Track], speed_mps: float) -> Resume:
+    """Where the process that wrote `mark`, and the tracks `logged` after it, left off.
+
+    Without an encoder what it logged last is told from what it did not by its place alone, which is a guess after the
+    belt ran on unseen: counting goes on beyond all of it.
+    """
+    place_m = mark.complete_place_x_m
+    if mark.travel_estimated:
+        place_m = min([place_m, *(track.place_x_m for track in logged)])
+    return Resume(
+        complete_ns=mark.complete_ns,
+        complete_place_x_m=place_m,
+        travel_m=mark.travel_m,
+        looked_at_m=mark.looked_at_m,
+        travelled_m=mark.travelled_m,
+        captured_ns=mark.captured_ns,
+        speed_mps=speed_mps,
+    )
 
 
 def _tracks_left(sheet: dict[str, int], *, logged: int) -> dict[str, int]:

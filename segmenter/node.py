@@ -6,6 +6,7 @@ import threading
 import time
 
 from conveyor import topics
+from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig
 from conveyor.delivery import (
     KeptPublisher,
@@ -22,6 +23,7 @@ from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
 from segmenter.setup import log_path, run_settings
 from segmenter.warmup import warm_up
+from segmenter.watch import BeltWatch
 
 PROGRESS_EVERY_S = 0.2
 TRAVEL_EVERY_S = 0.1
@@ -49,6 +51,8 @@ class SegmenterNode:
         self._progress_s = self._travel_s = self._reported_s = 0.0
         self._sent_progress: object = None
         self._works: dict[str, LatestPublisher] = {}
+        self._belt = BeltWatch()
+        self._belt_told: set[str] = set()
         self._aggregator_came = threading.Event()
 
     def run(self) -> None:
@@ -92,6 +96,7 @@ class SegmenterNode:
         else:
             self._committed.wait(COMMITTED_WAIT_S)
         self._take_commits(camera_run)
+        self._belt, self._belt_told = BeltWatch(), set()
         self._current = self._runs[run] = camera_run
 
     def _turn(self) -> None:
@@ -142,13 +147,22 @@ class SegmenterNode:
             return
         counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
         counters.add("instances", result.instances)
-        check = camera_run.core.belt_check
-        if check.drift_m is not None:
-            counters.gauge("belt_drift_mm", check.drift_m * 1000)
-            counters.gauge("belt_alarm", float(check.alarm))
+        self._watch_belt(camera_run)
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
             self._travel_s = now_s
             self._travel.put(camera_run.travel(frame.captured_ns))
+
+    def _watch_belt(self, camera_run: CameraRun) -> None:
+        """Levels of the belt, and each finding once in the log."""
+        core = camera_run.core
+        self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+        levels = self._belt.gauges()
+        for name, level in levels.items():
+            self._node.counters.gauge(name, level)
+        for name, finding in belt_findings(self._camera, levels).items():
+            if name not in self._belt_told:
+                self._belt_told.add(name)
+                self._node.log.warning(finding)
 
     def _note_overwritten(self, camera_run: CameraRun) -> None:
         overwritten = self._node.counters.get("frame_dropped_overwritten")
@@ -199,6 +213,7 @@ class SegmenterNode:
             for name, value in values.items():
                 counters.gauge(f"{sheet}_{name}", value)
         counters.gauge("frames_duplicates", camera_run.frames.duplicates)
+        counters.gauge("frames_ahead", camera_run.frames.ahead)
         counters.gauge("views_duplicate_answers", camera_run.dispatcher.duplicates)
         counters.gauge("log_uncommitted", camera_run.log.uncommitted)
         counters.gauge("tracks_waiting", len(camera_run.weighing))

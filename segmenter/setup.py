@@ -8,6 +8,7 @@ from conveyor.config import LineConfig
 from segmenter.camera_run import RunSettings
 from segmenter.counting import CountSettings
 from segmenter.dispatch import DispatchSettings
+from segmenter.eyes import EyesSettings
 from segmenter.instances import SplitSettings
 from segmenter.pipeline import Settings
 from segmenter.tracker import TrackSettings
@@ -19,7 +20,8 @@ def core_settings(config: LineConfig) -> Settings:
     return Settings(
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
         track=TrackSettings(gate_m=s.gate_mm / 1000),
-        count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm),
+        count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm, reject_below=s.reject_below),
+        eyes=EyesSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
     )
 
@@ -35,6 +37,8 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
             deadline_s=s.job_deadline_s,
             max_attempts=s.max_attempts,
             shed_over=None if waits else s.max_pending_views,
+            first_wait_s=s.weigh_deadline_s / 2,
+            spare_wait_s=s.spare_wait_s,
         ),
         weigh_deadline_s=s.weigh_deadline_s,
         max_pending_views=s.max_pending_views,

@@ -40,6 +40,7 @@ class TrackLog:
         self._file: BinaryIO | None = None
         self._entries: deque[TrackEntry] = deque()
         self._since_mark: list[TrackEntry] = []
+        self._mark_before: TrackEntry | None = None
         self._next = 1
         self._unsent_from = 1
         self._progress_s: float | None = None
@@ -67,6 +68,14 @@ class TrackLog:
     def since_mark(self) -> list[Track]:
         """Tracks logged after the last mark."""
         return [entry.track for entry in self._since_mark if entry.track is not None]
+
+    @property
+    def speed_mps(self) -> float:
+        """The belt's speed between the last two marks, metres per second of the camera's clock; 0 if not known."""
+        before, last = self._mark_before.mark if self._mark_before else None, self.last_mark
+        if before is None or last is None or last.captured_ns <= before.captured_ns:
+            return 0.0
+        return max(0.0, (last.travel_m - before.travel_m) / (last.captured_ns - before.captured_ns) * 1e9)
 
     @property
     def uncommitted(self) -> int:
@@ -170,8 +179,10 @@ class TrackLog:
         self._note(entry)
 
     def _note(self, entry: TrackEntry) -> None:
-        """A process that starts again needs the last mark and what came after it, committed or not."""
+        """A process that starts again needs the last two marks and what came after them, committed or not."""
         if entry.mark is not None:
+            if self._since_mark and self._since_mark[0].mark is not None:
+                self._mark_before = self._since_mark[0]
             self.last_mark = entry.mark
             self._since_mark = []
         self._since_mark.append(entry)
@@ -205,7 +216,8 @@ class TrackLog:
         self._file.close()
         with fresh.open("wb") as file:
             file.write(MAGIC)
-            needed = {entry.n: entry for entry in [*self._since_mark, *self._entries]}
+            before = [self._mark_before] if self._mark_before else []
+            needed = {entry.n: entry for entry in [*before, *self._since_mark, *self._entries]}
             committed = Committed(camera=self.camera, run=self.run, n=self.committed)
             for item in [committed, *(needed[n] for n in sorted(needed))]:
                 payload = item.encode()

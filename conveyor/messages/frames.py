@@ -20,6 +20,8 @@ class Frame(Message):
     Attributes:
         camera: name of the camera; `run`: id of this run of the line.
         seq: sequence number per camera and run; a gap means a lost frame.
+        after_seq: number of the frame that a camera that waits sent before this one (-1: none): whoever has not got
+            that one waits for it, so that what a link lost, or delivers late, is no gap. None where nobody waits.
         captured_ns: capture time, nanoseconds of the camera's clock.
         travel_m: belt travel at capture from an encoder, metres; None where it must be estimated.
         depth: (H, W) uint16, units of `depth_scale_m` metres, 0 = no depth.
@@ -41,6 +43,7 @@ class Frame(Message):
     belt_from_camera: NDArray[np.float64] | None = None
     mask: NDArray[np.uint16] | None = None
     color_jpeg: NDArray[np.uint8] | None = None
+    after_seq: int | None = None
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", 2),

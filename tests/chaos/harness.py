@@ -57,7 +57,7 @@ class DisturbedLine:
 
     def wait_count(self, name: str, at_least: int) -> None:
         """Until the counter `name` reached `at_least`, over all nodes."""
-        self.wait(lambda: self.count(name) >= at_least, what=f"{name} >= {at_least}")
+        self.wait(lambda: self.count(name) >= at_least, what=f"{name} >= {at_least}", timeout_s=120.0)
 
     def go_on(self, seconds: float) -> None:
         """Keep the line supervised for a while."""
@@ -182,7 +182,7 @@ def live_run(
     ):
         line = DisturbedLine(supervisor, observer)
         ready = {f"segmenter/{name}" for name in names} | {f"regressor/r{n}" for n in range(1, regressors + 1)}
-        line.wait(lambda: ready <= observer.alive(), what=f"{sorted(ready)}", timeout_s=90)
+        line.wait(lambda: ready <= observer.alive(), what=f"{sorted(ready)}", timeout_s=150)
         with Supervisor(line_site.parts("camera"), log_dir=out / "logs") as sources:
             line.watched.append(sources)
             disturb(line)

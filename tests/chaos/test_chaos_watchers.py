@@ -50,11 +50,15 @@ def frozen_watchers(recording: Path, out: Path, seconds: float) -> dict[str, obj
             assert [process.poll() for process in processes] == [None, None], "a watcher gave up at once"
             for process in processes:
                 process.send_signal(signal.SIGSTOP)
+            done = line.count("frames_processed")
             if rrd:
                 line.freeze("viewer", seconds)
                 line.kill("viewer")
             else:
                 line.go_on(seconds)
+            went_on = line.count("frames_processed") > done or line.supervisor.finished("aggregator")
+            assert went_on, "frozen watchers held the line up"
+            assert line.count("segmenter_stalls") == line.count("stalls") == 0, "a producer waited"
 
     summary = disturbed_replay(recording, out, disturb, rrd=rrd)
     assert summary["balanced"]

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import random
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from conveyor.messages import CameraInfo, Committed, Frame, FrameProgress, Track
 from segmenter.camera_run import CameraRun, RunSettings
 from segmenter.dispatch import DispatchSettings
 from segmenter.pipeline import Segmenter, Settings, StepResult
+from tests.laws.faults import Died, Faults, Fuse, Link, TornFile
 from tests.segmenter.segmenter_scene import SMALL, Scene, scattered
 
 RUN = "r1"
@@ -34,9 +35,11 @@ NAMES = ("left", "right")
 REGRESSORS = ("a", "b")
 FRAMES = 46
 STEP_M = 0.0155
-WEIGHING_S = 0.03
-RESTART_S = 1.2
-"""Longer than the longest delay of a message: what was sent to a dead process does not reach its successor."""
+WEIGHING_S = 0.06
+RESTART_S = 0.6
+"""Messages may be under way for longer: what was sent to a dead process reaches its successor."""
+PROGRESS_EVERY_S = 0.2
+TURN_S = 0.04
 SETTINGS = RunSettings(
     core=Settings(views_per_tuber=2),
     dispatch=DispatchSettings(deadline_s=1.0, max_attempts=1000),
@@ -45,7 +48,6 @@ SETTINGS = RunSettings(
     window=1,
     replays=True,
 )
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,8 @@ class RememberedCore:
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
         self._done = 0
+        first = memory.moments[0]
+        self.travel_m, self.looked_at_m, self.travelled_m = first.travel_m, first.looked_at_m, first.travelled_m
 
     @property
     def _now(self) -> Moment:
@@ -77,7 +81,9 @@ class RememberedCore:
     def step(self, frame: Frame) -> StepResult:
         assert frame.seq == self._done, "a replay skipped a frame"
         self._done += 1
-        return self._now.result
+        now = self._now
+        self.travel_m, self.looked_at_m, self.travelled_m = now.travel_m, now.looked_at_m, now.travelled_m
+        return now.result
 
     def finish(self) -> list[Any]:
         return list(self._memory.at_end) if self._done else []
@@ -93,9 +99,6 @@ class RememberedCore:
 
     def row_place_m(self, travel_m: float) -> float:
         return self._memory.core.row_place_m(travel_m)
-
-    def __getattr__(self, name: str) -> float:
-        return float(getattr(self._now, name))
 
 
 @dataclass(slots=True)
@@ -137,63 +140,36 @@ def remembered(camera: str) -> Memory:
     return Memory(frames, moments, at_end, core.track_counts(), core)
 
 
-class Link(Generic[T]):
-    """A one-way link: what is put in comes out later, twice, out of order or never, as its seed and faults say."""
-
-    def __init__(self, seed: int, faults: Faults) -> None:
-        self._random = random.Random(seed)
-        self._faults = faults
-        self._flying: list[tuple[float, T]] = []
-
-    def put(self, item: T, now_s: float) -> None:
-        copies = 1 + (self._random.random() < self._faults.duplicate)
-        for _ in range(copies):
-            if not self._faults.cut and self._random.random() >= self._faults.drop:
-                self._flying.append((now_s + self._random.random() * self._faults.delay_s, item))
-
-    def take(self, now_s: float) -> list[T]:
-        here = sorted((entry for entry in self._flying if entry[0] <= now_s), key=lambda entry: entry[0])
-        self._flying = [entry for entry in self._flying if entry[0] > now_s]
-        return [item for _, item in here]
-
-
-@dataclass(slots=True)
-class Faults:
-    """How bad the links are now: shares of messages dropped and duplicated, longest delay, everything cut."""
-
-    drop: float = 0.0
-    duplicate: float = 0.0
-    delay_s: float = 0.0
-    cut: bool = False
-
-
 class Camera:
     """A replaying camera: `CameraNode` without its sockets."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, window: int) -> None:
         self.name = name
         self.frames = remembered(name).frames
-        self.window = SendWindow(SETTINGS.window)
+        self.size = window
+        self.window = SendWindow(window)
         self.done_seq = -1
         self.next = 0
         self.last = -1
+        self.after = -1
         self.started = False
 
-    def turn(self, progress: FrameProgress | None, now_s: float) -> Iterator[Frame]:
-        """Frames to send now."""
-        if progress is None:
-            return
-        if not self.started or progress.done_seq < self.done_seq:
+    def turn(self, words: list[FrameProgress], now_s: float) -> Iterator[Frame]:
+        """Frames to send now, after the segmenter's `words`."""
+        for word in words:
+            if not self.started or word.done_seq < self.done_seq:
+                self.window = SendWindow(self.size)
+                self.next, self.after = word.done_seq + 1, word.done_seq
+                self.last = max(self.last, word.done_seq)
             self.started = True
-            self.window = SendWindow(SETTINGS.window)
-            self.next = progress.done_seq + 1
-        self.done_seq = progress.done_seq
-        self.window.done(progress.done_seq, now_s)
-        yield from self.window.to_resend(now_s)
-        while self.next < len(self.frames) and self.window.has_room:
-            frame = self.frames[self.next]
+            self.done_seq = word.done_seq
+            self.window.done(word.done_seq, now_s)
+        if words:
+            yield from self.window.to_resend(now_s)
+        while self.started and self.next < len(self.frames) and self.window.has_room:
+            frame = replace(self.frames[self.next], after_seq=self.after)
             self.window.sent(frame, now_s)
-            self.next, self.last = self.next + 1, max(self.last, frame.seq)
+            self.next, self.last, self.after = self.next + 1, max(self.last, frame.seq), frame.seq
             yield frame
 
     def info(self) -> CameraInfo:
@@ -229,28 +205,35 @@ class Regressor:
 class Graph:
     """Two cameras, their segmenters, two regressors and the aggregator, turn by turn."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
+    def __init__(self, folder: Path, seed: int, *, window: int = 1) -> None:
         self.folder = folder
         self.now_s = 0.0
+        self.window = window
         self.faults = Faults()
-        self.cameras = {name: Camera(name) for name in NAMES}
+        self.cameras = {name: Camera(name, window) for name in NAMES}
         self.regressors = {name: Regressor() for name in REGRESSORS}
         self.segmenters: dict[str, CameraRun | None] = dict.fromkeys(NAMES)
         self.segmenter_starts_s = dict.fromkeys(NAMES, 0.0)
-        self.progress: dict[str, FrameProgress | None] = dict.fromkeys(NAMES)
-        self.committed: dict[str, Committed | None] = dict.fromkeys(NAMES)
+        self.fuses = {name: Fuse() for name in (*NAMES, *REGRESSORS, "aggregator")}
         self.promised = dict.fromkeys(NAMES, 0)
         self.lost: dict[str, int] = {}
-        links = random.Random(seed)
+        self.deaths: dict[str, int] = {}
+        self._said: dict[str, tuple[float, FrameProgress | None]] = dict.fromkeys(NAMES, (0.0, None))
+        self._committed: dict[str, Committed | None] = dict.fromkeys(NAMES)
+        self._random = links = random.Random(seed)
         self._frames = {name: Link[Frame](links.randrange(1 << 30), self.faults) for name in NAMES}
+        self._progress = {name: Link[FrameProgress](links.randrange(1 << 30), self.faults) for name in NAMES}
         self._entries = Link[TrackEntry](links.randrange(1 << 30), self.faults)
         self._views = {name: Link[View](links.randrange(1 << 30), self.faults) for name in REGRESSORS}
         self._weights = Link[Weight](links.randrange(1 << 30), self.faults)
         self._acks = Link[Committed](links.randrange(1 << 30), self.faults)
-        self.ledger = Ledger(folder / "ledger.db").__enter__()
+        self.ledger = self._open_ledger()
         self.aggregation = self._aggregation()
         self.finished = False
         self._commit_s = 0.0
+
+    def _open_ledger(self) -> Ledger:
+        return Ledger(self.folder / "ledger.db", step=self.fuses["aggregator"].burn).__enter__()
 
     def _aggregation(self) -> Aggregation:
         restored = self.ledger.open_run(
@@ -274,7 +257,7 @@ class Graph:
         """It is gone with everything it held in memory, and back a moment later."""
         if (run := self.segmenters[name]) is not None:
             run.close()
-        self.segmenters[name] = self.progress[name] = None
+        self.segmenters[name] = None
         self.segmenter_starts_s[name] = self.now_s + RESTART_S
 
     def kill_regressor(self, name: str) -> None:
@@ -285,60 +268,89 @@ class Graph:
         self.regressors[name].awake_s = self.now_s + seconds
 
     def kill_camera(self, name: str) -> None:
-        self.cameras[name] = Camera(name)
+        self.cameras[name] = Camera(name, self.window)
 
     def kill_aggregator(self) -> None:
         """What was not written is gone; it starts again from the ledger alone."""
         self.ledger.__exit__(None, None, None)
-        self.ledger = Ledger(self.folder / "ledger.db").__enter__()
+        self.ledger = self._open_ledger()
         self.aggregation = self._aggregation()
         for name, n in self.aggregation.applied().items():
             assert n >= self.promised[name], f"{name}: {self.promised[name]} entries were acknowledged, {n} are there"
 
     def turn(self) -> None:
-        """20 ms of everybody's work."""
-        self.now_s += 0.02
+        """40 ms of everybody's work."""
+        self.now_s += TURN_S
         for name in NAMES:
             self._camera_turn(name)
-            self._segmenter_turn(name)
-        for name, regressor in self.regressors.items():
-            regressor.queue += self._views[name].take(self.now_s)
-            for weight in regressor.turn(name, self.now_s):
-                self._weights.put(weight, self.now_s)
+            self._mortal(
+                name, lambda name=name: self._segmenter_turn(name), lambda name=name: self.kill_segmenter(name)
+            )  # type: ignore[misc]
+        for name in REGRESSORS:
+            self._mortal(
+                name, lambda name=name: self._regressor_turn(name), lambda name=name: self.kill_regressor(name)
+            )  # type: ignore[misc]
         for weight in self._weights.take(self.now_s):
             if (run := self.segmenters[weight.camera]) is not None:
                 run.weight(weight)
-        self._aggregator_turn()
+        self._mortal("aggregator", self._aggregator_turn, self.kill_aggregator)
+
+    def _mortal(self, name: str, work: Callable[[], None], bury: Callable[[], None]) -> None:
+        """A turn of a process that may die at any of its writes."""
+        try:
+            work()
+        except Died as died:
+            self.deaths[f"{name}: {died}"] = self.deaths.get(f"{name}: {died}", 0) + 1
+            bury()
 
     def _camera_turn(self, name: str) -> None:
-        for frame in self.cameras[name].turn(None if self.faults.cut else self.progress[name], self.now_s):
+        for frame in self.cameras[name].turn(self._progress[name].take(self.now_s), self.now_s):
             self._frames[name].put(frame, self.now_s)
 
+    def _regressor_turn(self, name: str) -> None:
+        regressor = self.regressors[name]
+        regressor.queue += self._views[name].take(self.now_s)
+        for weight in regressor.turn(name, self.now_s):
+            self.fuses[name].burn("answer")
+            self._weights.put(weight, self.now_s)
+
     def _segmenter_turn(self, name: str) -> None:
-        run = self.segmenters[name]
+        run, fuse = self.segmenters[name], self.fuses[name]
         if run is None:
-            self._frames[name].take(self.now_s)
             if self.now_s < self.segmenter_starts_s[name]:
+                self._frames[name].take(self.now_s)
                 return
-            run = self.segmenters[name] = CameraRun(name, RUN, SETTINGS, self.folder / f"{name}.log")
-            run.core = RememberedCore(remembered(name))  # type: ignore[assignment]
-            run.open()
-            run.ended = run.log.last_mark is not None and run.log.last_mark.final
-        for frame in self._frames[name].take(self.now_s)[:1]:
+            run = self._start_segmenter(name)
+        for frame in self._frames[name].take(self.now_s):
             run.frame(frame, self.now_s)
         if not self.faults.cut:
             run.info(self.cameras[name].info(), self.now_s)
         for committed in self._acks.take(self.now_s):
-            self.committed[committed.camera] = committed
-        if (known := self.committed[name]) is not None:
+            self._committed[committed.camera] = committed
+        if (known := self._committed[name]) is not None:
             run.log.commit(known.n)
         present = {n for n, r in self.regressors.items() if self.now_s >= r.alive_s and not self.faults.cut}
         for regressor, view in run.tick(self.now_s, present):
+            fuse.burn("view")
             self._views[regressor].put(view, self.now_s)
         for entry in run.log.due(self.now_s):
+            fuse.burn("entry")
             self._entries.put(entry, self.now_s)
-        if not self.faults.cut:
-            self.progress[name] = run.progress()
+        progress, (said_s, said) = run.progress(), self._said[name]
+        if progress != said or self.now_s - said_s >= PROGRESS_EVERY_S:
+            fuse.burn("progress")
+            self._said[name] = (self.now_s, progress)
+            self._progress[name].put(progress, self.now_s)
+
+    def _start_segmenter(self, name: str) -> CameraRun:
+        settings = replace(SETTINGS, window=self.window)
+        run = self.segmenters[name] = CameraRun(name, RUN, settings, self.folder / f"{name}.log")
+        run.core = RememberedCore(remembered(name))  # type: ignore[assignment]
+        run.open()
+        run.ended = run.log.last_mark is not None and run.log.last_mark.final
+        file = TornFile(cast(BinaryIO, run.log._file), self.fuses[name], self._random.randrange(1 << 30))
+        run.log._file = cast(BinaryIO, file)
+        return run
 
     def _aggregator_turn(self) -> None:
         for entry in self._entries.take(self.now_s):
@@ -352,6 +364,7 @@ class Graph:
         self.finished = self.aggregation.finished
         for name, n in self.aggregation.applied().items():
             self.promised[name] = max(self.promised[name], n)
+            self.fuses["aggregator"].burn("acknowledgement")
             self._acks.put(Committed(name, RUN, n), self.now_s)
 
     def tubers(self) -> list[tuple[Any, ...]]:

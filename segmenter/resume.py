@@ -1,0 +1,53 @@
+"""Where an earlier process of the same run left off, and what its successor can say of the belt since."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+STANDS_AFTER_S = 600.0
+"""Belt that ran on unseen is guessed for this long at most: a line that is down for longer has been stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """All that crossed at or before `complete` is in the log.
+
+    `travel_m` is what it saw last, at `captured_ns`; what had crossed since `complete` it took with it. `speed_mps` is
+    the belt's last speed, for where no encoder says how far it went since.
+    """
+
+    complete_ns: int
+    complete_place_x_m: float
+    travel_m: float
+    looked_at_m: float
+    travelled_m: float
+    captured_ns: int = 0
+    speed_mps: float = 0.0
+
+    def unlogged_m(self, row_x_m: float) -> float:
+        """Belt that had passed the centre row, at `row_x_m`, since counting began and is not in the log."""
+        unlogged_m = self.travel_m - (row_x_m - self.complete_place_x_m)
+        return min(max(0.0, unlogged_m), self.travelled_m)
+
+    def missed_m(self, captured_ns: int) -> float:
+        """Belt that went by unseen until `captured_ns`, at the last speed; 0 where the clock says nothing."""
+        gap_s = (captured_ns - self.captured_ns) * 1e-9
+        return self.speed_mps * min(gap_s, STANDS_AFTER_S) if gap_s > 0 else 0.0
+
+    def brought_to(self, captured_ns: int) -> Resume:
+        """The same as of the first frame, without an encoder: the belt has run on, and nobody looked at it.
+
+        The travel at which counting goes on moves with it. So whatever the belt really did, no tuber that was logged is
+        counted again, and those that crossed meanwhile count as belt not looked at.
+        """
+        missed_m = self.missed_m(captured_ns)
+        if missed_m <= 0:
+            return self
+        return replace(
+            self,
+            complete_ns=self.complete_ns + captured_ns - self.captured_ns,
+            complete_place_x_m=self.complete_place_x_m - missed_m,
+            travel_m=self.travel_m + missed_m,
+            travelled_m=self.travelled_m + missed_m,
+            captured_ns=captured_ns,
+        )

@@ -1,0 +1,102 @@
+"""What goes wrong in a history: links that lose, double, delay and reorder; processes that die between two writes."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from typing import BinaryIO, Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Died(BaseException):
+    """The process is gone, here and now."""
+
+
+@dataclass(slots=True)
+class Fuse:
+    """Burns down by one at each write of a process, and kills it when it reaches its end."""
+
+    left: int | None = None
+
+    def burn(self, what: str = "") -> None:
+        """Called before each write."""
+        if self.left is not None:
+            self.left -= 1
+            if self.left < 0:
+                self.left = None
+                raise Died(what)
+
+
+@dataclass(slots=True)
+class Faults:
+    """How bad the links are now: shares of messages dropped and duplicated, longest delay, everything cut."""
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    delay_s: float = 0.0
+    cut: bool = False
+
+
+class Link(Generic[T]):
+    """A one-way link: what is put in comes out later, twice, out of order or never, as its seed and faults say."""
+
+    def __init__(self, seed: int, faults: Faults) -> None:
+        self._random = random.Random(seed)
+        self._faults = faults
+        self._flying: list[tuple[float, T]] = []
+
+    def put(self, item: T, now_s: float) -> None:
+        faults = self._faults
+        copies = 1 + (self._random.random() < faults.duplicate)
+        for _ in range(copies):
+            if not faults.cut and self._random.random() >= faults.drop:
+                self._flying.append((now_s + self._random.random() * faults.delay_s, item))
+
+    def take(self, now_s: float) -> list[T]:
+        if not self._flying:
+            return []
+        here = sorted((entry for entry in self._flying if entry[0] <= now_s), key=lambda entry: entry[0])
+        if here:
+            self._flying = [entry for entry in self._flying if entry[0] > now_s]
+        return [item for _, item in here]
+
+
+class TornFile:
+    """A file as the kernel keeps it when its process dies: what was not flushed is lost, a write may be torn."""
+
+    def __init__(self, file: BinaryIO, fuse: Fuse, seed: int) -> None:
+        self._file = file
+        self._fuse = fuse
+        self._random = random.Random(seed)
+        self._pending = bytearray()
+
+    def write(self, data: bytes) -> int:
+        self._burn("write")
+        self._pending += data
+        return len(data)
+
+    def flush(self) -> None:
+        self._burn("flush")
+        self._file.write(self._pending)
+        self._file.flush()
+        self._pending.clear()
+
+    def fileno(self) -> int:
+        self._burn("fsync")
+        return self._file.fileno()
+
+    def tell(self) -> int:
+        return self._file.tell() + len(self._pending)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _burn(self, what: str) -> None:
+        try:
+            self._fuse.burn(what)
+        except Died:
+            torn = self._random.randint(0, len(self._pending))
+            self._file.write(self._pending[:torn])
+            self._file.flush()
+            raise

@@ -1,0 +1,78 @@
+"""A live segmenter that starts again without an encoder: belt that ran on unseen is told, and nothing counts twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from segmenter_scene import Scene, scattered
+from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish, play
+
+from conveyor.messages import Frame, Mark, Track
+from segmenter.camera_run import CameraRun
+from segmenter.resume import STANDS_AFTER_S, Resume
+
+BODIES = scattered(45, seed=4)
+FRAMES = 150
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    scene = Scene(BODIES, noise_m=0.001)
+    return [scene.frame(i, i * STEP_M, encoder=False) for i in range(FRAMES)]
+
+
+def restarted(frames: list[Frame], path: Path, *, killed_after: int, back_at: int) -> tuple[list[Track], Mark]:
+    """Everything logged by a process that dies and its successor, and the last mark."""
+    first = CameraRun("front", "r1", SETTINGS, path)
+    first.open()
+    play(first, frames[:killed_after], names={"a"})
+    second = CameraRun("front", "r1", SETTINGS, path)
+    second.open()
+    play(second, frames[back_at:], names={"a"}, start_s=back_at / RUN_FPS)
+    finish(second, 9.0, {"a"}, last_seq=frames[-1].seq)
+    mark = second.log.last_mark
+    assert mark is not None
+    return [e.track for e in entries(second, 9.0) if e.track is not None], mark
+
+
+@pytest.mark.parametrize(("killed_after", "back_at"), [(50, 53), (50, 62), (50, 105)])
+def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
+    frames: list[Frame], tmp_path: Path, killed_after: int, back_at: int
+) -> None:
+    """The travel stood still in the gap, so that coverage said 100 % of a belt of which a third had gone by unseen."""
+    tracks, mark = restarted(frames, tmp_path / "front.log", killed_after=killed_after, back_at=back_at)
+    assert mark.travel_estimated
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.03)
+    share = mark.looked_at_m / mark.travelled_m
+    assert share < 1.0
+    assert len(tracks) <= len(BODIES)
+    assert share == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
+    crossed = np.array([[t.crossed_ns / 1e9 * RUN_FPS * STEP_M, t.y_m] for t in tracks])
+    away = np.hypot(*(crossed[:, None] - crossed[None]).transpose(2, 0, 1)) + np.eye(len(crossed))
+    assert away.min() > 0.04, "one tuber was logged twice"
+
+
+def test_the_last_speed_survives_a_rewrite_of_the_log(
+    frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("segmenter.tracklog.REWRITE_BYTES", 1)
+    path = tmp_path / "front.log"
+    first = CameraRun("front", "r1", SETTINGS, path)
+    first.open()
+    play(first, frames[:70], names={"a"})
+    told = first.log.speed_mps
+    first.log.commit(first.log.newest)
+    second = CameraRun("front", "r1", SETTINGS, path)
+    second.open()
+    assert second.log.uncommitted == 0
+    assert second.log.speed_mps == told == pytest.approx(STEP_M * RUN_FPS, rel=0.1)
+
+
+def test_a_clock_that_says_nothing_and_a_line_that_was_down_move_the_belt_by_no_more_than_is_sure() -> None:
+    left = Resume(10**9, -1.0, 1.1, 1.0, 1.1, captured_ns=2 * 10**9, speed_mps=0.5)
+    assert left.brought_to(10**9) is left
+    assert left.brought_to(4 * 10**9).travel_m == pytest.approx(2.1)
+    assert left.brought_to(4 * 10**9).looked_at_m == left.looked_at_m
+    assert left.brought_to(10**15).travel_m == pytest.approx(1.1 + 0.5 * STANDS_AFTER_S)
