@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from conveyor.orphan import ENVIRONMENT
+
 log = logging.getLogger("supervisor")
 
 BACKOFF_FIRST_S = 0.5
@@ -132,7 +134,7 @@ class Supervisor:
         stderr = None
         if self._log_dir:
             stderr = (self._log_dir / f"{child.spec.name}.log").open("ab")
-        environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ}
+        environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
         command = [sys.executable, "-m", "conveyor", *child.spec.args]
         child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
         if stderr:

@@ -6,8 +6,10 @@ This package is the composition root, the only place that knows the other packag
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import traceback
+from types import FrameType
 
 from cyclopts import App, Group
 
@@ -30,6 +32,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "metrics": ("conveyor.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
         "graph": ("conveyor.cli.graph:graph", "Who runs where and sends what to whom, live."),
         "watch": ("viewer.commands:watch", "Watch a running line: Rerun's window or a web page."),
+        "page": ("viewer.page.command:page", "The operator's page: load, belt, cameras, alarms, in a browser."),
         "audit": ("aggregator.commands:audit", "The balance sheet of a run: nothing lost silently."),
         "ledger": ("aggregator.commands:ledger", "Check, repair or export a ledger."),
     },
@@ -47,14 +50,28 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "convert": ("camera_sim.commands:convert", "Convert a recording, lossless."),
         "recover": ("camera_sim.commands:recover", "Mend an MCAP file whose writer was killed."),
         "simulate-views": ("camera_sim.commands:simulate_views", "Make single views with known weights, for training."),
+        "simulate-belts": (
+            "camera_sim.commands_belts:simulate_belts",
+            "Make labelled frames of belts, for train-eyes.",
+        ),
         "segment": ("segmenter.commands:segment", "Segment a recording and draw what was found."),
         "evaluate-segmentation": ("segmenter.commands:evaluate_segmentation", "Score masks against a recording's own."),
     },
     "Model": {
         "train": ("regressor.commands:train", "Train PointRAFT."),
+        "train-eyes": (
+            "segmenter.learn.commands:train_eyes",
+            "Train the segmenter's network to tell clods from tubers.",
+        ),
         "evaluate": ("regressor.commands:evaluate", "Evaluate weights and baselines on views with known weights."),
         "ablate": ("regressor.commands:ablate", "Train or load the paper's ablations and compare them."),
+        "search": ("regressor.commands_study:search", "Search for a recipe with Optuna."),
+        "split": ("regressor.commands_study:split", "Share tubers out over training, validation and test."),
+        "drift": ("regressor.commands_study:drift", "Evaluate weights on views that drift from their training."),
+        "calibrate-interval": ("regressor.commands_study:calibrate_interval", "Calibrate saved weights' intervals."),
+        "evaluation-page": ("regressor.commands_study:evaluation_page", "Make the page of results from saved ones."),
         "export": ("regressor.commands:export", "Export the network to ONNX."),
+        "weights": ("regressor.commands_weights:weights", "The weights of a running line: list, change, go back."),
         "import-checkpoint": ("regressor.commands:import_checkpoint", "Take over the authors' checkpoint."),
     },
     "Set up": {
@@ -87,8 +104,11 @@ def build_app() -> App:
 def main() -> None:
     """Entry point: a TuberlineError's text goes to stderr, its exit code to the shell; bugs keep their traceback."""
     from conveyor.logs import setup_logs
+    from conveyor.orphan import watch_supervisor
 
     setup_logs()
+    signal.signal(signal.SIGTERM, _leave)
+    watch_supervisor()
     code = _run()
     if "zenoh" in sys.modules:
         # The interpreter's goodbye can wait for ever for a Zenoh thread that wants to call back into it.
@@ -96,6 +116,11 @@ def main() -> None:
         sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    """Leave by an exception, so that a command stops the processes it started; nodes have handlers of their own."""
+    raise SystemExit(128 + number)
 
 
 def _run() -> int:

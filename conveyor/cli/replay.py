@@ -12,6 +12,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.errors import InputError, LinkError, TuberlineError
 from conveyor.observer import Observer
@@ -33,6 +34,7 @@ def replay(
     weights: Path | None = None,
     regressors: int = 2,
     rrd: Path | None = None,
+    ignore_masks: bool = False,
     json: bool = False,
 ) -> None:
     """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
@@ -51,11 +53,20 @@ def replay(
         Number of weighing processes.
     rrd
         Also write a Rerun recording to this file.
+    ignore_masks
+        Find the tubers on depth though the recording has masks of its own.
     json
         Print the summary as JSON on stdout.
     """
     summary = replay_recording(
-        recording, out=out, speed=parse_speed(speed), weights=weights, regressors=regressors, rrd=rrd, show=not json
+        recording,
+        out=out,
+        speed=parse_speed(speed),
+        weights=weights,
+        regressors=regressors,
+        rrd=rrd,
+        ignore_masks=ignore_masks,
+        show=not json,
     )
     if json:
         sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
@@ -88,6 +99,7 @@ def replay_recording(
     weights: Path | None = None,
     regressors: int = 2,
     rrd: Path | None = None,
+    ignore_masks: bool = False,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -105,17 +117,27 @@ def replay_recording(
     cameras = recording_cameras(recording)
     prepare_out(out)
     config = replay_config(
-        recording, cameras, out=out, speed=speed, weights=weights, regressors=regressors, rrd=rrd, settings=settings
+        recording,
+        cameras,
+        out=out,
+        speed=speed,
+        weights=weights,
+        regressors=regressors,
+        rrd=rrd,
+        settings=settings,
+        ignore_masks=ignore_masks,
     )
     config_path = out.resolve() / "line.toml"
     config_path.write_text(dump_toml(config), encoding="utf-8")
     specs = line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}")
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
-        _wait_until_counted(supervisor, config, show=show)
+        findings = _wait_until_counted(supervisor, config, show=show)
     summary: dict[str, Any] = json_module.loads((out / "summary.json").read_text(encoding="utf-8"))
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts
+    if findings:
+        summary["findings"] = findings
     return summary
 
 
@@ -152,17 +174,22 @@ def replay_config(
     regressors: int,
     rrd: Path | None,
     settings: Mapping[str, Any] | None,
+    ignore_masks: bool = False,
 ) -> LineConfig:
     """The line that replays `recording`: embedded defaults, a router on a free port of this machine."""
     raw: dict[str, Any] = {
         "name": "replay",
-        "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
+        "link": {"router": f"tcp/127.0.0.1:{free_port()}", "connect_timeout_s": 60.0},
         "cameras": {name: {"path": str(recording.resolve()), "speed": speed} for name in cameras},
-        "segmenter": {"state_dir": str(out.resolve() / "state")},
-        "regressor": {"processes": regressors},
+        # A busy machine or a cut link must not decide how many views a tuber of the same recording gets.
+        "segmenter": {"state_dir": str(out.resolve() / "state"), "weigh_deadline_s": 600.0},
+        "regressor": {"processes": regressors, "state_dir": str(out.resolve() / "weights")},
         # A replay waits for everybody, so a silent camera is one that is being restarted: nobody goes on without it.
         "aggregator": {"out": str(out.resolve()), "exit_when_final": True, "camera_stall_s": 600.0},
     }
+    if ignore_masks:
+        for camera in raw["cameras"].values():
+            camera["ignore_masks"] = True
     if weights is not None:
         if not weights.is_file():
             raise InputError(f"--weights {weights} does not exist")
@@ -193,8 +220,10 @@ def fingerprint(recording: Path) -> str:
     return digest.hexdigest()[:12]
 
 
-def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: bool) -> None:
-    """Until the aggregator has written its summary. Raises when a node gave up or nothing moves any more."""
+def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: bool) -> list[str]:
+    """Until the aggregator has written its summary; returns what is wrong with the belts. Raises when a node gave up or
+    nothing moves any more.
+    """
     from rich.console import Console
     from rich.live import Live
 
@@ -203,11 +232,15 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     live = Live(console=Console(stderr=True), refresh_per_second=4, transient=True) if show else nullcontext()
     with Observer(config.link, line=config.name) as observer, live as table:
         moved, last = time.monotonic(), -1
+        findings: dict[str, str] = {}
         limit_s = START_LIMIT_S
         while not supervisor.finished("aggregator"):
             supervisor.poll()
             _raise_failures(supervisor)
             nodes = observer.nodes()
+            for name, counters in nodes.items():
+                told = belt_findings(counters.name, counters.gauges) if counters.role == "segmenter" else {}
+                findings |= {f"{name} {finding}": text for finding, text in told.items()}
             done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
             if done != last:
                 limit_s = QUIET_LIMIT_S if last >= 0 and done else START_LIMIT_S
@@ -219,6 +252,7 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
             if table is not None:
                 table.update(line_table(observer.totals(), nodes, alive=observer.alive()))
             time.sleep(0.1)
+        return list(findings.values())
 
 
 def _raise_failures(supervisor: Supervisor) -> None:

@@ -30,6 +30,8 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
     console.print(table)
     for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
         console.print(line, highlight=False)
+    for finding in summary.get("findings", []):
+        console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
     for name, n in summary.get("restarts", {}).items():
         console.print(f"[yellow]{name} was restarted {n} times[/]")
     console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)

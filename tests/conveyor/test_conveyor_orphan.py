@@ -1,0 +1,65 @@
+"""A command that is stopped or killed leaves no process of a line behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT, wait_until
+
+SUPERVISES = """
+import sys, time
+from pathlib import Path
+from conveyor.supervisor import ProcessSpec, Supervisor
+with Supervisor([ProcessSpec("router", ("router", "--listen", sys.argv[1]))], log_dir=Path(sys.argv[2])) as supervisor:
+    print(supervisor.pid("router"), flush=True)
+    time.sleep(60)
+"""
+
+
+def gone(pid: int) -> bool:
+    """No such process, or one that only waits to be reaped."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.timeout(60)
+def test_a_node_ends_when_its_supervisor_was_killed(tmp_path: Path, free_port: int) -> None:
+    command = [sys.executable, "-c", SUPERVISES, f"tcp/127.0.0.1:{free_port}", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT, text=True) as supervisor:
+        assert supervisor.stdout is not None
+        pid = int(supervisor.stdout.readline())
+        log = tmp_path / "router.log"
+        wait_until(lambda: "listening" in log.read_text(), what="the router listens", timeout_s=30)
+        assert not gone(pid)
+        supervisor.kill()
+    try:
+        wait_until(lambda: gone(pid), what="the router is gone")
+    finally:
+        if not gone(pid):
+            os.kill(pid, signal.SIGKILL)
+    assert "that started this one is gone" in log.read_text()
+
+
+@pytest.mark.graph
+@pytest.mark.timeout(120)
+def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> None:
+    recording, out = tmp_path / "recording", tmp_path / "out"
+    tuberline = [sys.executable, "-m", "conveyor"]
+    subprocess.run([*tuberline, "simulate", "--out", recording, "--tubers", "20"], cwd=ROOT, check=True)
+    logs = out / "logs"
+    with subprocess.Popen([*tuberline, "replay", recording, "--out", out, "--speed", "real"], cwd=ROOT) as replay:
+        wait_until(lambda: [*logs.glob("camera-*.log")], what="the cameras are started", timeout_s=60)
+        children = Path(f"/proc/{replay.pid}/task/{replay.pid}/children")
+        pids = [int(pid) for pid in children.read_text(encoding="ascii").split()]
+        assert len(pids) >= 4
+        replay.send_signal(signal.SIGTERM)
+        assert replay.wait(30) == 128 + signal.SIGTERM
+    assert all(gone(pid) for pid in pids)
