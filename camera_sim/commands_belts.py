@@ -9,7 +9,7 @@ from conveyor.errors import InputError
 
 
 def simulate_belts(
-    *, out: Path, belts: int = 240, frames: int = 4, tubers: int = 20, seed: int = 1, force: bool = False
+    *, out: Path, belts: int = 300, frames: int = 8, tubers: int = 20, seed: int = 1, force: bool = False
 ) -> None:
     """Make labelled frames of belts that differ in all that varies, for `tuberline train-eyes`.
 
@@ -22,7 +22,7 @@ def simulate_belts(
     belts
         How many belts.
     frames
-        Frames of each.
+        Frames of each, 15 to 40 mm of travel apart, while its middle passes.
     tubers
         Tubers on each; distractors come on top.
     seed

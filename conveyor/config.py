@@ -68,11 +68,11 @@ class SegmenterConfig(Section):
     """From a depth frame to tubers on the belt and views worth weighing."""
 
     method: Literal["classical", "classes", "learned"] = Field(
-        "classical", description="who finds tubers; 'classes': a network tells clods, stones and haulm from them"
+        "classical", description="classes: a network tells clods, stones, haulm apart; learned: one finds tubers too"
     )
     weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
     reject_below: float = Field(
-        -1.5, ge=-6, le=0, description="mean log-odds of tuber against clod under which a track is no tuber"
+        -1.5, ge=-6, le=0, description="log-odds of tuber against clod under which a track is no tuber"
     )
     pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
     min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 @dataclass(slots=True)
 class FrameBalance:
     """Counts of one run. Sequence numbers arrive in order; what is not newer than the newest is a duplicate and changes
-    nothing but its own count.
+    nothing but its own count. Neither does what is `ahead` of a frame that its camera will send again.
     """
 
     first_seq: int | None = None
@@ -17,6 +17,7 @@ class FrameBalance:
     last_published_seq: int = -1
     processed: int = 0
     duplicates: int = 0
+    ahead: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
     _overwritten: int = 0
 
@@ -27,10 +28,13 @@ class FrameBalance:
         if last_seq is not None:
             self.last_published_seq = max(self.last_published_seq, last_seq)
 
-    def receive(self, seq: int) -> bool:
-        """Note a frame's arrival; False for a duplicate."""
+    def receive(self, seq: int, *, after_seq: int | None = None) -> bool:
+        """Note a frame's arrival; False for a duplicate, or where the frame `after_seq` is still to come."""
         if seq <= self.newest_seq:
             self.duplicates += 1
+            return False
+        if after_seq is not None and after_seq != self.newest_seq:
+            self.ahead += 1
             return False
         skipped = seq - self.newest_seq - 1 if self.newest_seq >= 0 else 0
         self._book_overwritten(skipped)

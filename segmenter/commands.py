@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
+from typing import Literal
 
 
 def segmenter(*, config: Path, camera: str, run: str | None = None) -> None:
@@ -69,11 +70,22 @@ def segment(
         table.add_row(
             r.camera, str(r.frames), str(len(r.tracks)), discarded, f"{r.travelled_m:.2f}", seen, f"{r.step_ms:.1f}"
         )
-    Console(stderr=True).print(table)
+    console = Console(stderr=True)
+    console.print(table)
+    for finding in (finding for r in results for finding in r.findings):
+        console.print(f"warning: {finding}", markup=False, highlight=False)
 
 
-def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = False) -> None:
-    """Score found masks against a recording's own: F1 at IoU 0.5 and 0.75, panoptic quality, time per frame.
+def evaluate_segmentation(
+    recording: Path,
+    /,
+    *,
+    every: int = 1,
+    method: Literal["classical", "classes", "learned"] | None = None,
+    weights: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Score found masks against a recording's own: F1, panoptic quality, distractors taken for tubers, time per frame.
 
     Parameters
     ----------
@@ -81,6 +93,10 @@ def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = Fa
         Folder recording with mask/ images.
     every
         Use every n-th frame only.
+    method
+        As segmenter.method of a line's file; default: the default there.
+    weights
+        An .onnx of `tuberline train-eyes` instead of the shipped one.
     json
         Print the score as JSON on stdout.
     """
@@ -89,12 +105,14 @@ def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = Fa
     import cv2
 
     from segmenter.evaluate import evaluate_recording
+    from segmenter.eyes import EyesSettings
     from segmenter.pipeline import Settings
     from segmenter.warmup import warm_up
 
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
-    score = asdict(evaluate_recording(recording, settings=Settings(), every=every))
+    settings = Settings(eyes=EyesSettings(method=method or EyesSettings().method, weights=weights))
+    score = asdict(evaluate_recording(recording, settings=settings, every=every))
     if json:
         sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
         return
@@ -102,7 +120,7 @@ def evaluate_segmentation(recording: Path, /, *, every: int = 1, json: bool = Fa
     from rich.table import Table
 
     table = Table("what", "value")
-    for name, value in score.items():
+    for name, value in (score | (score.pop("load") or {})).items():
         table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
     Console(stderr=True).print(table)
 

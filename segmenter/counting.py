@@ -35,7 +35,12 @@ class CountSettings:
             more than this of its outline with another.
         seam_slender, seam_share: or this.
         sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
+        lump_area_mm2, lump_contact: a lump of a tuber is smaller than this, shares more than this of its outline, and
+        lump_share: was one with a larger instance in more than this share of the frames that had its place in view;
+        hidden_area_mm2, lump_seen: or it is smaller than this and stood apart in less than this share of them.
+        steady_share: what stood apart in this share of those frames, and was never one with another, is no sliver.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
+        reject_below: log-odds of tuber against other (clod, stone, haulm) under which a track is no tuber.
     """
 
     min_frames: int = 3
@@ -50,7 +55,14 @@ class CountSettings:
     seam_share: float = 0.4
     sliver_area_mm2: float = 1500.0
     sliver_height_m: float = 0.033
+    lump_area_mm2: float = 3500.0
+    lump_contact: float = 0.2
+    lump_share: float = 0.12
+    hidden_area_mm2: float = 2000.0
+    lump_seen: float = 0.75
+    steady_share: float = 0.9
     same_share: float = 0.6
+    reject_below: float = -1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +120,19 @@ def refusal(
     return "duplicate" if _is_double(track, tracker, settings) else ""
 
 
-def shape_refusal(track: TrackState, *, width_m: float, settings: CountSettings) -> str:
+def shape_refusal(track: TrackState, *, width_m: float, looks: int, settings: CountSettings) -> str:
     """Why the shape of a track is no tuber's; empty where it may be one.
 
     Haulm is thin. A piece split off a knobby tuber's flank stands as high as the tuber but is narrow, and much of its
-    outline is seam: no tuber rests on its edge like that.
+    outline is seam: no tuber rests on its edge like that. A lump on a tuber may look like a small tuber beside it, but
+    time and again it is taken for what it is, a part of its neighbour.
     """
     if width_m < settings.min_width_m:
         return "thin"
+    if _is_lump(track, looks, settings):
+        return "sliver"
+    if track.covered == 0 and _apart(track) >= settings.steady_share * looks:
+        return ""
     height_m = float(np.median([h.volume_ml / h.area_mm2 for h in track.hits])) / ROUND_FILL
     slender = height_m / width_m
     contact = float(np.median([h.contact for h in track.hits]))
@@ -123,6 +140,26 @@ def shape_refusal(track: TrackState, *, width_m: float, settings: CountSettings)
         return ""
     mostly_seam = contact > settings.seam_share and slender > settings.seam_slender
     return "sliver" if mostly_seam or (contact > settings.contact_share and slender > settings.max_slender) else ""
+
+
+def _is_lump(track: TrackState, looks: int, settings: CountSettings) -> bool:
+    """`looks`: frames that had the track's place in view so far."""
+    contact = float(np.median([h.contact for h in track.hits]))
+    if track.area_mm2 >= settings.lump_area_mm2 or contact <= settings.lump_contact:
+        return False
+    swallowed = track.covered >= max(2.0, settings.lump_share * looks)
+    hidden = track.area_mm2 < settings.hidden_area_mm2 and _apart(track) + 2 < settings.lump_seen * looks
+    return swallowed or hidden
+
+
+def _apart(track: TrackState) -> int:
+    """Frames that showed it as an instance of its own, not cut by the first or last row."""
+    return sum(not h.ends_cut for h in track.hits)
+
+
+def class_refusal(log_odds: float | None, settings: CountSettings) -> str:
+    """Why what was seen is no tuber; empty where it is one, where the judge is unsure, and where nobody was asked."""
+    return "distractor" if log_odds is not None and log_odds < settings.reject_below else ""
 
 
 def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> bool:

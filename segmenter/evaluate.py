@@ -1,9 +1,13 @@
-"""How well found masks agree with given ones: F1 at IoU 0.5 and 0.75, panoptic quality, count bias, stage times."""
+"""How well found masks agree with given ones: F1 at IoU 0.5 and 0.75, panoptic quality, count bias, stage times.
+
+Masks are judged frame by frame, before any track is: a distractor found is a false positive there. What the tracks
+make of it, with the judge's word, is counted beside it where the recording's truth knows its distractors' places.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +17,11 @@ from scipy.optimize import linear_sum_assignment
 from conveyor.errors import InputError
 from conveyor.messages import Frame
 from segmenter.belt import BeltGeometry
+from segmenter.classes_score import LoadScore, load_truth
+from segmenter.eyes import Eyes
 from segmenter.folder import camera_folders, folder_frames
 from segmenter.heights import height_map
-from segmenter.instances import SplitSettings, full_resolution, split
+from segmenter.instances import full_resolution
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.plane import fit_plane, given_or_fitted
 
@@ -81,12 +87,19 @@ def agreement(truth: NDArray[np.uint16], found: NDArray[np.uint16], *, least_px:
 
 @dataclass(frozen=True, slots=True)
 class SegmentationScore:
-    """Result for one recording; times are medians, milliseconds of processor time of one core per frame."""
+    """Result for one recording; times are medians, milliseconds of processor time of one core per frame.
+
+    `mean_step_ms` is the mean: the judge works in some frames only. `load`: None where the truth does not say where the
+    distractors are.
+    """
 
     recording: str
+    method: str
     frames: int
     instances_given: int
     instances_found: int
+    precision: float
+    recall: float
     f1_50: float
     f1_75: float
     panoptic_quality: float
@@ -94,44 +107,79 @@ class SegmentationScore:
     heights_ms: float
     split_ms: float
     whole_step_ms: float
+    mean_step_ms: float
     size: str
+    load: LoadScore | None
+    distractors_counted_share: float | None
+    tubers_rejected_share: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """One frame's labels, and the milliseconds of heights and split."""
+
+    labels: NDArray[np.uint16]
+    heights_ms: float
+    split_ms: float
 
 
 def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -> SegmentationScore:
-    """Score the splitter on all cameras of a folder recording with masks.
+    """Score segmentation on all cameras of a folder recording with masks.
 
     Args:
         recording: folder with mask/ images.
         settings: of the core.
-        every: use only every n-th frame for the masks; times are taken over the same frames.
+        every: use only every n-th frame; the tracker sees no others either.
 
     Raises:
         InputError: there are no masks.
     """
-    total, times, frames, sizes = Agreement(), [], 0, set()
+    total, times, sizes = Agreement(), [], set()
+    load: LoadScore | None = LoadScore()
     for folder in camera_folders(recording):
         core = Segmenter(settings)
+        eyes = Eyes(settings.eyes, settings.split)
+        counted: list[tuple[float, float]] = []
+        rejected: list[tuple[float, float]] = []
         belt: BeltGeometry | None = None
         for index, frame in enumerate(folder_frames(folder, masks=True)):
             if index % every or frame.mask is None:
                 continue
             belt = belt or _belt(frame)
-            heights_ms, split_ms, labels = _found(frame, belt, settings.split)
+            seen = _seen(frame, belt, eyes, settings)
             least_px = LEAST_AREA_MM2 / belt.footprint_mm() ** 2
-            total.add(agreement(np.where(frame.depth > 0, frame.mask, 0), labels, least_px=least_px))
+            total.add(agreement(np.where(frame.depth > 0, frame.mask, 0), seen.labels, least_px=least_px))
             started = time.thread_time()
-            core.step(_without_mask(frame))
-            times.append((heights_ms, split_ms, (time.thread_time() - started) * 1000))
+            closed = core.step(replace(frame, mask=None)).closed
+            times.append((seen.heights_ms, seen.split_ms, (time.thread_time() - started) * 1000))
             sizes.add(f"{frame.intrinsics.width}x{frame.intrinsics.height}")
-            frames += 1
-    if frames == 0:
+            counted += [(c.track.place_x_m, c.track.y_m) for c in closed]
+            rejected += _taken(core)
+        counted += [(c.track.place_x_m, c.track.y_m) for c in core.finish()]
+        rejected += _taken(core)
+        truth = load_truth(recording, folder.name)
+        if truth is None or load is None:
+            load = None
+        else:
+            load.add(truth, np.array(counted).reshape(-1, 2), np.array(rejected).reshape(-1, 2))
+    if not times:
         raise InputError(f"{recording} has no mask/ images to compare with: simulate one with masks")
-    heights_ms, split_ms, step_ms = (float(value) for value in np.median(np.array(times), axis=0))
+    return _summary(recording.name, settings, total, np.array(times), ", ".join(sorted(sizes)), load)
+
+
+def _summary(
+    name: str, settings: Settings, total: Agreement, times: NDArray[np.float64], size: str, load: LoadScore | None
+) -> SegmentationScore:
+    hits = len(total.ious)
+    heights_ms, split_ms, step_ms = (float(value) for value in np.median(times, axis=0))
     return SegmentationScore(
-        recording=recording.name,
-        frames=frames,
+        recording=name,
+        method=settings.eyes.method,
+        frames=len(times),
         instances_given=total.truths,
         instances_found=total.found,
+        precision=hits / total.found if total.found else 1.0,
+        recall=hits / total.truths if total.truths else 1.0,
         f1_50=total.f1(0.5),
         f1_75=total.f1(0.75),
         panoptic_quality=total.panoptic_quality,
@@ -139,8 +187,19 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
         heights_ms=heights_ms,
         split_ms=split_ms,
         whole_step_ms=step_ms,
-        size=", ".join(sorted(sizes)),
+        mean_step_ms=float(times[:, 2].mean()),
+        size=size,
+        load=load,
+        distractors_counted_share=None if load is None else load.distractors_counted_share,
+        tubers_rejected_share=None if load is None else load.tubers_rejected_share,
     )
+
+
+def _taken(core: Segmenter) -> list[tuple[float, float]]:
+    """Places of the tracks rejected since the last call."""
+    places = [(at.x_m - at.travel_m, at.y_m) for at in core.rejected]
+    core.rejected.clear()
+    return places
 
 
 def _belt(frame: Frame) -> BeltGeometry:
@@ -149,16 +208,10 @@ def _belt(frame: Frame) -> BeltGeometry:
     return BeltGeometry(frame.intrinsics, pose)
 
 
-def _found(frame: Frame, belt: BeltGeometry, settings: SplitSettings) -> tuple[float, float, NDArray[np.uint16]]:
+def _seen(frame: Frame, belt: BeltGeometry, eyes: Eyes, settings: Settings) -> _Seen:
     started = time.thread_time()
-    heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=settings.pixel_mm)
+    heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=settings.split.pixel_mm)
     mapped = time.thread_time()
-    instances = split(heights, belt, settings)
-    done = time.thread_time()
-    return (mapped - started) * 1000, (done - mapped) * 1000, full_resolution(instances, frame.depth)
-
-
-def _without_mask(frame: Frame) -> Frame:
-    from dataclasses import replace
-
-    return replace(frame, mask=None)
+    instances = eyes.find(heights, belt)
+    found = time.thread_time()
+    return _Seen(full_resolution(instances, frame.depth), (mapped - started) * 1000, (found - mapped) * 1000)

@@ -27,7 +27,11 @@ LEAST_SEEN = 0.5
 
 @dataclass(frozen=True, slots=True)
 class SplitSettings:
-    """Lengths in millimetres. The defaults hold for tubers of 25 to 120 mm."""
+    """Lengths in millimetres. The defaults hold for tubers of 25 to 120 mm.
+
+    `min_mean_mm`: mean height below which an instance is the belt's own relief, a cleat or soil: what lies beside a
+    tuber has part of its flank, so its peak does not tell.
+    """
 
     pixel_mm: float = 1.45
     foreground_mm: float = 11.0
@@ -40,6 +44,7 @@ class SplitSettings:
     rim_mm: float = 7.0
     min_area_mm2: float = 350.0
     min_height_mm: float = 18.0
+    min_mean_mm: float = 14.5
     seam: SeamSettings = field(default_factory=SeamSettings)
 
 
@@ -109,6 +114,13 @@ def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> I
     return _describe(labels, n, heights.height_mm, heights.seen, stride, belt, None)
 
 
+def described(
+    labels: NDArray[np.int32], n: int, heights: HeightMap, belt: BeltGeometry, settings: SplitSettings
+) -> Instances:
+    """The instances that labels 1..n found in some other way stand for; `labels` are renumbered in place."""
+    return _describe(labels, n, heights.height_mm, heights.seen, heights.stride, belt, settings)
+
+
 def full_resolution(instances: Instances, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """(H, W) uint16 labels at the frame's own resolution, 0 where there is no depth."""
     rows, columns = depth.shape
@@ -141,7 +153,7 @@ def _describe(
         cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     gone = sums[:, 0] == 0
     low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
-    flat = ~gone & ~low & (sums[:, 15] < settings.min_height_mm) if settings else np.zeros(n + 1, bool)
+    flat = ~gone & ~low & _lies_flat(sums, settings) if settings else np.zeros(n + 1, bool)
     refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
     keep = ~(gone | low | flat)
     keep[0] = False
@@ -169,6 +181,13 @@ def _describe(
         contact=sums[:, 13] / np.maximum(sums[:, 14], 1),
         refused=refused,
     )
+
+
+def _lies_flat(sums: NDArray[np.float64], settings: SplitSettings) -> NDArray[np.bool_]:
+    """(n + 1,) which labels are too low for a tuber, by their peak or by their mean height."""
+    mean_mm = sums[:, 4] / np.maximum(sums[:, 3], 1.0)
+    flat: NDArray[np.bool_] = (sums[:, 15] < settings.min_height_mm) | (mean_mm < settings.min_mean_mm)
+    return flat
 
 
 def _percentile(histogram: NDArray[np.int32], peak_mm: NDArray[np.float64], share: float = 0.99) -> NDArray[np.float64]:

@@ -7,12 +7,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from conveyor.belt_findings import belt_findings
 from conveyor.messages import Track
 from segmenter.folder import camera_folders, folder_frames
 from segmenter.picture import picture as draw
 from segmenter.picture import save_picture
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.warmup import warm_up
+from segmenter.watch import BeltWatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +29,7 @@ class CameraResult:
     looked_at_m: float
     travelled_m: float
     step_ms: float
+    findings: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -59,7 +62,7 @@ def segment_recording(
 
 
 def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, target_seq: int | None) -> CameraResult:
-    core = Segmenter(settings)
+    core, watch = Segmenter(settings), BeltWatch()
     tracks: list[Track] = []
     frames, elapsed_s = 0, 0.0
     if target is not None and target_seq is None:
@@ -69,10 +72,11 @@ def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, 
         started = time.perf_counter()
         result = core.step(frame)
         elapsed_s += time.perf_counter() - started
+        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
         frames += 1
         tracks += [closed.track for closed in result.closed]
         if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:
-            save_picture(target, draw(frame, core.instances, core.belt))
+            save_picture(target, draw(frame, core.instances, core.belt, rejected=core.held_for_distractors))
     tracks += [closed.track for closed in core.finish()]
     return CameraResult(
         camera=folder.name,
@@ -83,4 +87,5 @@ def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, 
         looked_at_m=core.looked_at_m,
         travelled_m=core.travelled_m,
         step_ms=1000 * elapsed_s / max(frames, 1),
+        findings=tuple(belt_findings(folder.name, watch.gauges()).values()),
     )

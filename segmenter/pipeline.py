@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.messages import Frame, Track, View
 from segmenter.belt import BeltGeometry
-from segmenter.counting import CountSettings, Crossing, crossing, refusal, shape_refusal
+from segmenter.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.coverage import Coverage
+from segmenter.eyes import Eyes, EyesSettings
 from segmenter.heights import HeightMap, height_map
 from segmenter.history import TravelHistory
-from segmenter.instances import Instances, SplitSettings, given, split
+from segmenter.instances import Instances, SplitSettings, given
 from segmenter.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
+from segmenter.portrait import Portrait
+from segmenter.resume import Resume
 from segmenter.sides import completed_centres
 from segmenter.track import State, TrackState
 from segmenter.tracker import Tracker, TrackSettings
@@ -30,6 +33,8 @@ LEAST_SEEN = 0.1
 FROZEN_M = 0.001
 """A shorter way need not change a single pixel."""
 HORIZON_MARGIN_M = 0.02
+REJECTED_KEPT = 1000
+"""Crossings of the newest tracks that the network took for distractors; all of them are in `discarded`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +44,7 @@ class Settings:
     split: SplitSettings = field(default_factory=SplitSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     count: CountSettings = field(default_factory=CountSettings)
+    eyes: EyesSettings = field(default_factory=EyesSettings)
     views_per_tuber: int = 3
 
 
@@ -61,25 +67,6 @@ class StepResult:
     dropped: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Resume:
-    """Where an earlier process of the same run left off: all that crossed at or before `complete` is in the log.
-
-    `travel_m` is what it saw last; what had crossed since `complete` it took with it.
-    """
-
-    complete_ns: int
-    complete_place_x_m: float
-    travel_m: float
-    looked_at_m: float
-    travelled_m: float
-
-    def unlogged_m(self, row_x_m: float) -> float:
-        """Belt that had passed the centre row, at `row_x_m`, since counting began and is not in the log."""
-        unlogged_m = self.travel_m - (row_x_m - self.complete_place_x_m)
-        return min(max(0.0, unlogged_m), self.travelled_m)
-
-
 class Segmenter:
     """Depth frames of one camera to counted tracks with their views. Holds no session and reads no clock."""
 
@@ -93,6 +80,9 @@ class Segmenter:
         self.belt_check = BeltCheck(None, None)
         self.tracker: Tracker | None = None
         self.instances: Instances | None = None
+        self.eyes = Eyes(settings.eyes, settings.split)
+        self._found: list[tuple[TrackState, int]] = []
+        self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
         self._coverage: Coverage | None = None
         self._resume = resume
         self._first: Frame | None = None
@@ -117,14 +107,13 @@ class Segmenter:
         belt = self._belt_of(frame)
         if belt is None:
             return StepResult(self.travel_m, self.estimated, 0, (), "no_belt")
+        if self._resume is not None and self.tracker is None and frame.travel_m is None:
+            self._resume = self._resume.brought_to(frame.captured_ns)
         tracker, coverage, estimator = self._parts(belt)
         heights = height_map(
             frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=self.settings.split.pixel_mm
         )
-        if frame.mask is not None:
-            instances = given(frame.mask, heights, belt)
-        else:
-            instances = split(heights, belt, self.settings.split)
+        instances = self.eyes.find(heights, belt) if frame.mask is None else given(frame.mask, heights, belt)
         instances = replace(instances, centre_m=completed_centres(instances, belt))
         self.refused.update(instances.refused)
         before_m = self.travel_m if self._processed else None
@@ -133,9 +122,11 @@ class Segmenter:
         found = tracker.update(
             frame.seq, instances, pairs, self.history, self.travel_m, moved=moved, travel_before_m=before_m
         )
+        if frame.mask is None:
+            self.eyes.portray(heights, instances, found, belt, self.travel_m)
         coverage.step(self.travel_m)
         self._keep_views(frame, instances, found, belt, tracker)
-        self.instances, self._last = instances, frame
+        self.instances, self._found, self._last = instances, found, frame
         self._processed += 1
         closed = self._close(tracker, frame, everything=False)
         tracker.drop_gone(self.travel_m)
@@ -156,6 +147,14 @@ class Segmenter:
     def travelled_m(self) -> float:
         """Belt that passed the centre row, metres."""
         return self._coverage.travelled_m if self._coverage else self._resume.travelled_m if self._resume else 0.0
+
+    @property
+    def held_for_distractors(self) -> NDArray[np.bool_]:
+        """(n,) which of `instances` belong to tracks that are discarded as distractors."""
+        held = np.zeros(0 if self.instances is None else len(self.instances), bool)
+        for track, index in self._found:
+            held[index] = track.reason == "distractor"
+        return held
 
     def track_counts(self) -> dict[str, int]:
         """opened = counted + discarded by reason + open."""
@@ -332,7 +331,10 @@ class Segmenter:
             else:
                 track.state, track.reason = State.DISCARDED, reason or done or "no_view"
                 self.discarded[track.reason] += 1
+                if track.reason == "distractor":
+                    self.rejected.append(at)
             track.shelf.clear()
+            track.portrait = Portrait()
         return closed
 
     def _closed_track(self, track: TrackState, at: Crossing, frame: Frame, tracker: Tracker) -> ClosedTrack | str:
@@ -345,7 +347,11 @@ class Segmenter:
         track_id = f"{frame.run}/{frame.camera}/{track.first_seq}-{track.number}"
         usual = [h for h in track.hits if h.whole] or track.hits
         height_mm = float(np.median([h.height_mm for h in usual]))
-        refused = shape_refusal(track, width_m=width_m, settings=self.settings.count)
+        looks = tracker.looks_at(track, self.history, self.travel_m)
+        refused = shape_refusal(track, width_m=width_m, looks=looks, settings=self.settings.count)
+        if not refused:
+            track.log_odds = self.eyes.judge(track.portrait)
+            refused = class_refusal(track.log_odds, self.settings.count)
         if refused:
             return refused
         message = Track(

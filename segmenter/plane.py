@@ -27,6 +27,7 @@ FLOOR_BELOW_M = 0.06
 LOAD_M = 0.1
 REFUSE_M = 0.020
 DRIFT_M = 0.006
+TILT_OFF_DEG = 1.0
 TILT_WORTH_DEG = 0.5
 
 
@@ -49,15 +50,19 @@ class PlaneFit:
 
 @dataclass(frozen=True, slots=True)
 class BeltCheck:
-    """What the frame says about a given belt. `drift_m` is seen minus given; None where too little belt shows."""
+    """What the frame says about a given belt. `drift_m` is seen minus given, `tilt_off_deg` the angle between the two;
+    None where too little belt shows.
+    """
 
     seen: PlaneFit | None
     drift_m: float | None
+    tilt_off_deg: float | None = None
 
     @property
     def alarm(self) -> bool:
-        """The belt seen lies off the belt given by more than calibration and fit explain."""
-        return self.drift_m is not None and abs(self.drift_m) > DRIFT_M
+        """The belt seen lies or leans off the belt given by more than calibration and fit explain."""
+        moved = self.drift_m is not None and abs(self.drift_m) > DRIFT_M
+        return moved or (self.tilt_off_deg is not None and self.tilt_off_deg > TILT_OFF_DEG)
 
 
 def fit_plane(
@@ -139,8 +144,10 @@ def check_belt(
         raise InputError(_disagreement(camera, given_m, fit.distance_m, depth_scale_m))
     if abs(drift_m) > REFUSE_M and fit.share > 0.25 and given_share < 0.05:
         raise InputError(_disagreement(camera, given_m, fit.distance_m, depth_scale_m))
-    trusted = fit.share > 0.25 and abs(drift_m) <= REFUSE_M
-    return BeltCheck(fit, drift_m if trusted else None)
+    # A plane much farther off is the floor beside the belt, or the load upon it: it says nothing of the calibration.
+    if fit.share <= 0.25 or abs(drift_m) > FLOOR_BELOW_M:
+        return BeltCheck(fit, None)
+    return BeltCheck(fit, drift_m, _angle_deg(fit, belt_from_camera))
 
 
 def support_share(
@@ -252,6 +259,12 @@ def _summary(plane: NDArray[np.float64], design: NDArray[np.float64], q: NDArray
     residual = float(np.sqrt(np.mean(height[near] ** 2)))
     a, b, c = (float(value) for value in plane)
     return PlaneFit((a, b, c), 1.0 / c, tilt, residual, share)
+
+
+def _angle_deg(fit: PlaneFit, belt_from_camera: NDArray[np.float64]) -> float:
+    """Between the normals of the plane seen and the belt given."""
+    normal = -np.asarray(fit.inverse_depth) / np.linalg.norm(fit.inverse_depth)
+    return float(np.degrees(np.arccos(np.clip(normal @ belt_from_camera[2, :3], -1.0, 1.0))))
 
 
 def _disagreement(camera: str, given_m: float, seen_m: float, scale_m: float) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from statistics import median
 
+from segmenter.portrait import Portrait
 from segmenter.views import ViewShelf
 
 TRUST_CAP = 8.0
@@ -44,7 +45,9 @@ class Hit:
 class TrackState:
     """What is known of a track so far. Places are x - travel and y, metres.
 
-    `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none.
+    `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
+    frames that did not show it but a much larger instance at its place.
+    `log_odds` is what the judge said of its portrait, tuber against other; None before, and where nobody was asked.
     """
 
     number: int
@@ -59,15 +62,21 @@ class TrackState:
     last_seq: int = 0
     missed: int = 0
     vacant: int = 0
+    covered: int = 0
     frames: int = 0
     state: State = State.OPEN
     reason: str = ""
     hits: list[Hit] = field(default_factory=list)
+    portrait: Portrait = field(default_factory=Portrait)
+    log_odds: float | None = None
+
+    def is_odd(self, area_mm2: float) -> bool:
+        """A visible area that says: this is a merge, or a part."""
+        return max(area_mm2 / self.area_mm2, self.area_mm2 / area_mm2) > ODD_AREA and self.frames >= 3
 
     def add(self, hit: Hit, *, moved: bool) -> None:
         """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
-        odd = max(hit.area_mm2 / self.area_mm2, self.area_mm2 / hit.area_mm2) > ODD_AREA and self.frames >= 3
-        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if odd else 1.0
+        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_mm2) else 1.0
         self.trust = min(self.trust, TRUST_CAP) + weight
         gain = weight / self.trust
         self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)

@@ -21,6 +21,8 @@ from segmenter.views import ViewShelf
 
 NO_MATCH = 1e6
 VACANT_GONE = 12
+SWALLOWED = 2.5
+"""So many times the area of a track has the instance that it is one with, where it is a lump of that one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,10 @@ class Tracker:
         for i, track in enumerate(self.tracks):
             if i not in matched:
                 track.missed += moved
-                track.vacant += moved and self._shows_belt(track, instances, travel_m)
+                shown = self._shown_at(track, instances, travel_m)
+                track.vacant += moved and shown == 0
+                if moved and shown:
+                    track.covered += bool(instances.area_mm2[shown - 1] > SWALLOWED * track.area_mm2)
         for j in range(len(instances)):
             if j not in taken:
                 track = self._open(seq, instances, j, travel_m, travel_before_m)
@@ -161,13 +166,13 @@ class Tracker:
             ends_cut=ends_cut,
         )
 
-    def _shows_belt(self, track: TrackState, instances: Instances, travel_m: float) -> bool:
-        """The track's place is inside the view and no instance covers it."""
+    def _shown_at(self, track: TrackState, instances: Instances, travel_m: float) -> int | None:
+        """The label at the track's place, 0 where no instance covers it; None where that is not inside the view."""
         x_m = track.place_x_m + travel_m
         if not self._low_m + self.settings.edge_m < x_m < self._high_m - self.settings.edge_m:
-            return False
+            return None
         u, v = self.belt.project(x_m, track.place_y_m, track.height_mm / 2000.0)
-        return _label_at(instances.labels, u / instances.stride, v / instances.stride) == 0
+        return _label_at(instances.labels, u / instances.stride, v / instances.stride)
 
 
 def _label_at(labels: NDArray[np.int32], column: float, row: float) -> int:

@@ -21,6 +21,7 @@ from conveyor.geometry import Intrinsics
 DISTANCE_M = (0.30, 0.60)
 MOST_TILT_DEG = 4.0
 MOST_NOISE = 2.5
+STEP_M = (0.015, 0.040)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class BeltView:
 
 
 def random_belt_views(seed: int, number: int, *, frames: int, tubers: int) -> Iterator[BeltView]:
-    """`frames` views of belt `number` of `seed`, spread over its length; each belt is the same whenever it is drawn."""
+    """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn."""
     rng = np.random.default_rng([seed, 40, number])
     settings, layout = _settings(rng, seed=int(rng.integers(2**31)), tubers=tubers)
     world = build_world(settings, layout)
@@ -58,9 +59,11 @@ def random_belt_views(seed: int, number: int, *, frames: int, tubers: int) -> It
     k = camera.optics.intrinsics
     bank = NoiseBank(rng, height=k.height, width=k.width)
     places = [body.place[0] for body in world.bodies]
-    middle_m = camera.belt_from_camera[0, 3]
-    for place_m in np.linspace(max(places), min(places), frames + 2)[1:-1].tolist():
-        yield _view(world, camera, settings, bank, rng, travel_m=middle_m - place_m + rng.uniform(-0.02, 0.02))
+    middle_m = camera.belt_from_camera[0, 3] - (max(places) + min(places)) / 2
+    step_m = rng.uniform(*STEP_M)
+    for n in range(frames):
+        travel_m = middle_m + (n - (frames - 1) / 2) * step_m + rng.uniform(-0.005, 0.005)
+        yield _view(world, camera, settings, bank, rng, travel_m=travel_m)
 
 
 def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:

@@ -32,7 +32,7 @@ def clod(rng: Generator) -> Mesh:
 
 
 def stone(rng: Generator) -> Mesh:
-    """A stone: an ellipsoid with flat faces broken off, its edges sharp to somewhat worn; no round pebbles, as above."""
+    """A stone: an ellipsoid with flat faces broken off, its edges sharp to somewhat worn; no round pebbles."""
     directions, faces = icosphere(3)
     radius = _cut(rng, directions, faces_cut=int(rng.integers(4, 10)), worn=rng.uniform(0.0, 0.05))
     radius = radius + smooth_relief(rng, directions, rms=rng.uniform(0.0, 0.02), finest=rng.uniform(8.0, 20.0))

@@ -27,16 +27,16 @@ def from_json(kind: Kind, data: bytes) -> RosMessage:
     try:
         raw = json.loads(data)
         stamp = raw.get("timestamp", {})
-        stamp_ns = int(stamp.get("sec", 0)) * 1_000_000_000 + int(stamp.get("nsec", 0))
+        stamp_ns = _stamp_ns(int(stamp.get("sec", 0)), int(stamp.get("nsec", 0)))
         if kind == "calibration":
             k, p, d = (tuple(map(float, raw.get(name, ()))) for name in "KPD")
-            return RosCalibration(int(raw["width"]), int(raw["height"]), k, p, d)
+            return RosCalibration(_size(raw["width"]), _size(raw["height"]), k, p, d)
         pixels = base64.b64decode(raw["data"], validate=True)
         if kind == "compressed":
             return RosCompressed(stamp_ns, str(raw["format"]), pixels)
-        size = int(raw["width"]), int(raw["height"])
-        return RosImage(stamp_ns, str(raw["encoding"]), *size, int(raw["step"]), False, pixels)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        size = _size(raw["width"]), _size(raw["height"])
+        return RosImage(stamp_ns, str(raw["encoding"]), *size, _size(raw["step"]), False, pixels)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         raise MessageError(f"no JSON message of Foxglove's {kind} schema: {error!r}") from error
 
 
@@ -52,13 +52,29 @@ def from_protobuf(kind: Kind, data: bytes) -> RosMessage:
             k, p, d = (_doubles(fields, number) for number in (6, 8, 5))
             return RosCalibration(_fixed32(fields, 2), _fixed32(fields, 3), k, p, d)
         stamp = _fields(_bytes(fields, 1))
-        stamp_ns = _last(stamp, 1, 0) * 1_000_000_000 + _last(stamp, 2, 0)
+        stamp_ns = _stamp_ns(_last(stamp, 1, 0), _last(stamp, 2, 0))
         if kind == "compressed":
             return RosCompressed(stamp_ns, _bytes(fields, 3).decode(), _bytes(fields, 2))
         size = _fixed32(fields, 2), _fixed32(fields, 3)
         return RosImage(stamp_ns, _bytes(fields, 4).decode(), *size, _fixed32(fields, 5), False, _bytes(fields, 6))
     except (ValueError, IndexError, TypeError, struct.error) as error:
         raise MessageError(f"no protobuf message of Foxglove's {kind} schema: {error!r}") from error
+
+
+def _stamp_ns(seconds: int, nanoseconds: int) -> int:
+    """What a frame can carry: 64 bits."""
+    stamp_ns = seconds * 1_000_000_000 + nanoseconds
+    if not 0 <= stamp_ns < 1 << 63:
+        raise ValueError(f"a time of {seconds} s")
+    return stamp_ns
+
+
+def _size(value: Any) -> int:
+    """A field of 32 bits in the schema, whatever JSON can say."""
+    size = int(value)
+    if not 0 <= size < 1 << 32:
+        raise ValueError("a size beyond 32 bits")
+    return size
 
 
 def _fields(data: bytes) -> Fields:

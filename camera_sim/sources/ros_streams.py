@@ -119,7 +119,10 @@ def _is_depth(image: RosImage | RosCompressed) -> bool:
 
 
 def _first_image(bag: BagReader, topic: Topic) -> RosImage | RosCompressed:
-    message = bag.decode(next(iter(bag.stored(topic.name))))
+    stored = next(iter(bag.stored(topic.name)), None)
+    if stored is None:
+        raise InputError(f"topic {topic.name} has no message, though the bag's index counts {topic.messages}")
+    message = bag.decode(stored)
     if not isinstance(message, RosImage | RosCompressed):
         raise InputError(f"topic {topic.name} holds {topic.type_name}, no images")
     return message

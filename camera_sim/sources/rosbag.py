@@ -119,8 +119,11 @@ class RosBagSource:
 
 
 def _first(bag: BagReader, topic: str) -> RosMessage:
+    stored = next(iter(bag.stored(topic)), None)
+    if stored is None:
+        raise InputError(f"topic {topic} has no message, though the bag's index counts some")
     try:
-        return bag.decode(next(iter(bag.stored(topic))))
+        return bag.decode(stored)
     except MessageError as error:
         raise InputError(f"the first message on {topic} cannot be used: {error}") from error
 

@@ -20,6 +20,7 @@ from segmenter.pipeline import Settings
 STEP_M = 0.0133
 BODIES = scattered(12, seed=3)
 FRAMES = 62
+RUN_FPS = 30
 SETTINGS = RunSettings(
     core=Settings(), dispatch=DispatchSettings(), weigh_deadline_s=30.0, max_pending_views=100, window=4
 )

@@ -1,0 +1,129 @@
+"""The eyes' fixed suite: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
+
+    python -m benchmarks eyes --out runs/eyes [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
+
+Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
+not done again, so the command may be stopped and called again. Tables: OUT/eyes.md. The recordings' masks serve as
+truth only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from benchmarks.eyes_case import SUITE, Case, suite
+from benchmarks.eyes_line import run_line
+from benchmarks.eyes_table import shortfalls, tables
+from benchmarks.eyes_time import stage_times
+from conveyor.config import parse_config
+from conveyor.errors import InputError, TuberlineError
+from regressor.weigher import Weigher
+from segmenter.evaluate import evaluate_recording
+from segmenter.pipeline import Settings
+from segmenter.setup import core_settings
+
+TIMED = (("crowded", "d405-848"), ("crowded", "d405-1280"))
+TIMED_TUBERS = 60
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make and judge the suite."""
+    options = _options(arguments)
+    unknown = [scene for scene in options.scenes if scene not in SUITE]
+    if unknown:
+        raise InputError(f"--scenes {' '.join(unknown)}: known are {', '.join(SUITE)}")
+    out: Path = options.out
+    out.mkdir(parents=True, exist_ok=True)
+    settings = core_settings(parse_config({}, where="of the benchmark"))
+    cases = suite(tuple(options.scenes), seeds=tuple(options.seeds), tubers=options.tubers, preset=options.preset)
+    rows = [
+        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _judge(c, options, settings)) for case in cases
+    ]
+    timed = [Case(scene, options.seeds[0], TIMED_TUBERS, options.preset, camera) for scene, camera in TIMED]
+    times = [
+        _kept(out / f"time-{case.name}.json", options.fresh, lambda c=case: _time(c, out, settings))
+        for case in timed
+        if options.times
+    ]
+    text = tables(rows, times)
+    (out / "eyes.md").write_text(text, encoding="utf-8")
+    sys.stdout.write(text)
+    for line in shortfalls(rows):
+        sys.stdout.write(f"\nmisses its goal: {line}")
+    sys.stdout.write("\n")
+    if options.graph:
+        for case in cases:
+            _compare_graph(case, out)
+
+
+def _kept(path: Path, fresh: bool, make: Any) -> dict[str, Any]:
+    """The result at `path`, made now where it is not there."""
+    if not fresh and path.is_file():
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    sys.stderr.write(f"{path.stem} ...\n")
+    result: dict[str, Any] = make()
+    path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def _judge(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
+    recording = case.recording(options.out / "recordings")
+    line = run_line(recording, Weigher.load())
+    score = line.score(recording / "truth.json")
+    masks = evaluate_recording(recording, settings=settings, every=options.every)
+    distractors = json.loads((recording / "truth.json").read_text(encoding="utf-8"))["distractors"]
+    return {
+        **asdict(case),
+        "name": case.name,
+        "score": score.as_dict(),
+        "masks": asdict(masks),
+        "discarded": line.discarded,
+        "distractors": distractors,
+    }
+
+
+def _time(case: Case, out: Path, settings: Settings) -> dict[str, Any]:
+    recording = case.recording(out / "recordings")
+    return {"name": f"{case.scene}, {case.camera}", "times": stage_times(recording, settings, every=2)}
+
+
+def _compare_graph(case: Case, out: Path) -> None:
+    """The same recording through `tuberline replay`: real processes over Zenoh must count the same."""
+    from aggregator.score import score_run
+    from conveyor.cli.replay import replay_recording
+
+    recording = case.recording(out / "recordings")
+    run = out / "graph" / case.name
+    if not (run / "summary.json").is_file():
+        replay_recording(recording, out=run, ignore_masks=True)
+    graph = score_run(run, truth=recording / "truth.json").as_dict()
+    here = json.loads((out / f"{case.name}.json").read_text(encoding="utf-8"))["score"]
+    differs = [name for name in ("count", "missed", "double_counted", "false") if graph[name] != here[name]]
+    if differs:
+        raise TuberlineError(f"{case.name}: the graph and this process differ in {', '.join(differs)}; see {run}")
+    sys.stdout.write(
+        f"{case.name}: the graph of real processes counts the same {graph['count']}, weighs {graph['weight_g']:.0f} g; "
+        f"this process {here['weight_g']:.0f} g\n"
+    )
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="benchmarks eyes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, default=Path("runs/eyes"), help="recordings, results and tables")
+    parser.add_argument("--scenes", nargs="+", default=list(SUITE), metavar="SCENE", help="default: all eight")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1301], metavar="N")
+    parser.add_argument("--tubers", type=int, default=300)
+    parser.add_argument("--preset", choices=("easy", "field"), default="field")
+    parser.add_argument("--every", type=int, default=3, help="judge the masks of every n-th frame")
+    parser.add_argument("--times", action="store_true", help="also time the stages at both resolutions")
+    parser.add_argument("--graph", action="store_true", help="also run each recording through `tuberline replay`")
+    parser.add_argument("--fresh", action="store_true", help="judge again what was judged before")
+    return parser.parse_args(arguments)

@@ -1,0 +1,110 @@
+"""A recording through the code of the whole line in one process: what the nodes run, without sockets between them.
+
+`CameraRun` with its dispatcher and log, `Weigher`, `Aggregation`: the same objects with the same embedded defaults as
+`tuberline replay`, which gives the same ledger (`python -m benchmarks eyes --graph` compares the two).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from aggregator.core import Aggregation, CommittedTuber
+from aggregator.coverage import Looked
+from aggregator.score import Score, score_tubers
+from aggregator.truth import read_truth
+from camera_sim.sources import camera_names, open_source
+from conveyor.config import LineConfig, parse_config
+from conveyor.errors import TuberlineError
+from conveyor.messages import Frame, Tuber
+from regressor.weigher import Weigher, weigh_view
+from segmenter.camera_run import CameraRun
+from segmenter.setup import run_settings
+from segmenter.warmup import warm_up
+
+RUN = "eyes"
+WORKER = "inline"
+
+
+@dataclass(frozen=True, slots=True)
+class LineResult:
+    """What a recording led to. `discarded`: tracks that were not counted, by reason, all cameras together."""
+
+    tubers: tuple[Tuber, ...]
+    looked: dict[str, Looked | None]
+    estimated: bool
+    discarded: dict[str, int]
+
+    def score(self, truth: Path) -> Score:
+        """Against truth.json, as `tuberline score` does it."""
+        return score_tubers(
+            self.tubers, read_truth(truth), match_mm=25.0, travel_estimated=self.estimated, looked=self.looked
+        )
+
+
+class _NothingCommitted:
+    """One batch at the end: no track can come late."""
+
+    def near(self, low_x_m: float, high_x_m: float) -> Sequence[CommittedTuber]:
+        return ()
+
+    def knows_track(self, track_id: str) -> bool:
+        return False
+
+
+def run_line(recording: Path, weigher: Weigher) -> LineResult:
+    """Count and weigh everything in `recording`; its masks are not used.
+
+    Raises:
+        TuberlineError: a recording that cannot be used.
+    """
+    names = camera_names(recording)
+    config = parse_config(
+        {"cameras": {name: {"path": str(recording), "ignore_masks": True} for name in names}}, where="of the benchmark"
+    )
+    warm_up(config.segmenter.pixel_mm)
+    line = Aggregation(
+        RUN,
+        cameras=names,
+        merge_gate_mm=config.aggregator.merge_gate_mm,
+        camera_stall_s=config.aggregator.camera_stall_s,
+        committed=_NothingCommitted(),
+        now_s=0.0,
+    )
+    looked: dict[str, Looked | None] = {}
+    discarded: Counter[str] = Counter()
+    estimated = False
+    for name in names:
+        camera = _run_camera(recording, name, config, weigher, line)
+        mark = camera.log.last_mark
+        looked[name] = None if mark is None else Looked(mark.looked_at_m, mark.travelled_m)
+        estimated |= mark is not None and mark.travel_estimated
+        discarded.update(camera.core.discarded)
+    batch = line.commit(now_s=0.0)
+    if not line.finished:
+        raise TuberlineError(f"{recording}: {line.pending} tracks are still pending after the last frame")
+    return LineResult(batch.tubers, looked, estimated, dict(sorted(discarded.items())))
+
+
+def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:
+    camera = CameraRun(name, RUN, run_settings(config, name), None)
+    for frame in open_source(recording, camera=name, ignore_masks=True).frames(run=RUN):
+        if isinstance(frame, Frame):
+            camera.frame(frame, 0.0)
+            _serve(camera, weigher, line)
+    camera.end(0.0)
+    _serve(camera, weigher, line)
+    return camera
+
+
+def _serve(camera: CameraRun, weigher: Weigher, line: Aggregation) -> None:
+    """Weigh what is to be weighed, then hand on what the log holds."""
+    while views := camera.tick(0.0, {WORKER}):
+        for _, view in views:
+            camera.weight(weigh_view(weigher, view, regressor=WORKER))
+    camera.tick(0.0, {WORKER})
+    for entry in camera.log.due(0.0):
+        line.receive(entry, now_s=0.0)
+        camera.log.commit(entry.n)

@@ -1,0 +1,81 @@
+"""Processor time of each stage of the segmenter per frame, on one core."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from camera_sim.sources import camera_names, open_source
+from conveyor.messages import Frame
+from segmenter.belt import BeltGeometry
+from segmenter.eyes import Eyes
+from segmenter.heights import height_map
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.plane import fit_plane, given_or_fitted
+from segmenter.portrait import take_look
+from segmenter.warmup import warm_up
+
+STAGES = ("message", "heights", "instances", "classes", "rest", "step")
+"""`message`: decoding the frame's message; `classes`: one look for the portraits of
+all instances, 0 where nobody judges; `step`: everything the
+segmenter does with a frame; `rest`: without heights and instances, so centres, travel, tracks, choice and cutting out
+of views, now and then the network, and every 30th frame the check of the belt."""
+
+
+def stage_times(recording: Path, settings: Settings, *, every: int = 1) -> dict[str, dict[str, float]]:
+    """Median, mean and 95th percentile of each stage in milliseconds of processor time; `every` n-th frame is timed.
+
+    All frames go through the core, so that tracks and views are those of the running line.
+    """
+    warm_up(settings.split.pixel_mm)
+    rows: list[tuple[float, ...]] = []
+    for name in camera_names(recording):
+        core, belt = Segmenter(settings), None
+        eyes = Eyes(settings.eyes, settings.split)
+        for index, item in enumerate(open_source(recording, camera=name, ignore_masks=True).frames(run="time")):
+            if not isinstance(item, Frame):
+                continue
+            frame = replace(item, color_jpeg=None)
+            belt = belt or _belt(frame)
+            if index % every:
+                core.step(frame)
+            else:
+                rows.append(_timed(frame, core, eyes, belt, settings.split.pixel_mm))
+    times = dict(zip(STAGES, np.array(rows).T, strict=True))
+    return {
+        stage: {
+            "median_ms": float(np.median(ms)),
+            "mean_ms": float(np.mean(ms)),
+            "p95_ms": float(np.percentile(ms, 95)),
+        }
+        for stage, ms in times.items()
+    }
+
+
+def _timed(frame: Frame, core: Segmenter, eyes: Eyes, belt: BeltGeometry, pixel_mm: float) -> tuple[float, ...]:
+    payload = frame.encode()
+    marks = [time.thread_time()]
+    frame = Frame.decode(payload)
+    marks.append(time.thread_time())
+    heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=pixel_mm)
+    marks.append(time.thread_time())
+    instances = eyes.find(heights, belt)
+    marks.append(time.thread_time())
+    if eyes.judges:
+        for n in range(len(instances)):
+            take_look(heights, instances, n, belt)
+    marks.append(time.thread_time())
+    core.step(frame)
+    marks.append(time.thread_time())
+    message, mapped, found, asked, step = (1000 * (b - a) for a, b in pairwise(marks))
+    return message, mapped, found, asked, step - mapped - found, step
+
+
+def _belt(frame: Frame) -> BeltGeometry:
+    fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics)
+    pose = given_or_fitted(frame.belt_from_camera, frame.belt_distance_m, fit, camera=frame.camera)
+    return BeltGeometry(frame.intrinsics, pose)

@@ -1,0 +1,31 @@
+"""What a segmenter's levels say of its belt, in words with the mend."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+
+def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
+    """Findings about one camera's belt by the level that says so; empty where all is well.
+
+    Args:
+        camera: its name.
+        gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards.
+    """
+    found = {}
+    if gauges.get("belt_alarm"):
+        drift_mm, tilt_deg = gauges.get("belt_drift_mm", 0.0), gauges.get("belt_tilt_off_deg", 0.0)
+        where = f"{abs(drift_mm):.1f} mm {'farther' if drift_mm > 0 else 'nearer'} than its calibration says"
+        found["belt_alarm"] = (
+            f"camera '{camera}': the belt is seen {where} and leans {tilt_deg:.1f} degrees against it: counts and "
+            "weights are off. Measure the belt (`tuberline calibrate belt RECORDING`), then give its belt_distance_m "
+            "or belt_from_camera"
+        )
+    if gauges.get("belt_backwards"):
+        found["belt_backwards"] = (
+            f"camera '{camera}': the belt runs against the direction that the camera's pose or the encoder says, so "
+            "tubers do not cross as expected. Give a belt_from_camera whose x points along the travel: negate its "
+            "first two rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in "
+            "metres); an encoder must count upwards"
+        )
+    return found

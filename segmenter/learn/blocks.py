@@ -1,0 +1,52 @@
+"""What both networks are made of, how their weights are averaged, and how they are written for OpenCV."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from conveyor.errors import InputError
+
+KEEP_AVERAGE = 0.998
+OPSET = 17
+
+
+def convolution(inputs: int, outputs: int, *, stride: int = 1) -> list[nn.Module]:
+    """A 3x3 convolution with batch norm and ReLU."""
+    return [nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()]
+
+
+def averaged(kept: Tensor, new: Tensor, _count: Tensor | int) -> Tensor:
+    """Moving average of weights and of batch norm's statistics; counters are taken over."""
+    return KEEP_AVERAGE * kept + (1 - KEEP_AVERAGE) * new if kept.is_floating_point() else new
+
+
+def export_net(
+    net: nn.Module, path: Path, example: Tensor, *, open_axes: dict[str, dict[int, str]] | None = None
+) -> None:
+    """Write a network as ONNX: input "image", output "answer".
+
+    Raises:
+        InputError: the package onnx is missing.
+    """
+    try:
+        import onnx  # noqa: F401
+    except ImportError as error:
+        raise InputError("writing the network needs the package onnx: install the extra 'export'") from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with warnings.catch_warnings():
+        # The tracing exporter is deprecated in favour of one that needs a further package for the same graph.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            net.eval(),
+            (example,),
+            str(path),
+            input_names=["image"],
+            output_names=["answer"],
+            dynamic_axes=open_axes,
+            opset_version=OPSET,
+            dynamo=False,
+        )

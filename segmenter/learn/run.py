@@ -1,0 +1,116 @@
+"""Whole trainings, from packs of belts to an ONNX file and the sidecar that says where it comes from."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+
+from conveyor import __version__
+from conveyor.errors import InputError
+from segmenter.classes import MULTIPLE
+from segmenter.learn.blocks import export_net
+from segmenter.learn.cells_net import OPEN_AXES
+from segmenter.learn.cells_train import CellsRecipe, agreement, train_cells
+from segmenter.learn.judge_net import JudgeRecipe, judged, scores, train_judge
+from segmenter.learn.pack import load_pack
+from segmenter.learn.portraits import load_sitters
+from segmenter.portrait import CHANNELS, SIZE
+
+OnStep = Callable[[int, int, float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class EyesRun:
+    """Where a training reads and writes. `command` goes into the sidecar as it was typed."""
+
+    data: Path
+    validation: Path
+    out: Path
+    name: str
+    command: str
+
+
+def make_judge(run: EyesRun, recipe: JudgeRecipe, *, on_step: OnStep) -> dict[str, Any]:
+    """Train the judge, judge it on other belts, write `<name>.onnx` and `<name>.json`; the sidecar.
+
+    Raises:
+        InputError: packs that cannot be used, or a validation on the belts of the training.
+    """
+    origins = _prepare(run)
+    sitters, held_out = load_sitters(run.data), load_sitters(run.validation)
+    net, seconds = train_judge(sitters, recipe, on_step=on_step)
+    export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
+    origins["trained_on"]["bodies"] = len(sitters)
+    return _sidecar(run, net, asdict(recipe), origins, seconds, scores(judged(net, held_out), held_out))
+
+
+def make_cells(run: EyesRun, recipe: CellsRecipe, *, on_step: OnStep) -> dict[str, Any]:
+    """The same for the network of cells, which the method 'learned' finds instances with; raises likewise."""
+    origins = _prepare(run)
+    grids, held_out = load_pack(run.data), load_pack(run.validation)
+    net, seconds = train_cells(grids, recipe, on_step=lambda step, loss: on_step(step, recipe.steps, loss))
+    example = torch.zeros(1, 3, 8 * MULTIPLE, 10 * MULTIPLE)
+    export_net(net, run.out / f"{run.name}.onnx", example, open_axes=OPEN_AXES)
+    return _sidecar(run, net, asdict(recipe), origins, seconds, agreement(net, held_out))
+
+
+def _prepare(run: EyesRun) -> dict[str, dict[str, Any]]:
+    origins = {"trained_on": _origin(run.data), "judged_on": _origin(run.validation)}
+    seed = origins["trained_on"].get("seed")
+    if seed is not None and seed == origins["judged_on"].get("seed"):
+        raise InputError(
+            f"{run.validation} was simulated with the seed of {run.data} ({seed}): the network would be judged on "
+            "belts that it learned from; make one with another --seed"
+        )
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    return origins
+
+
+def _sidecar(
+    run: EyesRun,
+    net: nn.Module,
+    recipe: dict[str, Any],
+    origins: dict[str, dict[str, Any]],
+    seconds: float,
+    found: dict[str, float],
+) -> dict[str, Any]:
+    sidecar = {
+        "name": run.name,
+        "command": run.command,
+        "recipe": recipe,
+        "parameters": sum(p.numel() for p in net.parameters()),
+        **origins,
+        "processor_seconds": round(seconds, 1),
+        "held_out": found,
+        "versions": {
+            "tuberline": __version__,
+            "torch": torch.__version__,
+            "opencv": cv2.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+    }
+    (run.out / f"{run.name}.json").write_text(json.dumps(sidecar, indent=1) + "\n", encoding="utf-8")
+    return sidecar
+
+
+def _origin(folder: Path) -> dict[str, Any]:
+    """What a pack says of itself; nothing where it says nothing."""
+    path = folder / "meta.json"
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
+    return dict(meta) if isinstance(meta, dict) else {}

@@ -1,0 +1,153 @@
+"""What a track looks like from straight above: the heights around its centre, averaged over its frames, at 2 mm a cell.
+
+A stereo camera's noise makes the smooth skin of a tuber as rough as a clod in any single frame; it differs from frame
+to frame, and the clod does not. Each point is put where it lies on the belt, by its own height: in the image the top of
+a tuber moves 10 mm against its rim while it passes, and an average there would smooth the clod too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from segmenter.belt import BeltGeometry
+from segmenter.heights import HeightMap
+from segmenter.instances import Instances
+
+SIZE = 48
+CELL_MM = 2.0
+CHANNELS = 5
+FULL_MM = 60.0
+FINE_MM = 1.5
+FINE_SIGMA = 2.0
+SPREAD_MM = 3.0
+AROUND_MM = 12.0
+COARSEST_MM = 2.1
+"""Raster cells larger than this show no skin: what is seen with them is no evidence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One frame's part of a portrait, each (48, 48) float32, rows along the belt's x, columns along y.
+
+    `height_mm`: mean of what was seen there, 0 where nothing was; `seen`: 1 where something was; `inside`: share of it
+    that belongs to the instance.
+    """
+
+    height_mm: NDArray[np.float32]
+    seen: NDArray[np.float32]
+    inside: NDArray[np.float32]
+
+
+def _empty() -> NDArray[np.float32]:
+    return np.zeros((SIZE, SIZE), np.float32)
+
+
+@dataclass(slots=True)
+class Portrait:
+    """The sums over the looks of one track."""
+
+    looks: int = 0
+    _height: NDArray[np.float32] = field(default_factory=_empty)
+    _square: NDArray[np.float32] = field(default_factory=_empty)
+    _seen: NDArray[np.float32] = field(default_factory=_empty)
+    _inside: NDArray[np.float32] = field(default_factory=_empty)
+
+    def add(self, look: Look) -> None:
+        """Take one more look."""
+        self.looks += 1
+        self._height += look.height_mm
+        self._square += look.height_mm * look.height_mm
+        self._seen += look.seen
+        self._inside += look.inside
+
+    def channels(self) -> NDArray[np.float32]:
+        """(5, 48, 48) float32 as the network takes it; there must be a look."""
+        count: NDArray[np.float32] = np.maximum(self._seen, np.float32(1)).astype(np.float32)
+        mean: NDArray[np.float32] = self._height / count
+        variance: NDArray[np.float32] = np.maximum(self._square / count - mean * mean, 0).astype(np.float32)
+        return as_channels(mean, np.sqrt(variance), self._inside / count, self._seen / np.float32(self.looks))
+
+
+def as_channels(
+    mean_mm: NDArray[np.float32],
+    spread_mm: NDArray[np.float32],
+    inside: NDArray[np.float32],
+    seen: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """(5, 48, 48) float32: height / 60 mm, height over its surroundings / 1.5 mm, how much of it is the instance,
+    spread from look to look / 3 mm, share of the looks that saw it.
+    """
+    here = (seen > 0).astype(np.float32)
+    weight = np.maximum(cv2.GaussianBlur(here, (0, 0), FINE_SIGMA), 1e-3)
+    fine = here * (mean_mm - cv2.GaussianBlur(mean_mm * here, (0, 0), FINE_SIGMA) / weight)
+    channels: NDArray[np.float32] = np.stack(
+        [mean_mm / FULL_MM, np.clip(fine / FINE_MM, -4, 4), inside, np.minimum(spread_mm / SPREAD_MM, 3), seen]
+    ).astype(np.float32)
+    return channels
+
+
+def take_look(heights: HeightMap, instances: Instances, index: int, belt: BeltGeometry) -> Look:
+    """What a frame shows around the centre of instance `index`."""
+    i0, i1, j0, j1 = (int(value) for value in instances.box[index])
+    around = round(AROUND_MM / heights.cell_mm)
+    rows, columns = instances.labels.shape
+    box = (max(0, i0 - around), min(rows, i1 + around + 1), max(0, j0 - around), min(columns, j1 + around + 1))
+    k, m = belt.intrinsics, belt.belt_from_camera
+    x_m, y_m = (float(value) for value in instances.centre_m[index])
+    height_mm, seen, inside = _from_above(
+        heights.height_mm, heights.seen, instances.labels, index + 1, box, heights.stride,
+        np.array(belt.height_coefficients()), np.array([k.fx, k.fy, k.cx, k.cy]),
+        np.ascontiguousarray(m[:2, :3]), m[:2, 3].copy(), x_m, y_m,
+    )  # fmt: skip
+    return Look(height_mm, seen, inside)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _from_above(
+    height_mm: NDArray[np.float32],
+    measured: NDArray[np.uint8],
+    labels: NDArray[np.int32],
+    label: int,
+    box: tuple[int, int, int, int],
+    stride: int,
+    heights: NDArray[np.float64],
+    k: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    x_m: float,
+    y_m: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Put the cells of a box where they lie on the belt: mean height, seen, share of `label`."""
+    total = np.zeros((SIZE, SIZE), np.float32)
+    seen = np.zeros((SIZE, SIZE), np.float32)
+    inside = np.zeros((SIZE, SIZE), np.float32)
+    a, b, c, t = heights
+    half = (stride - 1) / 2.0
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            if not measured[i, j]:
+                continue
+            u, v = j * stride + half, i * stride + half
+            z = (height_mm[i, j] * 1e-3 - t) / (a * u + b * v + c)
+            x, y = (u - k[2]) / k[0] * z, (v - k[3]) / k[1] * z
+            along = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + shift[0] - x_m
+            across = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + shift[1] - y_m
+            row = int(np.floor(along * 1000.0 / CELL_MM + SIZE / 2.0))
+            column = int(np.floor(across * 1000.0 / CELL_MM + SIZE / 2.0))
+            if 0 <= row < SIZE and 0 <= column < SIZE:
+                total[row, column] += height_mm[i, j]
+                seen[row, column] += 1
+                inside[row, column] += labels[i, j] == label
+    for row in range(SIZE):
+        for column in range(SIZE):
+            n = seen[row, column]
+            if n > 0:
+                total[row, column] /= n
+                inside[row, column] /= n
+                seen[row, column] = 1
+    return total, seen, inside

@@ -1,0 +1,188 @@
+"""The learned half of the eyes: what the network is asked, what its answer does, and that it can be switched off."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from segmenter_scene import MEDIUM, Scene, scattered
+
+from conveyor.config import parse_config
+from conveyor.errors import InputError
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from segmenter.belt import BeltGeometry
+from segmenter.classes import BELT, REACH, TUBER, ClassMap
+from segmenter.classes_score import LoadScore, LoadTruth
+from segmenter.classes_split import split_by_classes
+from segmenter.counting import CountSettings, class_refusal
+from segmenter.eyes import Eyes, EyesSettings
+from segmenter.heights import HeightMap, height_map
+from segmenter.instances import SplitSettings, described, split
+from segmenter.judge import Judge
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.portrait import Look, Portrait, take_look
+from segmenter.setup import core_settings
+
+ROOT = Path(__file__).resolve().parents[2]
+BELT_POSE = straight_down_belt_from_camera(0.46)
+
+
+def portrait_of(height_mm: np.ndarray, *, noise_mm: float, looks: int, seed: int = 8) -> Portrait:
+    """The portrait of one body on a raster of 1 mm cells, from several looks with noise."""
+    rng = np.random.default_rng(seed)
+    belt = BeltGeometry(Intrinsics(200, 160, 435.0, 435.0, 100.0, 80.0), BELT_POSE)
+    portrait = Portrait()
+    for _ in range(looks):
+        noisy = np.maximum(height_mm + rng.normal(0, noise_mm, height_mm.shape), 0).astype(np.float32)
+        heights = HeightMap(noisy, np.ones(height_mm.shape, np.uint8), 1, 1.0)
+        instances = described((height_mm > 8).astype(np.int32), 1, heights, belt, SplitSettings())
+        portrait.add(take_look(heights, instances, 0, belt))
+    return portrait
+
+
+def lump(*, rough_mm: float) -> np.ndarray:
+    """(160, 200) half an ellipsoid of 60 x 52 x 50 mm; `rough_mm`: rms of knobs 8 mm wide on it."""
+    i, j = np.mgrid[:160, :200]
+    rise = 1 - ((i - 80) / 26.0) ** 2 - ((j - 100) / 30.0) ** 2
+    knobs = cv2.GaussianBlur(np.random.default_rng(5).normal(0, 1, rise.shape), (0, 0), 2.5)
+    smooth = 25 * np.sqrt(np.maximum(rise, 0)) + 25 * (rise > 0)
+    return np.where(rise > 0, smooth + rough_mm * knobs / knobs.std(), 0).astype(np.float32)
+
+
+def test_a_portrait_is_the_mean_of_its_looks_with_their_spread() -> None:
+    rng = np.random.default_rng(1)
+    whole = np.ones((48, 48), np.float32)
+    looks = [Look(rng.uniform(20, 40, (48, 48)).astype(np.float32), whole, whole) for _ in range(5)]
+    portrait = Portrait()
+    for look in looks:
+        portrait.add(look)
+    heights = np.stack([look.height_mm for look in looks])
+    channels = portrait.channels()
+    assert np.allclose(channels[0] * 60, heights.mean(axis=0), atol=1e-3)
+    assert np.allclose(channels[3] * 3, np.minimum(heights.std(axis=0), 9), atol=1e-2)
+    assert (channels[[2, 4]] == 1).all()
+
+
+def test_a_portrait_shows_the_same_millimetres_whatever_the_camera() -> None:
+    """A body of 60 mm is 30 cells wide and in the middle, at every resolution and belt distance."""
+    for width, height, focal, distance_m in (
+        (848, 480, 433.0, 0.46),
+        (1280, 720, 653.0, 0.46),
+        (848, 480, 433.0, 0.35),
+    ):
+        pose = straight_down_belt_from_camera(distance_m)
+        belt = BeltGeometry(Intrinsics(width, height, focal, focal, width / 2, height / 2), pose)
+        depth = np.full((height, width), round(distance_m * 1e4), np.uint16)
+        half, u, v = round(0.030 * focal / (distance_m - 0.025)), width // 2 + 90, height // 2 - 33
+        depth[v - half : v + half, u - half : u + half] = round((distance_m - 0.025) * 1e4)
+        heights = height_map(depth, depth_scale_m=1e-4, belt=belt, pixel_mm=1.45)
+        instances = split(heights, belt, SplitSettings())
+        look = take_look(heights, instances, 0, belt)
+        rows, columns = np.nonzero(look.inside > 0.5)
+        assert len(rows) == pytest.approx(900, rel=0.06)
+        assert (rows.mean(), columns.mean()) == pytest.approx((23.5, 23.5), abs=1.0)
+        assert look.height_mm[20:28, 20:28] == pytest.approx(25.0, abs=0.5)
+
+
+def test_only_sure_words_reject() -> None:
+    settings = CountSettings(reject_below=-1.5)
+    assert class_refusal(None, settings) == ""
+    assert class_refusal(-1.4, settings) == ""
+    assert class_refusal(-1.6, settings) == "distractor"
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])
+def test_a_rough_lump_is_told_from_a_smooth_one_through_noise(noise_mm: float) -> None:
+    judge = Judge()
+    assert judge.log_odds(portrait_of(lump(rough_mm=0.0), noise_mm=noise_mm, looks=10)) > 1.0
+    assert judge.log_odds(portrait_of(lump(rough_mm=3.0), noise_mm=noise_mm, looks=10)) < -1.5
+
+
+def test_smooth_bodies_of_another_simulator_are_counted() -> None:
+    """Ellipsoids without any stereo camera's habits: a judge that is out of its depth must not lose tubers."""
+    bodies = scattered(9, seed=4)
+    scene = Scene(bodies, MEDIUM, noise_m=0.001)
+    core, closed = Segmenter(Settings(eyes=EyesSettings("classes"))), []
+    for n in range(28):
+        closed += core.step(scene.frame(n, 0.02 * n)).closed
+    closed += core.finish()
+    crossed = sum(body.place_x_m > -0.02 * 27 for body in bodies)
+    assert len(closed) == crossed >= 6
+    assert core.discarded["distractor"] == 0
+
+
+def test_looks_are_due_by_belt_travel_and_not_where_nothing_can_be_seen() -> None:
+    heights = HeightMap(np.zeros((40, 50), np.float32), np.ones((40, 50), np.uint8), 1, 1.0)
+    far = HeightMap(heights.height_mm, heights.seen, 1, 2.5)
+    eyes = Eyes(EyesSettings("classes", look_every_m=0.04), SplitSettings())
+    due = [eyes.look_due(heights, travel_m) for travel_m in (0.0, 0.0, 0.02, 0.039, 0.041, 0.05, 0.09)]
+    assert due == [True, False, False, False, True, False, True]
+    assert not eyes.look_due(far, 1.0)
+    assert eyes.coarse == 1
+    assert eyes.judge(Portrait()) is None
+    assert not Eyes(EyesSettings("classical"), SplitSettings()).look_due(heights, 0.0)
+
+
+def test_votes_for_two_centres_make_two_instances() -> None:
+    answer = np.zeros((5, 60, 100), np.float32)
+    answer[BELT] = 5.0
+    i, j = np.mgrid[:60, :100]
+    height_mm = np.zeros((120, 200), np.float32)
+    for column in (42, 52):
+        disc = ((i - 30) ** 2 + (j - column) ** 2 <= 49) & ((j < 47) == (column < 47))
+        answer[BELT][disc], answer[TUBER][disc] = -5.0, 5.0
+        answer[3][disc], answer[4][disc] = (30 - i[disc]) / REACH, (column - j[disc]) / REACH
+        height_mm[np.kron(disc, np.ones((2, 2), bool))] = 40.0
+    heights = HeightMap(height_mm, np.ones((120, 200), np.uint8), 2, 2.0)
+    belt = BeltGeometry(Intrinsics(400, 240, 435.0, 435.0, 200.0, 120.0), BELT_POSE)
+    found = split_by_classes(ClassMap(answer, (0.5, 0.5)), heights, belt, SplitSettings())
+    assert len(found) == 2
+    assert np.sort(found.centroid_px[:, 0]) == pytest.approx([167, 211], abs=6)
+    assert 0.15 < found.contact.min() < 0.5
+
+
+def test_every_lot_is_booked_once() -> None:
+    score = LoadScore()
+    truth = LoadTruth(
+        tubers=np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0], [0.3, 0.0]]),
+        distractors=np.array([[0.0, 0.1], [0.1, 0.1], [0.2, 0.1]]),
+        kinds=("clod", "clod", "stone"),
+    )
+    counted = np.array([[0.001, 0.0], [0.1, 0.002], [0.1, 0.004], [0.0, 0.101], [0.5, 0.5]])
+    score.add(truth, counted, np.array([[0.2, 0.0], [0.1, 0.1]]))
+    assert (score.tubers_counted, score.tubers_rejected) == (2, 1)
+    assert (score.distractors_counted, score.distractors_rejected, score.false) == (1, 1, 2)
+    assert score.precision == pytest.approx(2 / 5)
+    assert score.distractors_counted_share == pytest.approx(1 / 3)
+
+
+def test_the_config_chooses_and_a_missing_file_says_what_to_do(tmp_path: Path) -> None:
+    config = parse_config({"segmenter": {"method": "classes", "weights": str(tmp_path / "no.onnx")}}, where="here")
+    with pytest.raises(InputError, match="train-eyes"):
+        Segmenter(core_settings(config))
+    (tmp_path / "no.onnx").write_bytes(b"no network")
+    with pytest.raises(InputError, match="no network that OpenCV"):
+        Segmenter(core_settings(config))
+    off = core_settings(parse_config({"segmenter": {"method": "classical"}}, where="here"))
+    assert Segmenter(off).eyes.find is not None
+    assert core_settings(parse_config({}, where="here")).eyes == Settings().eyes
+
+
+def test_what_runs_never_imports_torch() -> None:
+    for path in (ROOT / "segmenter").rglob("*.py"):
+        if path.is_relative_to(ROOT / "segmenter" / "learn"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not [n for n in names if n.split(".")[0] == "torch" or n.startswith("segmenter.learn")], path
+    code = (
+        "import sys\nfrom segmenter.eyes import EyesSettings\nfrom segmenter.pipeline import Segmenter, Settings\n"
+        "import segmenter.node\nSegmenter(Settings(eyes=EyesSettings('classes')))\nsys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

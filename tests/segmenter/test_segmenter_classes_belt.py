@@ -1,0 +1,136 @@
+"""The network on simulated belts it never saw, and its training from a pack of belts to a file that OpenCV reads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from camera_sim.sim.beltpack import write_belt_pack
+from camera_sim.sim.optics import D405_848
+from camera_sim.sim.presets import PRESETS
+from camera_sim.sim.record import record_scene
+from camera_sim.sim.scenes import SceneSettings
+from conveyor.errors import InputError
+from segmenter.classes import ClassNet, grid_of
+from segmenter.evaluate import evaluate_recording
+from segmenter.eyes import EyesSettings
+from segmenter.heights import HeightMap
+from segmenter.judge import Judge
+from segmenter.learn.blocks import export_net
+from segmenter.learn.cells_crops import draw_crop, towards_centres
+from segmenter.learn.cells_net import OPEN_AXES, BeltNet
+from segmenter.learn.cells_train import CellsRecipe
+from segmenter.learn.judge_net import JudgeRecipe
+from segmenter.learn.pack import load_pack
+from segmenter.learn.portraits import draw_portrait, load_sitters
+from segmenter.learn.run import EyesRun, make_cells, make_judge
+from segmenter.offline import segment_recording
+from segmenter.pipeline import Settings
+
+SEED = 4201
+
+
+@pytest.fixture(scope="module")
+def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tubers among clods, stones and haulm at 15 frames/s."""
+    out = tmp_path_factory.mktemp("belt")
+    settings = SceneSettings("distractors", SEED, 16, PRESETS["field"], D405_848, fps=15.0)
+    truth = record_scene(out, settings, masks=True)
+    assert len(truth["distractor_places"]) >= 5, SEED
+    return out
+
+
+def test_tubers_are_counted_and_what_rides_along_is_not(belt: Path) -> None:
+    plain = evaluate_recording(belt, settings=Settings(eyes=EyesSettings("classical")))
+    score = evaluate_recording(belt, settings=Settings(eyes=EyesSettings("classes")))
+    assert plain.load is not None
+    assert score.load is not None
+    assert plain.load.distractors_counted >= 2, "the recording must have distractors that look like tubers"
+    assert (score.load.tubers_counted, score.load.tubers_rejected) == (plain.load.tubers_counted, 0)
+    assert score.load.distractors_counted == 0
+    assert score.load.distractors_rejected >= plain.load.distractors_counted
+    assert score.precision > plain.precision
+
+
+def test_what_is_rejected_is_counted_as_such(belt: Path) -> None:
+    (result,) = segment_recording(belt, settings=Settings(eyes=EyesSettings("classes")))
+    assert result.discarded["distractor"] >= 2
+    (blind,) = segment_recording(belt, settings=Settings(eyes=EyesSettings("classical")))
+    assert len(blind.tracks) - len(result.tracks) == result.discarded["distractor"]
+
+
+@pytest.fixture(scope="module")
+def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two tiny packs: train and val."""
+    out = tmp_path_factory.mktemp("packs")
+    for name, seed in (("train", 5), ("val", 6)):
+        write_belt_pack(out / name, belts=1, frames=3, tubers=6, seed=seed, command="test")
+    return out
+
+
+def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -> None:
+    judge = EyesRun(packs / "train", packs / "val", tmp_path, "judge", "test")
+    sidecar = make_judge(judge, JudgeRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
+    assert json.loads((tmp_path / "judge.json").read_text()) == sidecar
+    assert sidecar["trained_on"]["seed"] == 5
+    assert sidecar["held_out"]["tubers"] >= 3
+    assert Judge(tmp_path / "judge.onnx").path.stat().st_size < 600_000
+    cells = EyesRun(packs / "train", packs / "val", tmp_path, "cells", "test")
+    sidecar = make_cells(cells, CellsRecipe(steps=20, batch=1), on_step=lambda step, total, loss: None)
+    assert set(sidecar["held_out"]) == {"iou_belt", "iou_tuber", "iou_other"}
+    assert ClassNet(tmp_path / "cells.onnx").path.stat().st_size < 600_000
+    with pytest.raises(InputError, match="portrait"):
+        Judge(tmp_path / "cells.onnx")
+
+
+def test_nothing_is_judged_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
+    same = EyesRun(packs / "train", packs / "train", tmp_path, "judge", "test")
+    with pytest.raises(InputError, match="learned from"):
+        make_judge(same, JudgeRecipe(), on_step=lambda step, total, loss: None)
+
+
+def test_opencv_answers_as_torch_does_at_any_size(tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    net = BeltNet().eval()
+    export_net(net, tmp_path / "net.onnx", torch.zeros(1, 3, 96, 128), open_axes=OPEN_AXES)
+    read = ClassNet(tmp_path / "net.onnx")
+    rng = np.random.default_rng(3)
+    for shape in ((200, 330), (96, 128)):
+        heights = HeightMap(rng.uniform(0, 60, shape).astype(np.float32), np.ones(shape, np.uint8), 1, 1.6)
+        with torch.inference_mode():
+            expected = net(torch.from_numpy(grid_of(heights).image[None]))[0].numpy()
+        assert np.abs(read(heights).answer - expected).max() < 1e-4
+
+
+def test_sitters_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
+    sitters = load_sitters(packs / "train")
+    assert sum(sitter.is_tuber for sitter in sitters) >= 3
+    for sitter in sitters:
+        assert sitter.heights_mm.shape == (*sitter.inside.shape[:1], 48, 48)
+        assert sitter.heights_mm[sitter.inside > 0].mean() > 10
+        assert draw_portrait(sitter, np.random.default_rng(1)).shape == (5, 48, 48)
+
+
+def test_crops_keep_heights_and_labels_together(packs: Path) -> None:
+    grids = load_pack(packs / "train")
+    assert len(grids) == 3
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        crop = draw_crop(grids[int(rng.integers(3))], rng)
+        height = crop.image[0].reshape(80, 2, 80, 2).mean(axis=(1, 3)) * 60
+        if (crop.classes == 1).sum() > 100:
+            assert height[crop.classes == 1].mean() > height[crop.classes == 0].mean() + 15
+        assert ((crop.bodies > 0) == (crop.classes > 0)).all()
+
+
+def test_the_way_to_the_centre_ends_there() -> None:
+    classes, bodies = np.zeros((20, 30), np.uint8), np.zeros((20, 30), np.int32)
+    classes[4:11, 6:15], bodies[4:11, 6:15] = 1, 7
+    towards = towards_centres(classes, bodies)
+    assert towards[:, 4, 6].tolist() == pytest.approx([0.3, 0.4])
+    assert towards[:, 7, 10].tolist() == [0.0, 0.0]
+    assert not towards[:, classes == 0].any()

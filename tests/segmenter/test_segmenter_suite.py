@@ -1,0 +1,72 @@
+"""What the eyes' suite showed and mended: lumps of tubers, the belt's own relief; and the suite's tables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from segmenter_scene import MEDIUM, Body, Scene
+
+from benchmarks.eyes_table import counting_table, shortfalls
+from conveyor.geometry import straight_down_belt_from_camera
+from segmenter.belt import BeltGeometry
+from segmenter.counting import CountSettings, shape_refusal
+from segmenter.heights import height_map
+from segmenter.instances import SplitSettings, split
+from segmenter.track import Hit, TrackState
+from segmenter.views import ViewShelf
+
+
+def track(*, frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float) -> TrackState:
+    made = TrackState(1, 0, True, 0.0, 0.0, 0.0, area_mm2, 40.0, ViewShelf((0.0,)), covered=covered)
+    made.hits = [Hit(i, 0.0, 0.0, 0.0, area_mm2, volume_ml, 40.0, contact, True, False) for i in range(frames)]
+    return made
+
+
+@pytest.mark.parametrize(
+    ("frames", "covered", "area_mm2", "contact", "volume_ml", "reason"),
+    [
+        (33, 10, 1076, 0.29, 23.4, "sliver"),  # a lump on a tuber of 2025, one with it in 10 of 43 frames
+        (29, 0, 727, 0.32, 16.4, "sliver"),  # a lump that was hidden by its own tuber half of the way
+        (15, 24, 1535, 0.38, 65.0, "sliver"),  # what an overhanging neighbour left of a tuber, before it came out
+        (41, 2, 1151, 0.35, 24.0, ""),  # a small tuber beside a large one
+        (42, 0, 884, 0.40, 24.0, ""),  # a small tuber half below a large one: as slender as a sliver, but always there
+        (34, 0, 1271, 0.23, 30.2, ""),
+        (31, 10, 2300, 0.33, 65.0, "sliver"),  # second growth of 67 g on a tuber of 573 g
+        (30, 8, 4000, 0.50, 160.0, ""),  # no lump is as large
+        (20, 20, 900, 0.10, 24.0, ""),  # nor stands free
+    ],
+)
+def test_a_lump_is_known_by_being_one_with_its_tuber_time_and_again(
+    frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float, reason: str
+) -> None:
+    """Tracks of simulated belts with truth: the lumps were counted as tubers, the slender tuber was not."""
+    seen = track(frames=frames, covered=covered, area_mm2=area_mm2, contact=contact, volume_ml=volume_ml)
+    assert shape_refusal(seen, width_m=0.030, looks=43, settings=CountSettings()) == reason
+
+
+def test_belt_relief_beside_a_tuber_is_no_tuber_though_it_has_a_part_of_its_flank() -> None:
+    """A cleat with soil, 12 mm above a belt known 3 mm too low, was found as an instance in two of three frames."""
+    belt = BeltGeometry(MEDIUM, straight_down_belt_from_camera(0.46))
+    depth, _ = Scene([Body(0.0, 0.0)], MEDIUM, belt.belt_from_camera).render(0.0)
+    rows, columns = np.ogrid[: depth.shape[0], : depth.shape[1]]
+    mound = (np.abs(rows - 240) < 14) & (columns > 440) & (columns < 510)
+    relief = np.where(mound, np.minimum(depth, 448), depth).astype(np.uint16)
+    heights = height_map(relief, depth_scale_m=0.001, belt=belt, pixel_mm=1.45)
+    found = split(heights, belt, SplitSettings())
+    assert len(found) == 1
+    assert len(split(heights, belt, SplitSettings(min_mean_mm=0.0))) == 2
+    assert found.refused["flat"] == 1
+
+
+def test_the_table_adds_up_the_seeds_of_a_scene_and_names_what_falls_short() -> None:
+    def row(seed: int, count: int, f1: float) -> dict[str, object]:
+        score = {
+            "true_count": 300, "count": count, "missed": 1, "double_counted": count - 299, "false": 0, "matched": 299,
+            "weight_g": 51000.0, "true_weight_g": 50000.0, "mae_g": 8.0, "place_mean_mm": 1.5,
+            "count_error_percent": 100 * (count / 300 - 1),
+        }  # fmt: skip
+        return {"scene": "touching", "seed": seed, "score": score, "masks": {"f1_50": f1}}
+
+    rows = [row(1, 301, 0.99), row(2, 306, 0.96)]
+    assert "| **touching** | all | 600 | 607 | +1.17 % | 2 | 9 | 0 | +2.0 % | 8.0 g | 1.5 mm |" in counting_table(rows)
+    assert shortfalls(rows) == ["touching seed 2: F1 0.9600, goal 0.97", "touching seed 2: count +2.00 %, goal 1.0 %"]

@@ -1,0 +1,90 @@
+"""The belt watched: a wrong distance, a wrong tilt and a belt that runs the other way are said once, with the mend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from segmenter_scene import SMALL, Scene, scattered, tilted
+
+from conveyor.belt_findings import belt_findings
+from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.messages import Frame
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.plane import check_belt, fit_plane
+from segmenter.watch import BeltWatch
+
+STEP_M = 0.0133
+
+
+def watched(frames: Iterable[Frame]) -> tuple[Segmenter, dict[str, float]]:
+    core, watch = Segmenter(Settings()), BeltWatch()
+    for frame in frames:
+        core.step(frame)
+        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+    return core, watch.gauges()
+
+
+def scene(**changes: object) -> Scene:
+    return Scene(scattered(15, seed=3), SMALL, noise_m=0.001, **changes)  # type: ignore[arg-type]
+
+
+def test_a_calibrated_belt_raises_nothing() -> None:
+    for encoder in (True, False):
+        _, levels = watched(scene().frame(i, i * STEP_M, encoder=encoder) for i in range(40))
+        assert belt_findings("front", levels) == {}
+        assert abs(levels["belt_drift_mm"]) < 1
+        assert levels["belt_tilt_off_deg"] < 0.3
+
+
+@pytest.mark.parametrize(("given_m", "drift_mm", "word"), [(0.475, -15, "nearer"), (0.445, 15, "farther")])
+def test_a_belt_distance_wrong_by_15_mm_is_said_with_the_number(given_m: float, drift_mm: float, word: str) -> None:
+    wrong = straight_down_belt_from_camera(given_m)
+    _, levels = watched(replace(scene().frame(i, i * STEP_M), belt_from_camera=wrong) for i in range(35))
+    assert levels["belt_alarm"] == 1
+    assert levels["belt_drift_mm"] == pytest.approx(drift_mm, abs=1)
+    text = belt_findings("front", levels)["belt_alarm"]
+    assert f"'front': the belt is seen {abs(levels['belt_drift_mm']):.1f} mm {word} than" in text
+
+
+def test_a_tilt_wrong_by_2_degrees_is_said_though_the_distance_is_right() -> None:
+    wrong = tilted(0.46, 2)
+    _, levels = watched(replace(scene().frame(i, i * STEP_M), belt_from_camera=wrong) for i in range(35))
+    assert levels["belt_alarm"] == 1
+    assert abs(levels["belt_drift_mm"]) < 3
+    assert levels["belt_tilt_off_deg"] == pytest.approx(2, abs=0.3)
+
+
+def test_a_distance_25_mm_off_with_load_at_the_given_height_is_no_silence() -> None:
+    """It was refused only where nothing lay at the height given, and else nothing was said at all."""
+    depth, _ = scene().render(0.2)
+    fit = fit_plane(depth, depth_scale_m=0.001, intrinsics=SMALL)
+    given = straight_down_belt_from_camera(0.435)
+    check = check_belt(given, fit, given_share=0.1, camera="front", depth_scale_m=0.001)
+    assert check.alarm
+    assert check.drift_m == pytest.approx(0.025, abs=0.001)
+
+
+@pytest.mark.parametrize("encoder", [True, False])
+def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_mended(encoder: bool) -> None:
+    bodies = scattered(15, seed=3)
+    turned = straight_down_belt_from_camera(0.46)
+    turned[:2] *= -1
+    true = Scene(bodies, SMALL, turned, noise_m=0.001)
+    frames = [true.frame(i, i * STEP_M, encoder=encoder) for i in range(70)]
+    core, levels = watched(replace(frame, belt_from_camera=straight_down_belt_from_camera(0.46)) for frame in frames)
+    assert core.counted == 0
+    assert levels["belt_backwards"] == 1
+    assert "negate its first two rows" in belt_findings("front", levels)["belt_backwards"]
+    mended, levels = watched(frames)
+    mended.finish()
+    assert levels["belt_backwards"] == 0
+    assert mended.counted == len(bodies)
+
+
+def test_a_belt_that_backs_up_a_little_is_no_finding() -> None:
+    travels = np.cumsum([0.0] + [STEP_M] * 20 + [-0.005] * 20 + [STEP_M] * 20)
+    _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))
+    assert levels["belt_backwards"] == 0
