@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+
+LARGEST = 1e9
+"""Beyond it is no place in metres, no weight in grams and no length in millimetres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +34,7 @@ def read_truth(path: Path) -> list[TrueTuber]:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"truth {path} cannot be read: {error.strerror or error}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, a number of 5000 digits, lists in lists in ...
         raise InputError(f"truth {path} is not JSON: {error}") from error
     if not isinstance(raw, dict) or not isinstance(raw.get("tubers"), list):
         raise InputError(f"truth {path} has no list 'tubers'; see docs/formats.md")
@@ -59,10 +61,10 @@ def _tuber(item: Any, path: Path, at: int) -> TrueTuber:
 
 
 def _number(
-    item: dict[str, Any], key: str, where: str, *, least: float = -math.inf, default: float | None = None
+    item: dict[str, Any], key: str, where: str, *, least: float = -LARGEST, default: float | None = None
 ) -> float:
     value = item.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < least:
-        bound = f" of at least {least:g}" if math.isfinite(least) else ""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= LARGEST:
+        bound = f" of at least {least:g}" if least > -LARGEST else ""
         raise InputError(f"{where} needs '{key}', a number{bound}; got {value!r}")
     return float(value)

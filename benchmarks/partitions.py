@@ -1,9 +1,10 @@
-"""A line on three hosts whose network misbehaves: does the ledger come out as if nothing had happened?
+"""A line on three hosts whose network loses, delays, throttles or is cut: is the ledger the undisturbed one?
 
-    python -m benchmarks.partitions RECORDING [--only cut-3s ...]
+    python -m benchmarks partitions [RECORDING] [--only cut-3s ...]          # as root
 
-Three network namespaces stand for three hosts: camera and segmenter, regressors, aggregator and router. They are joined
-by a bridge that lives in the third; all names carry this process' id and all addresses exist inside only. Needs root.
+Three network namespaces stand for three hosts: camera and segmenter, regressors, aggregator and router. The first two
+are joined to the third by an emulated link each (`benchmarks.link`). Addresses exist inside only. The recording is
+replayed, so that nothing may be lost at all: the canonical ledger must be the same, byte for byte.
 """
 
 from __future__ import annotations
@@ -11,126 +12,79 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from benchmarks.link import EmulatedLink, why_no_links
+from benchmarks.link_wire import Counts, LinkSettings
+from benchmarks.site_net import TCP, Network
+from camera_sim.sim.presets import PRESETS
+from camera_sim.sim.record import record_scene
+from camera_sim.sim.scenes import SceneSettings
 from conveyor.cli.replay import fingerprint, prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
+from conveyor.errors import TuberlineError
 from conveyor.processes import line_processes
 
-HOSTS = ("field", "weigh", "yard")
 ROLES = {"camera": "field", "segmenter": "field", "regressor": "weigh", "aggregator": "yard", "router": "yard"}
-ADDRESS = {"yard": "10.77.0.1", "field": "10.77.0.2", "weigh": "10.77.0.3"}
+FAR_HOSTS = ("field", "weigh")
 CUT_AFTER_BYTES = 3000
 """A camera's log of this size has tubers in it: the line is at work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """What the links of camera and regressors suffer: a queueing discipline all along, or a cut in the middle."""
+    """What both links suffer all along, and for how long they are cut in the middle of the work."""
 
     name: str
-    qdisc: str = ""
+    link: LinkSettings = field(default_factory=LinkSettings)
     cut_s: float = 0.0
+    timeout_s: float = 400.0
+    tcp: str = TCP
 
 
+SLOW = LinkSettings(delay_s=0.050, jitter_s=0.010, loss=0.05, bits_per_s=10e6)
 TROUBLES = (
     Trouble("undisturbed"),
-    Trouble("loss-5%", qdisc="netem loss 5%"),
-    Trouble("delay-50ms", qdisc="netem delay 50ms"),
-    Trouble("rate-10mbit", qdisc="tbf rate 10mbit burst 64kb latency 200ms"),
+    Trouble("loss-5%", LinkSettings(loss=0.05)),
+    Trouble("delay-50ms", LinkSettings(delay_s=0.050, jitter_s=0.010)),
+    Trouble("rate-10mbit", LinkSettings(bits_per_s=10e6)),
     Trouble("cut-3s", cut_s=3.0),
     Trouble("cut-15s", cut_s=15.0),
+    # Any other congestion control than BBR takes 5 % loss at 100 ms for a crowd: 0.5 Mbit/s is all it sends then.
+    Trouble("all-together", SLOW, cut_s=15.0, timeout_s=900.0, tcp="bbr"),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """How a replay over troubled links went; counts by far host, from it and to it."""
+
+    took_s: float
+    links: dict[str, tuple[Counts, Counts]]
+
+    def total(self, name: str) -> int:
+        """Sum of a count over both links and directions."""
+        return sum(getattr(counts, name) for both in self.links.values() for counts in both)
 
 
 def why_not(trouble: Trouble) -> str:
     """Why this machine cannot make `trouble`; empty where it can."""
-    if os.geteuid() != 0:
-        return "network namespaces need root"
-    missing = [tool for tool in ("ip", "tc") if shutil.which(tool) is None]
-    if missing:
-        return f"{' and '.join(missing)} of iproute2 missing"
-    try:
-        with Network() as network:
-            if trouble.qdisc:
-                network.spoil(trouble.qdisc)
-    except RuntimeError as error:
-        return str(error)
-    return ""
-
-
-class Network:
-    """Three hosts on one bridge. Use as a context manager."""
-
-    def __init__(self) -> None:
-        self._name = {host: f"tl{os.getpid()}{host}" for host in HOSTS}
-
-    def __enter__(self) -> Network:
-        try:
-            self._make()
-        except RuntimeError:
-            self.__exit__()
-            raise
-        return self
-
-    def _make(self) -> None:
-        yard = self._name["yard"]
-        for host in HOSTS:
-            _run("ip", "netns", "add", self._name[host])
-            self._ip(host, "link", "set", "lo", "up")
-        self._ip("yard", "link", "add", "br0", "type", "bridge")
-        self._ip("yard", "addr", "add", f"{ADDRESS['yard']}/24", "dev", "br0")
-        self._ip("yard", "link", "set", "br0", "up")
-        for host in ("field", "weigh"):
-            self._ip(host, "link", "add", "eth0", "type", "veth", "peer", "name", f"to-{host}", "netns", yard)
-            self._ip(host, "addr", "add", f"{ADDRESS[host]}/24", "dev", "eth0")
-            self._ip(host, "link", "set", "eth0", "up")
-            self._ip("yard", "link", "set", f"to-{host}", "master", "br0")
-            self._ip("yard", "link", "set", f"to-{host}", "up")
-
-    def __exit__(self, *_: object) -> None:
-        for name in self._name.values():
-            subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
-
-    def command(self, host: str, *command: str) -> list[str]:
-        """`command` as run on that host."""
-        return ["ip", "netns", "exec", self._name[host], *command]
-
-    def spoil(self, qdisc: str) -> None:
-        """Spoil both links, both ways."""
-        for host in ("field", "weigh"):
-            for where, device in ((host, "eth0"), ("yard", f"to-{host}")):
-                _run(*self.command(where, "tc", "qdisc", "add", "dev", device, "root", *qdisc.split()))
-
-    def cut(self, seconds: float) -> None:
-        """Take both links down for a while."""
-        for state in ("down", "up"):
-            for host in ("field", "weigh"):
-                self._ip("yard", "link", "set", f"to-{host}", state)
-            if state == "down":
-                time.sleep(seconds)
-
-    def _ip(self, host: str, *arguments: str) -> None:
-        _run("ip", "-n", self._name[host], *arguments)
-
-
-def _run(*command: str) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip()}")
+    if reason := why_no_links():
+        return reason
+    allowed = Path("/proc/sys/net/ipv4/tcp_allowed_congestion_control").read_text().split()
+    return "" if trouble.tcp in allowed else f"congestion control {trouble.tcp} is not allowed here ({allowed} are)"
 
 
 @contextmanager
-def line_on(network: Network, recording: Path, out: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The line at work on the three hosts; gives the aggregator's process."""
+def line_on(network: Network, recording: Path, out: Path) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """The line at work on the three hosts; gives its processes by name."""
     prepare_out(out)
     cameras = {
         name: {"path": str(recording.resolve()), "speed": 0.0, "compress": "zstd"}
@@ -138,7 +92,10 @@ def line_on(network: Network, recording: Path, out: Path) -> Iterator[subprocess
     }
     config = replay_config(
         recording, list(cameras), out=out, speed=0.0, weights=None, regressors=2, rrd=None,
-        settings={"link": {"router": f"tcp/{ADDRESS['yard']}:7447"}, "cameras": cameras},
+        settings={
+            "link": {"router": f"tcp/{network.address('yard')}:7447", "connect_timeout_s": 120.0},
+            "cameras": cameras,
+        },
     )  # fmt: skip
     config_path = out / "line.toml"
     config_path.write_text(dump_toml(config))
@@ -146,12 +103,12 @@ def line_on(network: Network, recording: Path, out: Path) -> Iterator[subprocess
     processes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for spec in line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}"):
-            command = network.command(ROLES[spec.args[0]], sys.executable, "-m", "conveyor", *spec.args)
+            command = network.command(ROLES[spec.args[0]], [sys.executable, "-m", "conveyor", *spec.args])
             with (out / "logs" / f"{spec.name}.log").open("wb") as log:
                 processes[spec.name] = subprocess.Popen(
                     command, stdin=subprocess.DEVNULL, stderr=log, env={**os.environ, "OMP_NUM_THREADS": "1"}
                 )
-        yield processes["aggregator"]
+        yield processes
     finally:
         for process in processes.values():
             process.terminate()
@@ -163,29 +120,48 @@ def line_on(network: Network, recording: Path, out: Path) -> Iterator[subprocess
                 process.wait()
 
 
-def troubled_replay(recording: Path, out: Path, trouble: Trouble, *, timeout_s: float = 240.0) -> float:
-    """Replay `recording` into `out` on three hosts; returns the seconds it took.
+def troubled_replay(recording: Path, out: Path, trouble: Trouble) -> Replayed:
+    """Replay `recording` into `out` on three hosts.
 
     Raises:
+        TuberlineError: no namespaces or TAP devices here, or a node ended.
         TimeoutError: the summary was not there in time; the nodes' logs are in `out`.
     """
-    with Network() as network:
-        if trouble.qdisc:
-            network.spoil(trouble.qdisc)
+    with Network(tcp=trouble.tcp) as network:
+        network.add("yard")
+        links = {host: network.add_far(host, trouble.link, seed=n) for n, host in enumerate(FAR_HOSTS, 1)}
         started = time.monotonic()
-        with line_on(network, recording, out) as aggregator:
-            deadline = started + timeout_s
+        with line_on(network, recording, out) as nodes:
+            deadline = started + trouble.timeout_s
             cut_due = trouble.cut_s > 0
-            while aggregator.poll() is None:
+            while nodes["aggregator"].poll() is None:
                 if time.monotonic() > deadline:
-                    raise TimeoutError(f"{trouble.name}: no summary after {timeout_s:g} s; see {out / 'logs'}")
+                    raise TimeoutError(f"{trouble.name}: no summary after {trouble.timeout_s:g} s; see {out / 'logs'}")
+                _raise_failed(nodes, out)
                 if cut_due and any(log.stat().st_size > CUT_AFTER_BYTES for log in (out / "state").glob("*.log")):
-                    network.cut(trouble.cut_s)
+                    _cut(links, trouble)
                     cut_due = False
                 time.sleep(0.05)
+            _raise_failed(nodes, out)
             if cut_due:
                 raise TimeoutError(f"{trouble.name}: the line was done before the cut")
-            return time.monotonic() - started
+            took_s = time.monotonic() - started
+            return Replayed(took_s, {host: link.counts() for host, link in links.items()})
+
+
+def _raise_failed(nodes: dict[str, subprocess.Popen[bytes]], out: Path) -> None:
+    for name, process in nodes.items():
+        if process.poll() or (process.returncode == 0 and name != "aggregator"):
+            raise TuberlineError(f"{name} ended with code {process.returncode}; see {out / 'logs' / f'{name}.log'}")
+
+
+def _cut(links: dict[str, EmulatedLink], trouble: Trouble) -> None:
+    """Nothing passes either link for a while, and nobody is told."""
+    for settings in (replace(trouble.link, cut=True), trouble.link):
+        for link in links.values():
+            link.set(settings)
+        if settings.cut:
+            time.sleep(trouble.cut_s)
 
 
 def canonical(out: Path) -> str:
@@ -196,29 +172,54 @@ def canonical(out: Path) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the troubles and print a Markdown table; 1 where a ledger differs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recording", type=Path)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks partitions",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("recording", type=Path, nargs="?", help="default: a simulated one, two cameras, 24 tubers")
     parser.add_argument("--only", nargs="*", default=[trouble.name for trouble in TROUBLES])
+    parser.add_argument("--out", type=Path, help="keep ledgers and logs here")
     options = parser.parse_args(arguments)
-    print("| network | tubers | gaps | time s | ledger |\n| --- | --- | --- | --- | --- |")
+    print("| network | tubers | gaps | MB over both links | packets lost: loss, queue, cut | time s | ledger |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
     calm, failures = "", 0
     with tempfile.TemporaryDirectory() as folder:
+        recording = options.recording or _simulated(Path(folder) / "belt")
         for trouble in TROUBLES:
             if trouble.name not in options.only and trouble is not TROUBLES[0]:
                 continue
             if reason := why_not(trouble):
-                print(f"| {trouble.name} | | | | skipped: {reason} |")
+                print(f"| {trouble.name} | | | | | | skipped: {reason} |")
                 continue
-            out = Path(folder) / trouble.name
-            took_s = troubled_replay(options.recording, out, trouble)
+            out = (options.out or Path(folder)) / trouble.name
+            replayed = troubled_replay(recording, out, trouble)
             ledger = canonical(out)
             calm = calm or ledger
             failures += ledger != calm
-            summary = json.loads((out / "summary.json").read_text())
-            gaps = sum(sheet["frames"]["gaps"] for sheet in summary["cameras"].values())
-            count = summary["totals"]["count"]
-            print(f"| {trouble.name} | {count} | {gaps} | {took_s:.1f} | {'equal' if ledger == calm else 'DIFFERS'} |")
+            print(_row(trouble, replayed, out, equal=ledger == calm), flush=True)
     return 1 if failures else 0
+
+
+def _simulated(out: Path) -> Path:
+    record_scene(out, SceneSettings("two-cameras", seed=11, tubers=24, preset=PRESETS["easy"], fps=15.0))
+    return out
+
+
+def _row(trouble: Trouble, replayed: Replayed, out: Path, *, equal: bool) -> str:
+    summary = json.loads((out / "summary.json").read_text())
+    sheets = [sheet["frames"] for sheet in summary["cameras"].values()]
+    lost = ", ".join(str(replayed.total(f"lost_{reason}")) for reason in ("loss", "queue", "cut"))
+    cells = (
+        trouble.name,
+        str(summary["totals"]["count"]),
+        str(sum(sheet["gaps"] for sheet in sheets)),
+        f"{replayed.total('forwarded_bytes') / 1e6:.0f}",
+        lost,
+        f"{replayed.took_s:.1f}",
+        "equal" if equal else "DIFFERS",
+    )
+    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -7,10 +7,8 @@ office behind 8 Mbit/s and 40 ms that watches. Every host is a network namespace
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -19,14 +17,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.site_line import CAMERAS, RUN, SiteLine
+from benchmarks.link_wire import LinkSettings
+from benchmarks.site_command import tuberline, tuberline_json
+from benchmarks.site_line import CAMERAS, SiteLine
 from benchmarks.site_net import Network, Traffic
 from benchmarks.site_picture import draw_site, site_hosts
 from camera_sim.sim.placement import TOUCHING
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import Layout, SceneSettings
-from conveyor.errors import TuberlineError
 from conveyor.logs import setup_logs
 
 SHARE = 0.10
@@ -124,8 +123,8 @@ def run_case(case: Case, recording: Path, out: Path) -> Result:
     with Network() as network:
         for host in ("edge", *CAMERA_HOSTS, *case.hosts):
             network.add(host)
-        network.add_far("office", bits_per_s=OFFICE_BITS_PER_S, delay_s=OFFICE_DELAY_S)
-        with SiteLine(network, recording, out, compress=case.compress) as line:
+        network.add_far("office", LinkSettings(bits_per_s=OFFICE_BITS_PER_S, delay_s=OFFICE_DELAY_S))
+        with SiteLine(network, recording, out, camera={"compress": case.compress}) as line:
             start_all(line, case)
             before = line.traffic(("edge", *CAMERA_HOSTS, *case.hosts, "office"))
             cpu_before = line.cpu_s()
@@ -151,9 +150,16 @@ def start_all(line: SiteLine, case: Case) -> None:
     for host, camera in zip(CAMERA_HOSTS, CAMERAS, strict=True):
         line.start_node(host, "segmenter", "--camera", camera)
     line.start("office", "top", "--connect", line.router, "--line", "site", name="top")
-    config = line.out / "line.toml"
     line.start(
-        "office", "viewer", "--config", config, "--profile", "light", "--rrd", line.out / "office.rrd", name="viewer"
+        "office",
+        "viewer",
+        "--config",
+        line.config,
+        "--profile",
+        "light",
+        "--rrd",
+        line.out / "office.rrd",
+        name="viewer",
     )
     for host in case.hosts:
         line.start_node(host, "regressor", "--name", host)
@@ -200,7 +206,7 @@ def evaluate(case: Case, seen: Mapping[str, Any], traffic: Mapping[str, Traffic]
         doubles=int(score["double_counted"]),
         views=views,
         balanced=bool(audit["balanced"]),
-        ledger=_tuberline("ledger", "export", out / "ledger.db", "--canonical"),
+        ledger=tuberline("ledger", "export", out / "ledger.db", "--canonical"),
         office_s=passed[-1]["at_s"] - passed[0]["at_s"],
         requeued=requeued,
         cpu_s=seen["cpu_s"],
@@ -266,20 +272,6 @@ def _office(result: Result) -> str:
 
 def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, ("---",) * len(head), *rows))
-
-
-def tuberline_json(*args: str | Path) -> Any:
-    """The command's JSON."""
-    return json.loads(_tuberline(*args, "--json"))
-
-
-def _tuberline(*args: str | Path) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "conveyor", *map(str, args)], capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        raise TuberlineError(f"tuberline {args[0]} ended with {done.returncode} for run {RUN}: {done.stderr.strip()}")
-    return done.stdout
 
 
 def _options(arguments: list[str]) -> argparse.Namespace:

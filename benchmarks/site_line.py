@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Self
@@ -27,21 +27,38 @@ VIEWS_PER_TUBER = 8
 
 
 class SiteLine:
-    """The processes of one run. Inference hosts are in no configuration: each is told the router and its own name."""
+    """The processes of one run. Inference hosts are in no configuration: each is told the router and its own name.
 
-    def __init__(self, network: Network, recording: Path, out: Path, *, compress: str = "raw") -> None:
+    Args:
+        network: with a host `edge`, where the router runs.
+        camera: settings of every camera that differ from the benchmark's: as fast as the line takes it.
+        settings: further config sections by name, laid over the benchmark's.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        recording: Path,
+        out: Path,
+        *,
+        cameras: Sequence[str] = CAMERAS,
+        camera: Mapping[str, Any] | None = None,
+        settings: Mapping[str, Mapping[str, Any]] | None = None,
+        protocol: str = "tcp",
+    ) -> None:
         self.network = network
         self.out = out
         self._stack = ExitStack()
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._latest: dict[str, Any] = {"weights": 0, "alive": []}
-        self._config = out / "line.toml"
+        self.config = out / "line.toml"
         out.mkdir(parents=True)
-        self.router = f"tcp/{network.address('edge')}:7447"
-        raw = {
+        self.router = f"{protocol}/{network.address('edge')}:7447"
+        frames = {"path": str(recording.resolve()), "speed": 0.0, **(camera or {})}
+        raw: dict[str, Any] = {
             "name": LINE,
             "link": {"router": self.router, "connect_timeout_s": 60.0},
-            "cameras": {c: {"path": str(recording.resolve()), "speed": 0.0, "compress": compress} for c in CAMERAS},
+            "cameras": dict.fromkeys(cameras, frames),
             "segmenter": {
                 "views_per_tuber": VIEWS_PER_TUBER,
                 "state_dir": str(out / "state"),
@@ -50,10 +67,12 @@ class SiteLine:
             "regressor": {"processes": 0},
             "aggregator": {"out": str(out), "exit_when_final": True, "camera_stall_s": 600.0},
         }
-        self._config.write_text(dump_toml(parse_config(raw, where="of the benchmark")))
+        for section, values in (settings or {}).items():
+            raw[section] = {**raw.get(section, {}), **values}
+        self.config.write_text(dump_toml(parse_config(raw, where="of the benchmark")))
 
     def __enter__(self) -> Self:
-        self.start("edge", "router", "--config", self._config, name="router")
+        self.start("edge", "router", "--config", self.config, name="router")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -67,11 +86,11 @@ class SiteLine:
     def start_node(self, host: str, role: str, *args: str) -> None:
         """A node of this line on `host`."""
         name = f"{role}/{args[-1]}" if args else role
-        self.start(host, role, "--config", self._config, "--run", RUN, *args, name=name)
+        self.start(host, role, "--config", self.config, "--run", RUN, *args, name=name)
 
-    def start_probe(self) -> None:
-        """The watcher beside the router."""
-        command = [sys.executable, "-m", "benchmarks.site_probe", self.router, LINE]
+    def start_probe(self, *probe: str) -> None:
+        """The watcher beside the router: a module that writes JSON lines, and its arguments."""
+        command = [sys.executable, "-m", *(probe or ("benchmarks.site_probe", self.router, LINE))]
         self._spawn("edge", command, name="probe", stdout=subprocess.PIPE)
         self._reader = threading.Thread(target=self._read_probe, name="probe", daemon=True)
         self._reader.start()
@@ -84,12 +103,22 @@ class SiteLine:
 
     def wait_alive(self, names: Sequence[str], *, timeout_s: float = 90.0) -> None:
         """Until all these nodes show their tokens."""
-        self.wait(lambda: set(names) <= set(self._latest["alive"]), what=f"{list(names)} alive", timeout_s=timeout_s)
+        self.wait(
+            lambda: set(names) <= set(self._latest.get("alive", ())), what=f"{list(names)} alive", timeout_s=timeout_s
+        )
+
+    def is_alive(self, prefix: str) -> bool:
+        """A node whose 'role/name' begins so shows its token."""
+        return any(name.startswith(prefix) for name in self._latest.get("alive", ()))
 
     @property
     def weights(self) -> int:
         """Weights that have passed the router."""
-        return int(self._latest["weights"])
+        return self.seen("weights")
+
+    def seen(self, what: str) -> int:
+        """How many of those the probe has seen; 0 where it has not said."""
+        return int(self._latest.get(what, 0))
 
     def wait(self, true: Any, *, what: str, timeout_s: float) -> None:
         """Poll until `true()`; raises after the deadline, or when a process failed."""
@@ -102,10 +131,14 @@ class SiteLine:
                     raise TuberlineError(f"{name} ended with {process.returncode}; logs are in {self.out / 'logs'}")
             time.sleep(0.05)
 
+    @property
+    def finished(self) -> bool:
+        """The aggregator has written its summary."""
+        return self._processes["aggregator"].poll() == 0
+
     def wait_finished(self, *, timeout_s: float = 110.0) -> None:
         """Until the aggregator has written its summary."""
-        aggregator = self._processes["aggregator"]
-        self.wait(lambda: aggregator.poll() == 0, what="the summary", timeout_s=timeout_s)
+        self.wait(lambda: self.finished, what="the summary", timeout_s=timeout_s)
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a process a signal."""
@@ -115,7 +148,7 @@ class SiteLine:
         """Everything the probe has seen."""
         self._processes["probe"].send_signal(signal.SIGTERM)
         self._reader.join(20.0)
-        if "passed" not in self._latest:
+        if not self._latest.get("last"):
             raise TuberlineError(f"the probe said nothing at its end; logs are in {self.out / 'logs'}")
         return self._latest
 

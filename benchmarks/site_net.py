@@ -1,4 +1,4 @@
-"""Hosts on one machine: a network namespace each, all on one switch, some behind a slow link."""
+"""Hosts on one machine: a network namespace each, all on one switch, some behind an emulated link."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Self
 
-from benchmarks.site_slowlink import SlowLink
+from benchmarks.link import EmulatedLink
+from benchmarks.link_wire import LinkSettings
 from conveyor.errors import TuberlineError
 
 SUBNET = "10.77.0"
+TCP = "reno"
+"""Congestion control: in every kernel, allowed in every namespace, and the one that loss slows down most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +31,15 @@ class Traffic:
 class Network:
     """A switch and hosts, in a `with` block; everything is taken down again, whatever happens inside.
 
+    Args:
+        tcp: congestion control of every host.
+
     Raises:
-        TuberlineError: not root, or no `ip` command.
+        TuberlineError: not root, no `ip` command, or a congestion control that namespaces may not use here.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, tcp: str = TCP) -> None:
+        self._tcp = tcp
         self._prefix = f"tl{os.getpid():x}"
         self._addresses: dict[str, str] = {}
         self._stack = ExitStack()
@@ -66,11 +73,12 @@ class Network:
         ip("link", "add", inside, "type", "veth", "peer", "name", port)
         self._wire(host, inside, port)
 
-    def add_far(self, host: str, *, bits_per_s: float, delay_s: float) -> None:
-        """A host behind a link of `bits_per_s` and `delay_s` in each direction."""
+    def add_far(self, host: str, settings: LinkSettings, *, seed: int = 1) -> EmulatedLink:
+        """A host behind an emulated link; its counts are from the host to the switch, and back."""
         inside, port = self._new_host(host)
-        self._stack.enter_context(SlowLink(inside, port, bits_per_s=bits_per_s, delay_s=delay_s))
+        link = self._stack.enter_context(EmulatedLink(inside, port, settings, seed=seed))
         self._wire(host, inside, port)
+        return link
 
     def command(self, host: str, args: Sequence[str]) -> list[str]:
         """`args` as they run on `host`: in its namespace and under its name. The process keeps its pid."""
@@ -92,6 +100,14 @@ class Network:
         ip("netns", "add", self.namespace(host))
         self._stack.callback(_delete_namespace, self.namespace(host))
         ip("-n", self.namespace(host), "link", "set", "lo", "up")
+        ip(
+            "netns",
+            "exec",
+            self.namespace(host),
+            "sh",
+            "-c",
+            f"echo {self._tcp} > /proc/sys/net/ipv4/tcp_congestion_control",
+        )
 
     def _wire(self, host: str, inside: str, port: str) -> None:
         space, switch = self.namespace(host), self.namespace("switch")

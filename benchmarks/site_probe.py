@@ -63,7 +63,7 @@ def main(router: str, line: str) -> None:
             _say({"weights": len(passing.weights), "alive": sorted(observer.alive())})
         nodes = {name: {**c.gauges, **c.values} for name, c in observer.nodes().items()}
         del watching
-        _say({"passed": passing.report(), "nodes": nodes})
+        _say({"passed": passing.report(), "nodes": nodes, "last": True})
 
 
 def _say(message: dict[str, Any]) -> None:

@@ -13,8 +13,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aggregator.truth import read_truth
 from camera_sim.sources import CameraDescription, describe_recording, open_source
 from camera_sim.sources.folder_writer import FolderWriter
+from camera_sim.sources.foxglove import from_json
 from camera_sim.sources.mcap_writer import McapFrameWriter
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
@@ -113,6 +115,42 @@ def test_a_damaged_mcap(tmp_path: Path) -> None:
     assert seen == {"value", "InputError"}
 
 
+@pytest.mark.parametrize("lie", ["pixels", "bytes of a chunk"])
+def test_a_picture_that_says_it_is_huge(folder: Path, lie: str) -> None:
+    """OpenCV made room for up to 4 GB where a few bytes of a picture were damaged; found by fuzzing with atheris."""
+    path = next(folder.rglob("*.png"))
+    good = path.read_bytes()
+    chunk = good.index(b"IDAT") - 4
+    huge = {
+        "pixels": good[:16] + (60_000).to_bytes(4, "big") * 2 + good[24:],
+        "bytes of a chunk": good[:chunk] + (1_500_000_000).to_bytes(4, "big") + good[chunk + 4 :],
+    }
+    path.write_bytes(huge[lie])
+    try:
+        with bounded_memory():
+            assert outcome(lambda: read_all(folder)) in ("value", "InputError")
+    finally:
+        path.write_bytes(good)
+
+
+def test_a_damaged_ros_bag(tmp_path: Path) -> None:
+    """Five kinds of exceptions of the library's came through; found by fuzzing with atheris."""
+    bags = pytest.importorskip("tests.camera_sim.test_camera_sim_rosbag")
+    good = bags._ros1(tmp_path / "good.bag", unit_m=0.001).read_bytes()
+    path = tmp_path / "recording.bag"
+    seen: set[str] = set()
+
+    @quick(150)
+    @given(damaged(good, head=200) | damaged(good[len(good) // 2 :]).map(lambda tail: good[: len(good) // 2] + tail))
+    def read(data: bytes) -> None:
+        path.write_bytes(data)
+        seen.add(outcome(lambda: read_all(path)))
+
+    with bounded_memory():
+        read()
+    assert seen == {"value", "InputError"}
+
+
 def cloud_files() -> dict[str, bytes]:
     head = "ply\nformat {}\nelement vertex 40\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     rows = "\n".join(" ".join(str(value) for value in row) for row in CLOUD.tolist())
@@ -159,6 +197,14 @@ LIES = {
 }
 
 
+def test_an_archive_that_is_called_an_array(tmp_path: Path) -> None:
+    """It ended in an AttributeError; found by fuzzing with atheris."""
+    (tmp_path / "cloud.npy").write_bytes(cloud_files()["cloud.npz"])
+    assert np.array_equal(read_cloud(tmp_path / "cloud.npy"), CLOUD)
+    (tmp_path / "cloud.npz").write_bytes(cloud_files()["cloud.npy"])
+    assert np.array_equal(read_cloud(tmp_path / "cloud.npz"), CLOUD)
+
+
 @pytest.mark.parametrize("name", sorted(LIES))
 def test_clouds_that_lie_about_themselves(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(LIES[name])
@@ -185,6 +231,39 @@ def test_a_damaged_config(tmp_path: Path) -> None:
 @given(st.dictionaries(st.sampled_from([*LineConfig.model_fields, "camera"]), ANY_JSON, max_size=4))
 def test_a_config_of_other_types(raw: dict[str, Any]) -> None:
     assert outcome(lambda: parse_config(raw, where="here")) in ("value", "ConfigError")
+
+
+TRUTH = '{"tubers": [{"id": 1, "place_x_m": -0.1, "place_y_m": 0.02, "weight_g": 170.5}]}'
+
+
+def test_a_damaged_truth(tmp_path: Path) -> None:
+    path = tmp_path / "truth.json"
+    seen: set[str] = set()
+
+    @quick(150)
+    @given(damaged(TRUTH.encode()))
+    def read(data: bytes) -> None:
+        path.write_bytes(data)
+        seen.add(outcome(lambda: read_truth(path)))
+
+    read()
+    assert seen == {"value", "InputError"}
+
+
+@pytest.mark.parametrize("weight", ["9" * 400, "9" * 5000, "[" * 100_000, "NaN", "Infinity", "-1", "true"])
+def test_a_truth_with_an_odd_weight(weight: str, tmp_path: Path) -> None:
+    """Numbers of 400 and of 5000 digits and lists in lists came out as three kinds of tracebacks."""
+    path = tmp_path / "truth.json"
+    path.write_text(TRUTH.replace("170.5", weight))
+    assert outcome(lambda: read_truth(path)) == "InputError"
+
+
+@pytest.mark.parametrize("lie", ['"sec": ' + "9" * 30, '"sec": -1', '"sec": 1e400'])
+def test_a_foxglove_message_of_no_time(lie: str) -> None:
+    bags = pytest.importorskip("tests.camera_sim.bag_messages")
+    good = bags.foxglove_json(0)[0].decode()
+    bad = good.replace(f'"sec": {bags.stamp_ns(0) // 10**9}', lie).encode()
+    assert outcome(lambda: from_json("image", bad)) == "MessageError"
 
 
 def test_a_config_nested_too_deep(tmp_path: Path) -> None:
