@@ -8,7 +8,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench docs chaos soak fuzz install clean
+.PHONY: demo test lint bench docs docs-site chaos soak fuzz install clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -25,6 +25,11 @@ lint: $(STAMP)
 docs: $(STAMP)
 	$(BIN)/python -c 'from pathlib import Path; from conveyor.cli.reference import write_pages; write_pages(Path("docs"))'
 
+# The same pages as a site in site/, without network.
+docs-site: docs
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[docs]'
+	$(BIN)/zensical build --strict
+
 # `make bench` lists the benchmarks, `make bench BENCH="site --help"` runs one.
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks $(BENCH)
@@ -35,6 +40,8 @@ chaos: $(STAMP)
 
 fuzz: $(STAMP)
 	TUBERLINE_FUZZ=20 $(BIN)/python -m pytest tests/fuzz
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[fuzz]'
+	$(BIN)/python -m benchmarks fuzz --seconds 60
 
 soak: $(STAMP)
 	$(BIN)/python -m benchmarks soak --minutes 30
@@ -49,7 +56,7 @@ $(DEMO_STAMP): pyproject.toml constraints.txt
 	touch $@
 
 $(STAMP): $(DEMO_STAMP)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,bags,deploy,export,train,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,bags,deploy,export,train,docs,dev]'
 	touch $@
 
 clean:

@@ -13,7 +13,7 @@ INTRODUCTION = """# Evaluation of the shipped weights
 
 Simulated tubers that neither training nor any choice has seen. `field` has tumbling poses, 2-3 mm of belt-height error
 and more noise; `easy` has resting poses and a well calibrated belt. How far this carries over to a real harvester is
-not known; the one real cloud at hand is in the [model card](../regressor/weights/MODEL_CARD.md).
+not known; the one real cloud at hand is in the model card, `regressor/weights/MODEL_CARD.md`.
 
 Each table is made by the command above it, and this page by `tuberline evaluation-page` from what those commands saved.
 """
