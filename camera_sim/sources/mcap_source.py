@@ -95,7 +95,8 @@ class McapSource:
                 if message.sequence <= after:
                     continue
                 try:
-                    yield replace(Frame.decode(message.data), run=run)
+                    # Whom it followed on the link it was recorded from says nothing of its way from here.
+                    yield replace(Frame.decode(message.data), run=run, after_seq=None)
                 except MessageError as error:
                     text = f"frame {message.sequence} of camera '{self._camera}' in {self._path}: {error}"
                     yield Refused(message.sequence, "undecodable", text)
