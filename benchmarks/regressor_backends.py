@@ -20,6 +20,7 @@ from regressor.export import export_onnx
 from regressor.fast import FastPointRaft, Form, fused_layer, groups_tensor
 from regressor.grouping import SharedGroups, group_prefix
 from regressor.labelled import read_labelled
+from regressor.pointraft import PointRaft
 from regressor.sampling import farthest_points
 
 VIEWS = 64
@@ -37,6 +38,7 @@ PRODUCTS = (
 """Rows, inner and outer width, and how often: the products of one cloud in blocks of 2048 edges, 1.09 GFLOP."""
 
 Runner = Callable[[slice], NDArray[np.float64]]
+Sampler = Callable[[NDArray[np.float32], int], NDArray[np.int64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,10 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
         "torch, bfloat16": Form("bfloat16"),
         "torch, bfloat16, 64 centroids": Form("bfloat16", 64),
     }
-    runners: dict[str, Runner] = {"the reference's operators": _reference(model, clouds)}
+    runners = {
+        "the reference's operators": _reference(load_checkpoint(weights)[0], clouds, sample=cluster_farthest_points),
+        "the readable form": _reference(model, clouds),
+    }
     runners |= {name: _fast(FastPointRaft(model, form), clouds) for name, form in forms.items()}
     runners["ONNX Runtime, float32"] = _onnxruntime(graph, clouds)
     runners["ONNX Runtime, int8"] = _onnxruntime(_quantised(graph, clouds), clouds)
@@ -92,8 +97,12 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
     return runners
 
 
-def _reference(model: Any, clouds: Clouds) -> Runner:
-    """Sampling to 1024, 512 and 128 points, ball queries, every edge: the readable form, as the reference computes."""
+def _reference(model: PointRaft, clouds: Clouds, *, sample: Sampler = farthest_points) -> Runner:
+    """Sampling to 1024, 512 and 128 points, ball queries, every edge: the readable form, as the reference computes.
+
+    `sample` samples inside the network; the reference takes torch_cluster's operator there.
+    """
+    model.sa1_module.sample = model.sa2_module.sample = sample
 
     def run(rows: slice) -> NDArray[np.float64]:
         sampled = [torch.from_numpy(cloud[farthest_points(cloud, POINTS)]) for cloud in clouds.points[rows]]
@@ -101,6 +110,18 @@ def _reference(model: Any, clouds: Clouds) -> Runner:
             return np.asarray(model(sampled, torch.from_numpy(clouds.height_m[rows])).numpy(), np.float64)
 
     return run
+
+
+def cluster_farthest_points(points: NDArray[np.float32], count: int) -> NDArray[np.int64]:
+    """The same sampling with the tensor operations that torch_cluster's operator for CPUs makes (fps_cpu.cpp)."""
+    cloud = torch.from_numpy(points)
+    chosen = torch.zeros(count, dtype=torch.int64)
+    nearest = (cloud - cloud[0]).pow_(2).sum(1)
+    for pick in range(1, count):
+        farthest = nearest.argmax()
+        chosen[pick] = farthest
+        nearest = torch.minimum(nearest, (cloud - cloud[farthest]).pow_(2).sum(1))
+    return chosen.numpy()
 
 
 def _fast(network: FastPointRaft, clouds: Clouds) -> Runner:

@@ -74,6 +74,9 @@ class SegmenterConfig(Section):
     reject_below: float = Field(
         -1.5, ge=-6, le=0, description="log-odds of tuber against clod under which a track is no tuber"
     )
+    belt_sd_mm: float = Field(
+        2.0, ge=0, le=100, description="how well the belt's height is known (standard deviation): widens intervals"
+    )
     pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
     min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")
     min_area_mm2: float = Field(350.0, ge=50, le=5000, description="smaller blobs are no tubers")

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 
+TYPICAL_BELT_SD_M = 0.002
+"""How well a belt's height is known where nothing says it, standard deviation: measured once, worn and soiled since."""
+
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:

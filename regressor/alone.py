@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from conveyor.geometry import TYPICAL_BELT_SD_M
 from regressor.checkpoint import Sidecar, check_architecture, read_checkpoint
 from regressor.networks import POINTNET_POINTS
 from regressor.pointnet import PointNet
@@ -24,7 +25,7 @@ class Scale(Protocol):
     def sidecar(self) -> Sidecar:
         """Of the weights."""
 
-    def weigh(self, cloud: PreparedCloud) -> Weighed:
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
         """The weight of one prepared cloud."""
 
 
@@ -41,8 +42,8 @@ class PointNetScale:
         """Of the weights."""
         return self._sidecar
 
-    def weigh(self, cloud: PreparedCloud) -> Weighed:
-        """The network's grams for the cloud's first 1024 farthest points."""
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+        """The network's grams for the cloud's first 1024 farthest points; `belt_sd_m` changes nothing."""
         points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
         with torch.inference_mode():
             weight_g = float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])

@@ -105,7 +105,7 @@ class Sidecar(_Part):
 
 def save_checkpoint(path: Path, state: dict[str, Tensor], sidecar: Sidecar) -> Sidecar:
     """Write `path` (.safetensors) and its sidecar (.json), each atomically; the sidecar with its hash filled in."""
-    data = save_safetensors({name: value.contiguous() for name, value in state.items()}, {"format": FORMAT})
+    data = save_safetensors({name: value.cpu().contiguous() for name, value in state.items()}, {"format": FORMAT})
     filled = sidecar.model_copy(update={"sha256": hashlib.sha256(data).hexdigest()})
     text = json.dumps(filled.model_dump(mode="json"), indent=1, allow_nan=False)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -39,7 +39,7 @@ class CloudSet:
         points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
             repeat their points.
         height_m: (n,) float64, above the belt, not clamped. features: (n, 5) as in `volume.NAMES`.
-        weight_g, volume_ml, length_mm, belt_distance_m, row_share: (n,) float64.
+        weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
         tuber, cultivar, season: (n,) str. points_in_cloud: (n,) how many points the whole cloud had.
         refused: how many views could not be prepared, by reason.
     """
@@ -51,6 +51,7 @@ class CloudSet:
     volume_ml: NDArray[np.float64]
     length_mm: NDArray[np.float64]
     belt_distance_m: NDArray[np.float64]
+    belt_sd_m: NDArray[np.float64]
     row_share: NDArray[np.float64]
     tuber: NDArray[np.str_]
     cultivar: NDArray[np.str_]
@@ -159,6 +160,7 @@ def _prepare_all(
                 "volume_ml",
                 "length_mm",
                 "belt_distance_m",
+                "belt_sd_m",
                 "row_share",
                 "tuber",
                 "cultivar",

@@ -37,6 +37,7 @@ def weigh(
     /,
     *,
     belt_distance_m: float,
+    belt_sd_mm: float = 2.0,
     weights: Path | None = None,
     depth_scale_m: float | None = None,
     intrinsics: Path | None = None,
@@ -52,6 +53,8 @@ def weigh(
         Clouds in the camera's frame and metres, or either file of a 3DPotatoTwin depth/rgb pair.
     belt_distance_m
         Camera to belt along the optical axis, metres.
+    belt_sd_mm
+        How well that distance is known, standard deviation in millimetres: it widens the intervals.
     weights
         A .safetensors or an upstream .pth file; default: the shipped ones.
     depth_scale_m
@@ -69,8 +72,12 @@ def weigh(
 
     if not 0.05 <= belt_distance_m <= 5.0:
         raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
+    if not 0 <= belt_sd_mm <= 100:
+        raise InputError(
+            f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
+        )
     torch.set_num_threads(1)
-    options = FileOptions(belt_distance_m, depth_scale_m, intrinsics)
+    options = FileOptions(belt_distance_m, belt_sd_mm / 1000, depth_scale_m, intrinsics)
     results = weigh_files(paths, options, Weigher.load(weights))
     if json:
         sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
@@ -103,6 +110,7 @@ def train(
     shear: float | None = None,
     balanced: bool | None = None,
     compute: Literal["float32", "bfloat16"] = "float32",
+    device: Literal["cpu", "cuda"] = "cpu",
     threads: int = 1,
     seed: int = 133,
     save_minutes: float = 2.0,
@@ -147,6 +155,8 @@ def train(
         Draw the weight classes equally often; ours ends with the natural distribution.
     compute
         bfloat16 for the wide products is 2 to 3 times faster where the processor has it.
+    device
+        cuda where torch has a GPU.
     threads
         Of this process.
     seed
@@ -183,6 +193,7 @@ def train(
         height_embedding=height_embedding,
         balanced=balanced,
         compute=compute,
+        device=device,
         seed=seed,
         shear=shear,
         target=target,
@@ -342,6 +353,7 @@ def ablate(
     minutes: float | None = None,
     lr: float | None = None,
     compute: Literal["float32", "bfloat16"] = "float32",
+    device: Literal["cpu", "cuda"] = "cpu",
     max_views: int | None = None,
     cache: Path | None = None,
     seed: int = 133,
@@ -366,7 +378,7 @@ def ablate(
         Per variant, by the clock.
     lr
         First learning rate (1e-3).
-    compute
+    compute, device
         As for `train`.
     max_views
         Compare on the first so many.
@@ -385,7 +397,8 @@ def ablate(
     from regressor.trainrun import RunOptions
 
     torch.set_num_threads(1)
-    settings = _recipe("tuberline", shear=None, epochs=epochs, minutes=minutes, lr=lr, compute=compute, seed=seed)
+    given = {"epochs": epochs, "minutes": minutes, "lr": lr, "compute": compute, "device": device, "seed": seed}
+    settings = _recipe("tuberline", shear=None, **given)
     command = shlex.join(["tuberline", *sys.argv[1:]])
     options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
     with TrainingBar() as bar:

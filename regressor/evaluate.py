@@ -100,7 +100,7 @@ def evaluate_views(
             continue
         length, width, _ = oriented_box_m(cloud.points)
         views.append(view)
-        answers.append(weigher.weigh(cloud))
+        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m))
         features.append([*cloud.surface.as_array(), 1e3 * length, 1e3 * width, 1e3 * cloud.height_m])
         if progress is not None:
             progress(done)

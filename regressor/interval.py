@@ -42,7 +42,7 @@ class IntervalRule:
         """(low, high), each (n,) grams, for (n,) predictions; never below zero and never on the wrong side.
 
         Args:
-            terms: (n, 5) of `viewscale.view_terms`.
+            terms: (n, 6) of `viewscale.view_terms`.
         """
         scale = 1.0 if self.scale is None else self.scale.scale_g(terms)
         below = scale * np.interp(predicted_g, self.at_g, self.below_g)
@@ -72,7 +72,7 @@ def calibrate(
     """The rule that covers `level` of the calibration views in each class with at least 40 of them.
 
     Args:
-        predicted_g, weight_g: (n,) of views of tubers that were not trained on. terms: (n, 5) of `view_terms`.
+        predicted_g, weight_g: (n,) of views of tubers that were not trained on. terms: (n, 6) of `view_terms`.
     """
     scale = fit_scale(terms, weight_g - predicted_g)
     residual = (weight_g - predicted_g) / scale.scale_g(terms)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.twin import TwinView, is_twin, read_twin
 
@@ -36,6 +36,7 @@ PACK_KEYS = (
 class LabelledView:
     """One view with its truth. `depth` is a crop (uint16, zero outside the tuber); cx, cy count from its first pixel.
 
+    `belt_sd_m` is how well the belt distance is known, standard deviation; a typical value where nothing says it.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
     ((N, 3), camera frame, metres) is given.
     """
@@ -48,6 +49,7 @@ class LabelledView:
     cx: float
     cy: float
     belt_distance_m: float
+    belt_sd_m: float
     weight_g: float
     volume_ml: float
     length_mm: float
@@ -120,6 +122,7 @@ def _read_shard(path: Path) -> Iterator[LabelledView]:
         raise InputError(f"shard {path} lacks {missing}; it has {sorted(data)}")
     count = len(data["weight_g"])
     nothing = np.full(count, np.nan)
+    belt_sd_m = data.get("belt_sd_m", np.full(count, TYPICAL_BELT_SD_M))
     names = np.full(count, "unknown")
     volume, length = data.get("volume_ml", nothing), data.get("length_mm", nothing)
     cultivar, season = data.get("cultivar", names), data.get("season", names)
@@ -140,6 +143,7 @@ def _read_shard(path: Path) -> Iterator[LabelledView]:
             cx=cx - u0,
             cy=cy - v0,
             belt_distance_m=float(data["belt_distance_m"][i]),
+            belt_sd_m=float(belt_sd_m[i]),
             weight_g=float(data["weight_g"][i]),
             volume_ml=float(volume[i]),
             length_mm=float(length[i]),
@@ -160,6 +164,7 @@ def _from_twin(view: TwinView) -> LabelledView:
         cx=view.intrinsics.cx if view.intrinsics else 0.0,
         cy=view.intrinsics.cy if view.intrinsics else 0.0,
         belt_distance_m=view.belt_distance_m,
+        belt_sd_m=TYPICAL_BELT_SD_M,
         weight_g=view.weight_g,
         volume_ml=view.volume_ml,
         length_mm=view.length_mm,

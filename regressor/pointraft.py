@@ -93,6 +93,7 @@ class SetAbstraction(nn.Module):
         super().__init__()
         self.ratio = ratio
         self.radius_m = radius_m
+        self.sample = farthest_points
         self.conv = _PointConv(widths)
 
     def forward(self, features: Tensor | None, clouds: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
@@ -101,7 +102,7 @@ class SetAbstraction(nn.Module):
         first_point = first_centroid = 0
         for cloud in clouds:
             points = cloud.detach().to(torch.float32).numpy()
-            picked = farthest_points(points, int(np.ceil(np.float32(len(points)) * np.float32(self.ratio))))
+            picked = self.sample(points, int(np.ceil(np.float32(len(points)) * np.float32(self.ratio))))
             found = torch.from_numpy(first_in_range(points, points[picked], self.radius_m, NEIGHBOURS))
             target, slot = torch.nonzero(found >= 0, as_tuple=True)
             source = found[target, slot]

@@ -35,6 +35,7 @@ class TrainSettings:
         max_height_m: clamp of the height above the belt. The paper's 80 mm hide how tall an upright tuber is.
         frozen_share: last share of the training with batch-norm statistics fixed at their average: it halved the loss.
         compute: 'float32', or 'bfloat16' for the wide products.
+        device: 'cpu', or 'cuda' where there is a GPU; clouds are drawn and augmented on the CPU either way.
     """
 
     epochs: float = 50.0
@@ -56,6 +57,7 @@ class TrainSettings:
     max_height_m: float = 0.16
     frozen_share: float = 0.35
     compute: str = "float32"
+    device: str = "cpu"
     seed: int = 133
     augmentation: Augmentation = OURS
     network: Kind = "pointraft"

@@ -46,6 +46,7 @@ class Training:
     def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
         if len(data) < settings.batch:
             raise InputError(f"{len(data)} training views are fewer than one batch of {settings.batch}")
+        self.device = usable_device(settings.device)
         torch.manual_seed(settings.seed)
         self.settings = settings
         self.data = data
@@ -122,7 +123,7 @@ class Training:
             resample=not (natural and self.settings.natural_share > 0),
             power=TARGET_POWER[self.settings.target],
         )
-        points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)) for array in arrays)
+        points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)).to(self.device) for array in arrays)
         return points, heights, weights
 
     def _update_average(self) -> None:
@@ -137,7 +138,8 @@ class Training:
 
     def _new_network(self) -> Network:
         settings = self.settings
-        return new_network(settings.network, height_embedding=settings.height_embedding, dropout=settings.dropout)
+        network = new_network(settings.network, height_embedding=settings.height_embedding, dropout=settings.dropout)
+        return network.to(self.device)
 
     def finished_model(self) -> Network:
         """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights."""
@@ -176,17 +178,31 @@ class Training:
             "optimiser": self.optimiser.state_dict(),
             "rng": self.rng.bit_generator.state,
             "torch_rng": torch.get_rng_state(),
+            "cuda_rng": torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None,
             "progress": asdict(self.progress),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from `state()`."""
         self.model.load_state_dict(state["model"])
-        self.average = state["average"]
+        self.average = {name: value.to(self.device) for name, value in state["average"].items()}
         self.optimiser.load_state_dict(state["optimiser"])
         self.rng.bit_generator.state = state["rng"]
         torch.set_rng_state(state["torch_rng"])
+        if self.device.type == "cuda" and state.get("cuda_rng") is not None:
+            torch.cuda.set_rng_state(state["cuda_rng"], self.device)
         self.progress = Progress(**state["progress"])
+
+
+def usable_device(name: str) -> torch.device:
+    """The device `name` to compute on.
+
+    Raises:
+        InputError: 'cuda' without a GPU that this torch can use.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError(f"there is no CUDA GPU that torch {torch.__version__} can use: train with --device cpu")
+    return torch.device(name)
 
 
 def start_at_mean(model: Network, weight_g: NDArray[np.float64]) -> None:
@@ -216,6 +232,7 @@ def predict(
 ) -> NDArray[np.float64]:
     """(n,) grams, PointRAFT's on the reduced graph."""
     model.eval()
+    device = next(model.parameters()).device
     used = POINTNET_POINTS if isinstance(model, PointNet) else max(NEIGHBOURS, resolution.centroids)
     out = []
     with torch.inference_mode():
@@ -223,6 +240,8 @@ def predict(
             rows = slice(begin, begin + batch)
             heights = np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)
             points = torch.from_numpy(np.ascontiguousarray(data.points[rows, :used]))
-            weights = run_network(model, points, torch.from_numpy(heights), resolution=resolution, compute=compute)
-            out.append(weights.numpy())
+            weights = run_network(
+                model, points.to(device), torch.from_numpy(heights).to(device), resolution=resolution, compute=compute
+            )
+            out.append(weights.cpu().numpy())
     return np.concatenate(out).astype(np.float64)

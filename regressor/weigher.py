@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
 from regressor.checkpoint import Sidecar, load_checkpoint
 from regressor.fast import EXACT, FastPointRaft, Form
@@ -70,8 +71,12 @@ class Weigher:
         """The same weights, computed in `form`."""
         return self if form == self.form else Weigher(self._model, self.sidecar, form)
 
-    def weigh(self, cloud: PreparedCloud) -> Weighed:
-        """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it."""
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+        """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it.
+
+        Args:
+            belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
+        """
         by_volume_g = self._volume.weight_g(cloud.surface)
         if self._network is None:
             return self._by_volume(by_volume_g, cloud.flags)
@@ -80,7 +85,7 @@ class Weigher:
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
         weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
-        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g)
+        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, belt_sd_m)
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
@@ -106,15 +111,15 @@ class Weigher:
         )
 
     def _bounds(
-        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float
+        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, belt_sd_m: float
     ) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        weight, network, by_volume, height = (
-            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m)
+        weight, network, by_volume, height, belt_sd = (
+            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, belt_sd_m)
         )
-        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height)
+        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, belt_sd)
         low, high = self._interval.bounds_g(np.array([weight_g]), terms)
         return float(low[0]), float(high[0])
 
@@ -140,7 +145,7 @@ def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups 
 def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
     """The answer to `view`: a weight, or a refusal with its reason."""
     try:
-        weighed = weigher.weigh(prepare_view(view))
+        weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m)
     except RefusedCloud as refusal:
         return Weight(
             view_id=view.view_id,

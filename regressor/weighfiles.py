@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
-from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.cloudfile import read_cloud
 from regressor.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
 from regressor.twin import MAX_DEPTH_M, find_intrinsics, pair_of, read_intrinsics, read_pair
@@ -20,6 +20,7 @@ class FileOptions:
     """How files are read. `depth_scale_m` None takes what the intrinsics file says (1 mm where it says nothing)."""
 
     belt_distance_m: float
+    belt_sd_m: float = TYPICAL_BELT_SD_M
     depth_scale_m: float | None = None
     intrinsics: Path | None = None
 
@@ -73,7 +74,8 @@ def _weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResul
     fault = _distance_fault(path, cloud)
     if fault:
         return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=fault)
-    return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), weigher.weigh(cloud))
+    weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m)
+    return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), weighed)
 
 
 def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:

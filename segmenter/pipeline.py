@@ -9,15 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
 from segmenter.belt import BeltGeometry
+from segmenter.belt_keeper import BeltKeeper
 from segmenter.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.coverage import Coverage
 from segmenter.eyes import Eyes, EyesSettings
 from segmenter.heights import HeightMap, height_map
 from segmenter.history import TravelHistory
 from segmenter.instances import Instances, SplitSettings, given
-from segmenter.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
+from segmenter.plane import BeltCheck
 from segmenter.portrait import Portrait
 from segmenter.resume import Resume
 from segmenter.sides import completed_centres
@@ -26,9 +28,6 @@ from segmenter.tracker import Tracker, TrackSettings
 from segmenter.travel import TravelEstimator
 from segmenter.views import Candidate, cut_out, size_m, slot_offsets
 
-FITTED_OVER = 15
-CHECK_EVERY = 30
-BELT_PATIENCE = 60
 LEAST_SEEN = 0.1
 FROZEN_M = 0.001
 """A shorter way need not change a single pixel."""
@@ -46,6 +45,8 @@ class Settings:
     count: CountSettings = field(default_factory=CountSettings)
     eyes: EyesSettings = field(default_factory=EyesSettings)
     views_per_tuber: int = 3
+    belt_sd_m: float = TYPICAL_BELT_SD_M
+    belt_follow_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +77,10 @@ class Segmenter:
         self.discarded: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
         self.counted = 0
-        self.belt: BeltGeometry | None = None
-        self.belt_check = BeltCheck(None, None)
         self.tracker: Tracker | None = None
         self.instances: Instances | None = None
         self.eyes = Eyes(settings.eyes, settings.split)
+        self._belts = BeltKeeper(settings.belt_follow_m)
         self._found: list[tuple[TrackState, int]] = []
         self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
         self._coverage: Coverage | None = None
@@ -88,10 +88,7 @@ class Segmenter:
         self._first: Frame | None = None
         self._last: Frame | None = None
         self._estimator: TravelEstimator | None = None
-        self._fits: list[PlaneFit] = []
-        self._fitted = False
         self._processed = 0
-        self._beltless = 0
         self.travel_m = resume.travel_m if resume else 0.0
         self.estimated = False
 
@@ -104,7 +101,7 @@ class Segmenter:
         dropped = self._unusable(frame)
         if dropped:
             return StepResult(self.travel_m, self.estimated, 0, (), dropped)
-        belt = self._belt_of(frame)
+        belt = self._belts.belt_of(frame)
         if belt is None:
             return StepResult(self.travel_m, self.estimated, 0, (), "no_belt")
         if self._resume is not None and self.tracker is None and frame.travel_m is None:
@@ -137,6 +134,16 @@ class Segmenter:
         if self.tracker is None or self._last is None:
             return []
         return self._close(self.tracker, self._last, everything=True)
+
+    @property
+    def belt(self) -> BeltGeometry | None:
+        """The belt in use; None before the first."""
+        return self._belts.belt
+
+    @property
+    def belt_check(self) -> BeltCheck:
+        """What the newest check of the belt said, against the belt as given."""
+        return self._belts.check
 
     @property
     def looked_at_m(self) -> float:
@@ -219,46 +226,8 @@ class Segmenter:
             return False
         return abs(frame.travel_m - last.travel_m) >= FROZEN_M and np.array_equal(frame.depth, last.depth)
 
-    def _belt_of(self, frame: Frame) -> BeltGeometry | None:
-        """The belt to use for this frame, checked or fitted when due."""
-        pose_given = frame.belt_from_camera is not None or frame.belt_distance_m is not None
-        due = (
-            self.belt is None or self._processed % CHECK_EVERY == 0 or (self._fitted and len(self._fits) < FITTED_OVER)
-        )
-        if not due:
-            return self.belt
-        fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask)
-        if self.belt is None:
-            if fit is None and not pose_given:
-                self._beltless += 1
-                if self._beltless < BELT_PATIENCE:
-                    return None
-            pose = given_or_fitted(frame.belt_from_camera, frame.belt_distance_m, fit, camera=frame.camera)
-            self.belt = BeltGeometry(frame.intrinsics, pose)
-            self._fitted = not pose_given
-        if self._fitted and fit is not None and len(self._fits) < FITTED_OVER:
-            self._fits.append(fit)
-            mean = np.mean([f.inverse_depth for f in self._fits], axis=0)
-            a, b, c = (float(value) for value in mean)
-            pose = given_or_fitted(
-                None, None, PlaneFit((a, b, c), 1 / c, fit.tilt_deg, fit.residual_m, fit.share), camera=frame.camera
-            )
-            self.belt = BeltGeometry(frame.intrinsics, pose)
-            if self.tracker is not None:
-                self.tracker.belt = self.belt
-        self._check(frame, fit, self.belt.belt_from_camera)
-        return self.belt
-
-    def _check(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> None:
-        share = support_share(
-            pose, frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask
-        )
-        self.belt_check = check_belt(
-            pose, fit, given_share=share, camera=frame.camera, depth_scale_m=frame.depth_scale_m
-        )
-
     def _parts(self, belt: BeltGeometry) -> tuple[Tracker, Coverage, TravelEstimator]:
-        """Tracker and coverage, made when the first belt is known."""
+        """Tracker, coverage and estimator, made when the first belt is known; the tracker gets every better one."""
         if self.tracker is None or self._coverage is None or self._estimator is None:
             low_m, high_m = belt.x_range()
             offsets_m = slot_offsets(self.settings.views_per_tuber, half_view_m=(high_m - low_m) / 2)
@@ -275,6 +244,7 @@ class Segmenter:
                     travelled_m=self._resume.travelled_m - unlogged_m,
                     travel_m=complete_m,
                 )
+        self.tracker.belt = belt
         return self.tracker, self._coverage, self._estimator
 
     def _follow_belt(
@@ -373,10 +343,11 @@ class Segmenter:
             views=(),
             views_lost={},
         )
-        return ClosedTrack(message, tuple(_view(c, rank, track_id, frame) for rank, c in enumerate(chosen)))
+        sd_m = self.settings.belt_sd_m
+        return ClosedTrack(message, tuple(_view(c, rank, track_id, frame, sd_m) for rank, c in enumerate(chosen)))
 
 
-def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame) -> View:
+def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_m: float) -> View:
     """A candidate as the message that goes to a regressor."""
     return View(
         view_id=f"{track_id}/{candidate.seq}",
@@ -392,4 +363,5 @@ def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame) -> View:
         v0=candidate.v0,
         depth=candidate.depth,
         belt_from_camera=candidate.belt_from_camera,
+        belt_sd_m=belt_sd_m,
     )

@@ -23,6 +23,7 @@ def core_settings(config: LineConfig) -> Settings:
         count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm, reject_below=s.reject_below),
         eyes=EyesSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
+        belt_sd_m=s.belt_sd_mm / 1000,
     )
 
 

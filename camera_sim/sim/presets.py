@@ -8,6 +8,7 @@ nothing here proves that a network trained on these views transfers.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from numpy.random import Generator
@@ -42,6 +43,11 @@ class Preset:
     lift_sd_m: float
     ragged_px: float
     touched: float
+
+    @property
+    def belt_sd_m(self) -> float:
+        """How well the belt's height is known, standard deviation: what a line would write into its config."""
+        return math.hypot(self.belt_error_session_m, self.belt_error_tuber_m)
 
 
 EASY_PRESET = Preset("easy", EASY, 0.0, 0.002, 3.0, 0.0005, 0.0003, 0.0005, 0.7, 0.15)

@@ -22,8 +22,9 @@ def write_view_pack(
 
     A shard holds, for its n views: `depth` all crops one after the other (uint16, 0 outside the mask), `depth_offset`
     (n+1,), `crop` (n, 4) u0 v0 h w, `depth_scale_m`, `intrinsics` (n, 4) fx fy cx cy, `image_size` (n, 2) width height,
-    `belt_distance_m`, `weight_g`, `volume_ml`, `length_mm`, `width_mm`, `height_mm` (sorted caliper axes), `tuber` (the
-    same number in all views of a tuber), `cultivar`, `season`, `v_centre`.
+    `belt_distance_m` and `belt_sd_m` (how well it is known), `weight_g`, `volume_ml`, `length_mm`, `width_mm`,
+    `height_mm` (sorted caliper axes), `tuber` (the same number in all views of a tuber), `cultivar`, `season`,
+    `v_centre`.
     """
     out.mkdir(parents=True, exist_ok=True)
     simulator = ViewSimulator(plan)
@@ -62,6 +63,7 @@ def pack_views(views: list[SimulatedView]) -> dict[str, Any]:
         "intrinsics": np.array([(i.fx, i.fy, i.cx, i.cy) for i in k]),
         "image_size": np.array([(i.width, i.height) for i in k], np.int32),
         "belt_distance_m": np.array([view.belt_distance_m for view in views]),
+        "belt_sd_m": np.array([view.belt_sd_m for view in views]),
         "weight_g": np.array([view.tuber.weight_g for view in views]),
         "volume_ml": np.array([view.tuber.volume_ml for view in views]),
         "length_mm": np.array([view.tuber.axes_mm[0] for view in views]),

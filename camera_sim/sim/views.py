@@ -46,7 +46,7 @@ class SimulatedView:
 
     Attributes:
         depth: (h, w) uint16 in units of `depth_scale_m`, zero outside the mask; u0, v0 its place in the image.
-        belt_distance_m: as the system believes it; the truth differs by the preset's error.
+        belt_distance_m: as the system believes it; the truth differs by the preset's error, of sd `belt_sd_m`.
     """
 
     depth: NDArray[np.uint16]
@@ -55,6 +55,7 @@ class SimulatedView:
     depth_scale_m: float
     intrinsics: Intrinsics
     belt_distance_m: float
+    belt_sd_m: float
     v_centre: float
     tuber_id: int
     tuber: Tuber
@@ -249,6 +250,7 @@ def _cropped(
         depth_scale_m=setting.unit_m,
         intrinsics=k,
         belt_distance_m=setting.believed_distance_m,
+        belt_sd_m=setting.preset.belt_sd_m,
         v_centre=float(k.fy * middle[1] / middle[2] + k.cy),
         tuber_id=tuber_id,
         tuber=tuber,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import MessageError
-from conveyor.geometry import Intrinsics, belt_distance_m, deproject, transform_points
+from conveyor.geometry import TYPICAL_BELT_SD_M, Intrinsics, belt_distance_m, deproject, transform_points
 from conveyor.messages.base import ArraySpec, Message
 
 
@@ -22,6 +22,7 @@ class View(Message):
         depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber's mask.
         u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
         belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
+        belt_sd_m: how well the belt's height is known, standard deviation.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
         reply_to: camera whose `weight/<camera>` topic takes the answer.
     """
@@ -39,6 +40,7 @@ class View(Message):
     v0: int
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
+    belt_sd_m: float = TYPICAL_BELT_SD_M
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", 2),
@@ -48,6 +50,8 @@ class View(Message):
     def __post_init__(self) -> None:
         if self.belt_from_camera.shape != (4, 4):
             raise MessageError(f"View.belt_from_camera is {self.belt_from_camera.shape}, not (4, 4)")
+        if not 0 <= self.belt_sd_m <= 0.1:
+            raise MessageError(f"View.belt_sd_m is {self.belt_sd_m}; allowed are 0 to 0.1 metres")
 
     @property
     def belt_distance_m(self) -> float:

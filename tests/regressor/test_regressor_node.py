@@ -65,7 +65,7 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
         return [
             values.get(name)
             for name in ("view_received", "views_weighed", "views_refused_empty_cloud", "views_duplicate")
-        ] == [3, 2, 1, 1]
+        ] == [3, 1, 1, 1]
 
     wait_until(counted, what="the worker's counters")
     os.kill(worker.pid, signal.SIGTERM)

@@ -146,6 +146,21 @@ def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) 
         assert torch.equal(value, second.model.state_dict()[name]), name
 
 
+def test_a_gpu_takes_the_same_steps_or_is_said_to_be_missing(data: CloudSet, tmp_path: Path) -> None:
+    settings = replace(QUICK, dropout=0.0)
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match=r"no CUDA GPU .* --device cpu"):
+            Training(data, data, replace(settings, device="cuda"))
+        pytest.skip("no CUDA GPU here: training was NOT compared on one")
+    here, there = Training(data, data, settings), Training(data, data, replace(settings, device="cuda"))
+    assert [there.step() for _ in range(3)] == pytest.approx([here.step() for _ in range(3)], rel=1e-3)
+    save_state(there, tmp_path / "state.pt")
+    here.restore(load_state(tmp_path / "state.pt"))
+    assert predict(there.finished_model(), data, highest_m=0.16) == pytest.approx(
+        predict(here.finished_model(), data, highest_m=0.16), rel=1e-3
+    )
+
+
 def test_a_broken_state_is_named(tmp_path: Path) -> None:
     (tmp_path / "state.pt").write_bytes(b"half a file")
     with pytest.raises(InputError, match=r"state.pt cannot be read"):

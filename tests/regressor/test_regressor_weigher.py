@@ -115,16 +115,20 @@ def test_a_refusal_names_its_reason(weigher: Weigher) -> None:
 
 
 def _drawn(rng: np.random.Generator, tubers: int, *, shared: float = 0.8) -> dict[str, np.ndarray]:
-    """Views whose errors grow with the weight and with how steep the tuber stands; half of them rest."""
+    """Views whose errors grow with the weight, with how steep the tuber stands and with how badly the belt is known."""
     truth = np.repeat(rng.gamma(2.4, 70, tubers) + 10, 4)
     steep = np.repeat(np.where(rng.random(tubers) < 0.5, 0.0, rng.uniform(0, 0.6, tubers)), 4)
     normal = shared * np.repeat(rng.normal(size=tubers), 4) + np.sqrt(1 - shared**2) * rng.normal(size=4 * tubers)
-    predicted = np.maximum(truth + normal * (3 + 0.03 * truth) * np.exp(2 * steep), 2.0)
+    belt_sd_m = np.repeat(rng.choice([0.0, 0.002, 0.004], tubers), 4)
+    worse = np.hypot(1.0, belt_sd_m / 0.002)
+    predicted = np.maximum(truth + normal * (3 + 0.03 * truth) * np.exp(2 * steep) * worse, 2.0)
     width = np.full(len(truth), 50.0)
-    features = np.column_stack([truth, truth, width, width, width])
-    terms = view_terms(predicted, predicted, predicted, features, 0.05 * np.exp(steep))
+    features = np.column_stack([4 * truth, truth, width, width, width])
+    terms = view_terms(predicted, predicted, predicted, features, 0.05 * np.exp(steep), belt_sd_m)
     tuber = np.repeat(np.arange(tubers), 4).astype(str)
-    return {"predicted": predicted, "truth": truth, "terms": terms, "steep": steep, "tuber": tuber}
+    return {
+        "predicted": predicted, "truth": truth, "terms": terms, "steep": steep, "belt_sd_m": belt_sd_m, "tuber": tuber
+    }  # fmt: skip
 
 
 def test_conformal_intervals_cover_what_they_promise(rng: np.random.Generator) -> None:
@@ -135,15 +139,27 @@ def test_conformal_intervals_cover_what_they_promise(rng: np.random.Generator) -
     low, high = rule.bounds_g(new["predicted"], new["terms"])
     held = (new["truth"] >= low) & (new["truth"] <= high)
     assert held.mean() == pytest.approx(0.9, abs=0.02)
-    for kind in (new["predicted"] < 100, new["predicted"] > 300, new["steep"] == 0, new["steep"] > 0.4):
+    kinds = [new["predicted"] < 100, new["predicted"] > 300, new["steep"] == 0, new["steep"] > 0.4]
+    for kind in (*kinds, *(new["belt_sd_m"] == sd_m for sd_m in (0.0, 0.002, 0.004))):
         assert held[kind].mean() == pytest.approx(0.9, abs=0.05)
     assert IntervalRule.from_json(rule.to_json()) == rule
     assert IntervalRule.from_json(json.loads(json.dumps(rule.to_json()))) == rule
 
 
+def test_a_belt_that_is_known_worse_widens_the_interval_and_moves_nothing(weigher: Weigher) -> None:
+    cloud = prepare_view(ellipsoid_view(AXES))
+    answers = [weigher.weigh(cloud, belt_sd_m=sd_m) for sd_m in (0.0, 0.0005, 0.002, 0.005, 0.02)]
+    widths = [answer.high_g - answer.low_g for answer in answers]
+    assert widths == sorted(widths)
+    assert widths[-1] > 2 * widths[0]
+    assert len({answer.weight_g for answer in answers}) == 1
+    view = replace(ellipsoid_view(AXES), belt_sd_m=0.005)
+    assert weigh_view(weigher, view, regressor="r1").high_g == answers[3].high_g
+
+
 def test_an_interval_from_before_there_was_a_scale_stays_in_grams() -> None:
     old = {"level": 0.9, "at_g": [50, 200], "below_g": [-5, -20], "above_g": [6, 24], "views": 100}
-    low, high = IntervalRule.from_json(old).bounds_g(np.array([50.0, 125.0]), np.zeros((2, 5)))
+    low, high = IntervalRule.from_json(old).bounds_g(np.array([50.0, 125.0]), np.zeros((2, 6)))
     assert low == pytest.approx([45.0, 112.5])
     assert high == pytest.approx([56.0, 140.0])
 
