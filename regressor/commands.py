@@ -262,6 +262,7 @@ def evaluate(
     out: Path,
     weights: Path | None = None,
     split: str | None = None,
+    season: str | None = None,
     max_views: int | None = None,
     plots: bool = True,
     json: bool = False,
@@ -278,6 +279,8 @@ def evaluate(
         A .safetensors or an upstream .pth file; default: the shipped ones.
     split
         Of a 3DPotatoTwin folder's splits.csv.
+    season
+        Only tubers of this season; the baselines are fitted to them alone.
     max_views
         Only the first so many.
     plots
@@ -307,10 +310,11 @@ def evaluate(
             data,
             Weigher.load(weights, any_target=True),
             split=split,
+            season=season,
             max_views=max_views,
             progress=lambda done: bar.update(task, description=f"{done} views weighed"),
         )
-    title = f"Evaluation on {data.name}"
+    title = f"Evaluation on {data.name}" + (f", season {season}" if season else "")
     measured = write_report(result, out, title=title)
     if plots:
         write_plots(result, out)

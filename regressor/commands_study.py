@@ -210,6 +210,7 @@ def evaluation_page(
     out: Path,
     field: Path,
     easy: Path,
+    one_season: Path | None = None,
     ablation: Path | None = None,
     drift: Path | None = None,
     speed: Path | None = None,
@@ -225,6 +226,8 @@ def evaluation_page(
         Folder of `tuberline evaluate` on field views.
     easy
         The same on easy views.
+    one_season
+        The same on field views of one season (`--season`): as hard for the paper's linear rule as the paper's data.
     ablation
         Folder of `tuberline ablate`.
     drift
@@ -236,5 +239,6 @@ def evaluation_page(
     """
     from regressor.page import evaluation_page as page
 
-    out.write_text(page(field, easy, ablation=ablation, drift=drift, speed=speed, image=image), encoding="utf-8")
+    text = page(field, easy, one_season=one_season, ablation=ablation, drift=drift, speed=speed, image=image)
+    out.write_text(text, encoding="utf-8")
     sys.stderr.write(f"{out} written\n")

@@ -64,16 +64,18 @@ def evaluate(
     weigher: Scale,
     *,
     split: str | None = None,
+    season: str | None = None,
     max_views: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Evaluation:
-    """Weigh all labelled views of `folder` (or the first `max_views`).
+    """Weigh all labelled views of `folder`, of one `season` alone where it is given (or the first `max_views`).
 
     Raises:
         InputError: unreadable, or nothing to weigh.
     """
-    views = read_labelled(folder, split=split)
-    return evaluate_views(islice(views, max_views), weigher, where=str(folder), progress=progress)
+    views = (view for view in read_labelled(folder, split=split) if season is None or view.season == season)
+    where = f"{folder}, season {season}" if season else str(folder)
+    return evaluate_views(islice(views, max_views), weigher, where=where, progress=progress)
 
 
 def evaluate_views(

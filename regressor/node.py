@@ -86,7 +86,7 @@ class _Worker:
 
     def _answer(self, view: View) -> None:
         # With a checksum: another run of the same recording may cut the same tuber out differently.
-        key = (view.view_id, zlib.crc32(view.depth))
+        key = (view.view_id, zlib.crc32(view.depth.data))
         weight = self._answered.get(key)
         if weight is not None:
             self._node.counters.add("views_duplicate")

@@ -13,7 +13,8 @@ INTRODUCTION = """# Evaluation of the shipped weights
 
 Simulated tubers that neither training nor any choice has seen. `field` has tumbling poses, 2-3 mm of belt-height error
 and more noise; `easy` has resting poses and a well calibrated belt. How far this carries over to a real harvester is
-not known; the one real cloud at hand is in the model card, `regressor/weights/MODEL_CARD.md`.
+not known; the one real cloud at hand is in the model card, `regressor/weights/MODEL_CARD.md`, with the commands that
+make these sets.
 
 Each table is made by the command above it, and this page by `tuberline evaluation-page` from what those commands saved.
 """
@@ -23,6 +24,7 @@ def evaluation_page(
     field: Path,
     easy: Path,
     *,
+    one_season: Path | None = None,
     ablation: Path | None,
     drift: Path | None,
     speed: Path | None,
@@ -38,6 +40,9 @@ def evaluation_page(
         parts.append(f"![Estimated over true weight, cumulative error, error over weight]({image})\n")
     for name, folder in (("field", field), ("easy", easy)):
         parts.append(_section(name, f"tuberline evaluate --data PACK --out {name}", _evaluation(folder, name)))
+    if one_season:
+        body, _, _ = _evaluation(one_season, "one season").partition("\n### ")
+        parts.append(_section("Field, one season", "tuberline evaluate --data PACK --season 2023 --out season", body))
     if ablation:
         table, words = ablate.read_table(ablation)
         parts.append(

@@ -104,6 +104,8 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     assert measured["shifts"]["the same again"]["methods"][SHIPPED] == plain
     # Six millimetres are a tenth of a tuber's height.
     assert 5 < tall["total_bias_percent"] - plain["total_bias_percent"] < 30
+    with pytest.raises(InputError, match=r"season 1999 holds no view"):
+        evaluate(pack, weigher, season="1999")
     result = evaluate(pack, weigher)
     write_report(result, tmp_path / "evaluation", title="x")
     text = write_drift(measured, tmp_path / "drift")
@@ -112,8 +114,10 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     table = {"full": {**row, "steps": 7.0}, **dict.fromkeys(RULES, row)}
     (tmp_path / "ablation.json").write_text(json.dumps({"recipe": "R.", "table": table}), encoding="utf-8")
     folder = tmp_path / "evaluation"
-    page = evaluation_page(folder, folder, ablation=tmp_path, drift=tmp_path / "drift", speed=None, image="a.png")
-    assert page.count("\n## field\n") == 1
+    page = evaluation_page(
+        folder, folder, one_season=folder, ablation=tmp_path, drift=tmp_path / "drift", speed=None, image="a.png"
+    )
+    assert page.count("\n## field\n") == page.count("\n## Field, one season\n") == 1
     assert f"| {NETWORK} | " in page
     assert "| full: PointRAFT | 7 | 1.000 |" in page
     assert text.strip() in page
