@@ -3,8 +3,8 @@
     python -m benchmarks eyes --out runs/eyes [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
 Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
-not done again, so the command may be stopped and called again. Tables: OUT/eyes.md. The recordings' masks serve as
-truth only.
+not done again, so the command may be stopped and called again. Tables: OUT/eyes.md, of all results in OUT. The
+recordings' masks serve as truth only.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from segmenter.setup import core_settings
 
 TIMED = (("crowded", "d405-848"), ("crowded", "d405-1280"))
 TIMED_TUBERS = 60
+FOLLOW_MM = 6.0
+"""Each recording is also counted and weighed with the belt followed this far, for the loads beside each other."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,15 +44,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     out.mkdir(parents=True, exist_ok=True)
     settings = core_settings(parse_config({}, where="of the benchmark"))
     cases = suite(tuple(options.scenes), seeds=tuple(options.seeds), tubers=options.tubers, preset=options.preset)
-    rows = [
-        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _judge(c, options, settings)) for case in cases
-    ]
+    for case in cases:
+        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _judge(c, options, settings))
     timed = [Case(scene, options.seeds[0], TIMED_TUBERS, options.preset, camera) for scene, camera in TIMED]
     times = [
         _kept(out / f"time-{case.name}.json", options.fresh, lambda c=case: _time(c, out, settings))
         for case in timed
         if options.times
     ]
+    rows = _all_kept(out)
     text = tables(rows, times)
     (out / "eyes.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
@@ -72,16 +74,27 @@ def _kept(path: Path, fresh: bool, make: Any) -> dict[str, Any]:
     return result
 
 
+def _all_kept(out: Path) -> list[dict[str, Any]]:
+    """All results of scenes in `out`, in the suite's order."""
+    paths = [path for path in out.glob("*-seed*.json") if not path.name.startswith("time-")]
+    rows = [dict(json.loads(path.read_text(encoding="utf-8"))) for path in paths]
+    return sorted(rows, key=lambda row: (SUITE.index(row["scene"]), row["seed"], row["name"]))
+
+
 def _judge(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
     recording = case.recording(options.out / "recordings")
-    line = run_line(recording, Weigher.load())
+    weigher = Weigher.load()
+    line = run_line(recording, weigher)
     score = line.score(recording / "truth.json")
+    followed = run_line(recording, weigher, belt_follow_mm=FOLLOW_MM).score(recording / "truth.json")
     masks = evaluate_recording(recording, settings=settings, every=options.every)
     distractors = json.loads((recording / "truth.json").read_text(encoding="utf-8"))["distractors"]
     return {
         **asdict(case),
         "name": case.name,
         "score": score.as_dict(),
+        "followed": followed.as_dict(),
+        "belt_off_mm": line.belt_off_mm,
         "masks": asdict(masks),
         "discarded": line.discarded,
         "distractors": distractors,

@@ -30,12 +30,18 @@ WORKER = "inline"
 
 @dataclass(frozen=True, slots=True)
 class LineResult:
-    """What a recording led to. `discarded`: tracks that were not counted, by reason, all cameras together."""
+    """What a recording led to.
+
+    Attributes:
+        discarded: tracks that were not counted, by reason, all cameras together.
+        belt_off_mm: by camera, the belt as the last check saw it less the belt as given; missing where none was seen.
+    """
 
     tubers: tuple[Tuber, ...]
     looked: dict[str, Looked | None]
     estimated: bool
     discarded: dict[str, int]
+    belt_off_mm: dict[str, float]
 
     def score(self, truth: Path) -> Score:
         """Against truth.json, as `tuberline score` does it."""
@@ -54,15 +60,19 @@ class _NothingCommitted:
         return False
 
 
-def run_line(recording: Path, weigher: Weigher) -> LineResult:
+def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float = 0.0) -> LineResult:
     """Count and weigh everything in `recording`; its masks are not used.
+
+    Args:
+        belt_follow_mm: as in the config.
 
     Raises:
         TuberlineError: a recording that cannot be used.
     """
     names = camera_names(recording)
+    cameras = {name: {"path": str(recording), "ignore_masks": True} for name in names}
     config = parse_config(
-        {"cameras": {name: {"path": str(recording), "ignore_masks": True} for name in names}}, where="of the benchmark"
+        {"cameras": cameras, "segmenter": {"belt_follow_mm": belt_follow_mm}}, where="of the benchmark"
     )
     warm_up(config.segmenter.pixel_mm)
     line = Aggregation(
@@ -75,6 +85,7 @@ def run_line(recording: Path, weigher: Weigher) -> LineResult:
     )
     looked: dict[str, Looked | None] = {}
     discarded: Counter[str] = Counter()
+    belt_off_mm: dict[str, float] = {}
     estimated = False
     for name in names:
         camera = _run_camera(recording, name, config, weigher, line)
@@ -82,10 +93,12 @@ def run_line(recording: Path, weigher: Weigher) -> LineResult:
         looked[name] = None if mark is None else Looked(mark.looked_at_m, mark.travelled_m)
         estimated |= mark is not None and mark.travel_estimated
         discarded.update(camera.core.discarded)
+        if (drift_m := camera.core.belt_check.drift_m) is not None:
+            belt_off_mm[name] = 1000 * drift_m
     batch = line.commit(now_s=0.0)
     if not line.finished:
         raise TuberlineError(f"{recording}: {line.pending} tracks are still pending after the last frame")
-    return LineResult(batch.tubers, looked, estimated, dict(sorted(discarded.items())))
+    return LineResult(batch.tubers, looked, estimated, dict(sorted(discarded.items())), belt_off_mm)
 
 
 def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:

@@ -27,33 +27,48 @@ def tables(rows: Sequence[Row], times: Sequence[Row]) -> str:
 def counting_table(rows: Sequence[Row]) -> str:
     """Counts and loads; scenes with several seeds get a line of their own with the sums."""
     head = (
-        "| scene | seed | true | counted | error | missed | double | false | load off by | MAE, tuber | place off |\n"
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
+        "| scene | seed | true | counted | error | missed | double | false | taken for clods | belt seen off "
+        "| load off by | MAE, tuber | load, belt followed | MAE, belt followed | place off |\n"
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
     )
     lines = []
     for scene in dict.fromkeys(row["scene"] for row in rows):
         own = [row for row in rows if row["scene"] == scene]
-        lines += [_counted(str(row["scene"]), str(row["seed"]), [row["score"]]) for row in own]
+        lines += [_counted(str(row["scene"]), str(row["seed"]), [row]) for row in own]
         if len(own) > 1:
-            lines.append(_counted(f"**{scene}**", "all", [row["score"] for row in own]))
-    fair = [row["score"] for row in rows if row["scene"] != "distractors"]
+            lines.append(_counted(f"**{scene}**", "all", own))
+    fair = [row for row in rows if row["scene"] != "distractors"]
     if len(fair) > 1:
         lines.append(_counted("**all but distractors**", "", fair))
     return head + "".join(lines)
 
 
-def _counted(scene: str, seed: str, scores: Sequence[Row]) -> str:
-    def total(name: str) -> float:
-        return float(sum(score[name] for score in scores))
-
-    true, count = total("true_count"), total("count")
-    load = 100 * (total("weight_g") / total("true_weight_g") - 1)
-    mae = sum(score["mae_g"] * score["matched"] for score in scores) / max(total("matched"), 1)
-    place = sum(score["place_mean_mm"] * score["matched"] for score in scores) / max(total("matched"), 1)
+def _counted(scene: str, seed: str, rows: Sequence[Row]) -> str:
+    scores = [row["score"] for row in rows]
+    followed = [row["followed"] for row in rows]
+    true, count = _total(scores, "true_count"), _total(scores, "count")
+    refused = sum(row["discarded"].get("distractor", 0) for row in rows)
+    belts = ", ".join(f"{off:+.1f}" for off in rows[0]["belt_off_mm"].values()) + " mm" if len(rows) == 1 else ""
     return (
-        f"| {scene} | {seed} | {true:.0f} | {count:.0f} | {100 * (count / true - 1):+.2f} % | {total('missed'):.0f} "
-        f"| {total('double_counted'):.0f} | {total('false'):.0f} | {load:+.1f} % | {mae:.1f} g | {place:.1f} mm |\n"
+        f"| {scene} | {seed} | {true:.0f} | {count:.0f} | {100 * (count / true - 1):+.2f} % "
+        f"| {_total(scores, 'missed'):.0f} | {_total(scores, 'double_counted'):.0f} | {_total(scores, 'false'):.0f} "
+        f"| {refused} | {belts} | {_load_percent(scores):+.1f} % | {_mean(scores, 'mae_g'):.1f} g "
+        f"| {_load_percent(followed):+.1f} % | {_mean(followed, 'mae_g'):.1f} g "
+        f"| {_mean(scores, 'place_mean_mm'):.1f} mm |\n"
     )
+
+
+def _total(scores: Sequence[Row], name: str) -> float:
+    return float(sum(score[name] for score in scores))
+
+
+def _mean(scores: Sequence[Row], name: str) -> float:
+    """Over all matched tubers."""
+    return float(sum(score[name] * score["matched"] for score in scores) / max(_total(scores, "matched"), 1))
+
+
+def _load_percent(scores: Sequence[Row]) -> float:
+    return 100 * (_total(scores, "weight_g") / _total(scores, "true_weight_g") - 1)
 
 
 def masks_table(rows: Iterable[Row]) -> str:

@@ -68,14 +68,19 @@ class SegmenterConfig(Section):
     """From a depth frame to tubers on the belt and views worth weighing."""
 
     method: Literal["classical", "classes", "learned"] = Field(
-        "classical", description="classes: a network tells clods, stones, haulm apart; learned: one finds tubers too"
+        "classes",
+        description="classes: a network tells clods and stones from tubers; classical: all are counted; learned: a "
+        "network finds the tubers too",
     )
     weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
     reject_below: float = Field(
-        -1.5, ge=-6, le=0, description="log-odds of tuber against clod under which a track is no tuber"
+        0.7, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )
     belt_sd_mm: float = Field(
         2.0, ge=0, le=100, description="how well the belt's height is known (standard deviation): widens intervals"
+    )
+    belt_follow_mm: float = Field(
+        0.0, ge=0, le=15, description="a given belt moves to where it is seen, by this much at most; 0: never"
     )
     pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
     min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")

@@ -42,7 +42,7 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
         recording,
         recording_cameras(recording),
         out=out,
-        speed=0.5,
+        speed=0.15,
         weights=None,
         regressors=1,
         rrd=None,
@@ -57,6 +57,7 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
             browser.open(proxy.page_url, user=USER, password=PASSWORD)
             _until(lambda: _tubers(browser) >= SHOWN_TUBERS, line, lambda: f"tubers in the page: {_text(browser)}")
             assert "Live" in _text(browser)
+            assert "Running" in _text(browser)
             for name, size in SIZES.items():
                 _picture(browser, name, size)
             _until(lambda: "Load complete" in _text(browser), line, lambda: "the load's end in the page")

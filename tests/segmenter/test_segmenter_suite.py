@@ -65,8 +65,14 @@ def test_the_table_adds_up_the_seeds_of_a_scene_and_names_what_falls_short() -> 
             "weight_g": 51000.0, "true_weight_g": 50000.0, "mae_g": 8.0, "place_mean_mm": 1.5,
             "count_error_percent": 100 * (count / 300 - 1),
         }  # fmt: skip
-        return {"scene": "touching", "seed": seed, "score": score, "masks": {"f1_50": f1}}
+        followed = {**score, "weight_g": 50250.0, "mae_g": 7.0}
+        belts = {"front": 1.53}
+        return {"scene": "touching", "seed": seed, "score": score, "followed": followed, "belt_off_mm": belts,
+                "discarded": {"distractor": 2, "tiny": 3}, "masks": {"f1_50": f1}}  # fmt: skip
 
     rows = [row(1, 301, 0.99), row(2, 306, 0.96)]
-    assert "| **touching** | all | 600 | 607 | +1.17 % | 2 | 9 | 0 | +2.0 % | 8.0 g | 1.5 mm |" in counting_table(rows)
+    table = counting_table(rows)
+    assert "| **touching** | all | 600 | 607 | +1.17 % | 2 | 9 | 0 | 4 |  | +2.0 %" in table
+    assert "| +2.0 % | 8.0 g | +0.5 % | 7.0 g | 1.5 mm |" in table
+    assert "| touching | 1 | 300 | 301 | +0.33 % | 1 | 2 | 0 | 2 | +1.5 mm | +2.0 % |" in table
     assert shortfalls(rows) == ["touching seed 2: F1 0.9600, goal 0.97", "touching seed 2: count +2.00 %, goal 1.0 %"]

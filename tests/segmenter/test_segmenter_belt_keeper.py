@@ -1,0 +1,81 @@
+"""The belt in use: given ones stay, unless they are to be followed; what is seen far off is left to the alarm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from segmenter_scene import SMALL, Scene, scattered, tilted
+
+from conveyor.config import parse_config
+from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
+from conveyor.messages import Frame
+from segmenter.belt_keeper import CHECK_EVERY, FITTED_OVER, BeltKeeper
+from segmenter.setup import core_settings
+
+TRUE_M = 0.460
+
+
+def frames(given_m: float, *, n: int) -> list[Frame]:
+    """A belt at `TRUE_M` with tubers, said to lie at `given_m`."""
+    scene = Scene(scattered(12, seed=3, spacing_m=0.09), SMALL, noise_m=0.0015, seed=8)
+    said = straight_down_belt_from_camera(given_m)
+    return [replace(scene.frame(i, 0.2 + 0.002 * i), belt_from_camera=said) for i in range(n)]
+
+
+def used_m(keeper: BeltKeeper, given_m: float, *, n: int) -> list[float]:
+    belts = [keeper.belt_of(frame) for frame in frames(given_m, n=n)]
+    return [belt.distance_m for belt in belts if belt is not None]
+
+
+def test_a_given_belt_stays_as_given_unless_it_is_followed() -> None:
+    assert used_m(BeltKeeper(), 0.457, n=5) == [pytest.approx(0.457, abs=1e-9)] * 5
+
+
+@pytest.mark.parametrize("given_m", [0.456, 0.4585, 0.463])
+def test_a_followed_belt_is_where_it_is_seen_from_the_first_frame_on(given_m: float) -> None:
+    used = used_m(BeltKeeper(0.006), given_m, n=FITTED_OVER + 3)
+    assert used == [pytest.approx(TRUE_M, abs=0.0007)] * len(used)
+    assert len(set(used[FITTED_OVER:])) == 1, "between two checks the belt does not move"
+
+
+def test_what_is_seen_farther_off_than_allowed_is_not_followed_and_alarms() -> None:
+    keeper = BeltKeeper(0.006)
+    assert used_m(keeper, 0.450, n=2) == [pytest.approx(0.450, abs=1e-9)] * 2
+    assert keeper.check.alarm
+    assert keeper.check.drift_m == pytest.approx(0.010, abs=0.0007)
+
+
+def test_the_check_says_how_far_the_calibration_is_off_though_the_belt_is_followed() -> None:
+    keeper = BeltKeeper(0.006)
+    used_m(keeper, 0.457, n=3)
+    assert keeper.check.drift_m == pytest.approx(0.003, abs=0.0007)
+
+
+def test_a_tilted_belt_keeps_its_tilt_and_gets_the_height_that_is_seen() -> None:
+    true = tilted(TRUE_M, 5, -3)
+    frame = Scene([], SMALL, true, noise_m=0.001, seed=2).frame(0, 0.0)
+    said = true.copy()
+    said[2, 3] -= 0.004
+    belt = BeltKeeper(0.008).belt_of(replace(frame, belt_from_camera=said))
+    assert belt is not None
+    np.testing.assert_array_equal(belt.belt_from_camera[:3, :3], true[:3, :3])
+    assert belt_distance_m(belt.belt_from_camera) == pytest.approx(belt_distance_m(true), abs=0.0005)
+
+
+def test_a_full_belt_that_shows_too_little_of_itself_leaves_the_followed_one_as_it_was() -> None:
+    keeper = BeltKeeper(0.006)
+    before = used_m(keeper, 0.457, n=CHECK_EVERY)[-1]
+    full = frames(0.457, n=1)[0]
+    rng = np.random.default_rng(9)
+    load = replace(full, depth=rng.integers(380, 455, full.depth.shape).astype(np.uint16))
+    belt = keeper.belt_of(load)
+    assert belt is not None
+    assert belt.distance_m == before
+
+
+def test_the_config_says_how_far_a_belt_may_be_followed() -> None:
+    assert core_settings(parse_config({}, where="of the test")).belt_follow_m == 0.0
+    config = parse_config({"segmenter": {"belt_follow_mm": 4}}, where="of the test")
+    assert core_settings(config).belt_follow_m == pytest.approx(0.004)
