@@ -9,7 +9,14 @@ from conveyor.errors import InputError
 
 
 def simulate_belts(
-    *, out: Path, belts: int = 300, frames: int = 8, tubers: int = 20, seed: int = 1, force: bool = False
+    *,
+    out: Path,
+    belts: int = 300,
+    frames: int = 8,
+    tubers: int = 20,
+    look_alikes: bool = False,
+    seed: int = 1,
+    force: bool = False,
 ) -> None:
     """Make labelled frames of belts that differ in all that varies, for `tuberline train-eyes`.
 
@@ -25,6 +32,9 @@ def simulate_belts(
         Frames of each, 15 to 40 mm of travel apart, while its middle passes.
     tubers
         Tubers on each; distractors come on top.
+    look_alikes
+        Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and frames are
+        20 mm apart: for the judge.
     seed
         The same seed gives the same frames.
     force
@@ -50,6 +60,7 @@ def simulate_belts(
             frames=frames,
             tubers=tubers,
             seed=seed,
+            look_alikes=look_alikes,
             command=" ".join(["tuberline", *sys.argv[1:]]),
             on_belt=lambda _: progress.advance(task),
         )

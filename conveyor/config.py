@@ -80,7 +80,7 @@ class SegmenterConfig(Section):
         2.0, ge=0, le=100, description="how well the belt's height is known (standard deviation): widens intervals"
     )
     belt_follow_mm: float = Field(
-        0.0, ge=0, le=15, description="a given belt moves to where it is seen, by this much at most; 0: never"
+        6.0, ge=0, le=15, description="a given belt moves to where it is seen, by this much at most; 0: never"
     )
     pixel_mm: float = Field(1.45, gt=0.2, le=5, description="resolution at which the height map is analysed")
     min_height_mm: float = Field(18.0, ge=5, le=100, description="peaks lower than this are no tubers")

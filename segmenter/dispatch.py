@@ -10,6 +10,9 @@ One of them stands aside until its tuber's first view is weighed, and takes its 
 lost. Only where the regressors cannot weigh even one view of each tuber, the newest tubers are given up at once
 ('overload') instead of letting all of them wait for `first_wait_s` and longer.
 
+Where the camera waits (a replay), a slow machine must not decide what is weighed: that a regressor did not answer in
+time counts as an attempt only where it never answered again and left.
+
 The law, at every moment: sent = weighed + lost + outstanding, where outstanding is queued, aside or held by a
 regressor.
 """
@@ -97,7 +100,8 @@ class Dispatcher:
     _tubers: dict[str, _Tuber] = field(default_factory=dict)
     _queue: list[tuple[tuple[int, int], str]] = field(default_factory=list)
     _held: dict[str, set[str]] = field(default_factory=dict)
-    _suspects: set[str] = field(default_factory=set)
+    _suspects: dict[str, set[str]] = field(default_factory=dict)
+    """Who missed a deadline and did not answer since, with the view that counts as an attempt once it leaves."""
     _fresh_losses: list[LostView] = field(default_factory=list)
 
     @property
@@ -140,9 +144,11 @@ class Dispatcher:
         if names == self._held.keys():
             return
         for name in sorted(set(self._held) - names):
-            for view_id in sorted(self._held.pop(name)):
+            held = self._held.pop(name)
+            for view_id in sorted(held):
                 self._give_back(self._jobs[view_id], "regressor_left")
-            self._suspects.discard(name)
+            for view_id in sorted(self._suspects.pop(name, set()) - held):
+                self._blame(view_id)
             self.pace.gone(name)
         for name in sorted(names - set(self._held)):
             self._held[name] = set()
@@ -166,7 +172,7 @@ class Dispatcher:
 
     def answer(self, view_id: str, *, regressor: str, usable: bool, reason: str = "") -> bool:
         """Take an answer; False where the view is not waited for (a duplicate, or answered after it was given up)."""
-        self._suspects.discard(regressor)
+        self._suspects.pop(regressor, None)
         if regressor in self._held:
             self.pace.answered(regressor)
         job = self._jobs.get(view_id)
@@ -195,8 +201,10 @@ class Dispatcher:
             for view_id in sorted(late):
                 job = self._jobs[view_id]
                 # What a regressor that is known to stand still does not answer says nothing of the view.
-                job.attempts -= name in self._suspects
-                self._suspects.add(name)
+                job.attempts -= self.settings.shed_over is None or name in self._suspects
+                blamed = self._suspects.setdefault(name, set())
+                if self.settings.shed_over is None and not blamed:
+                    blamed.add(view_id)
                 held.discard(view_id)
                 self._give_back(job, "deadline")
         if self.settings.shed_over is not None:
@@ -274,6 +282,13 @@ class Dispatcher:
             self._lose(job, "max_attempts")
         else:
             self._enqueue(job)
+
+    def _blame(self, view_id: str) -> None:
+        """A regressor stood still at this view until its end."""
+        if job := self._jobs.get(view_id):
+            job.attempts += 1
+            if job.attempts >= self.settings.max_attempts:
+                self._lose(job, "max_attempts")
 
     def _lose(self, job: _Job, reason: str) -> None:
         self.lost[reason] += 1

@@ -12,7 +12,8 @@ from segmenter.classes_split import split_by_classes
 from segmenter.heights import HeightMap
 from segmenter.instances import Instances, SplitSettings, split
 from segmenter.judge import Judge
-from segmenter.portrait import COARSEST_MM, Portrait, take_look
+from segmenter.portrait import COARSEST_MM, LEAST_LOOKS, Portrait, take_look
+from segmenter.prior import Prior
 from segmenter.track import State, TrackState
 
 Method = Literal["classical", "classes", "learned"]
@@ -29,7 +30,7 @@ class EyesSettings:
         look_every_m: belt travel between two looks of a portrait.
     """
 
-    method: Method = "classical"
+    method: Method = "classes"
     weights: Path | None = None
     look_every_m: float = 0.018
 
@@ -45,6 +46,7 @@ class Eyes:
         self._look_every_m = settings.look_every_m
         self._split = split_settings
         self._judge = None if settings.method == "classical" else Judge(settings.weights)
+        self._prior = Prior()
         self._cells = ClassNet() if settings.method == "learned" else None
         self._looked_m: float | None = None
         self.coarse = 0
@@ -89,5 +91,9 @@ class Eyes:
         return True
 
     def judge(self, portrait: Portrait) -> float | None:
-        """Log-odds of tuber against other; None where nobody is asked or nothing was seen."""
-        return None if self._judge is None or portrait.looks == 0 else self._judge.log_odds(portrait)
+        """Log-odds of tuber against other, to be asked once per track; None where nobody is asked or too little was
+        seen.
+        """
+        if self._judge is None or portrait.looks < LEAST_LOOKS:
+            return None
+        return self._prior.log_odds(self._judge.log_odds(portrait))

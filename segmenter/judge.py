@@ -29,7 +29,7 @@ class Judge:
             raise InputError(f"{self.path} answers {odds.shape} to a portrait; one number is needed")
 
     def log_odds(self, portrait: Portrait) -> float:
-        """Log-odds of tuber against other (clod, stone, haulm) for a portrait of at least one look."""
+        """Log of how much likelier a portrait of at least one look is for a tuber than for a clod or a stone."""
         return float(self._answer(portrait.channels()).ravel()[0])
 
     def _answer(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:

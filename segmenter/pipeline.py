@@ -46,7 +46,7 @@ class Settings:
     eyes: EyesSettings = field(default_factory=EyesSettings)
     views_per_tuber: int = 3
     belt_sd_m: float = TYPICAL_BELT_SD_M
-    belt_follow_m: float = 0.0
+    belt_follow_m: float = 0.006
 
 
 @dataclass(frozen=True, slots=True)

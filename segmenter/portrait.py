@@ -20,11 +20,16 @@ from segmenter.instances import Instances
 
 SIZE = 48
 CELL_MM = 2.0
-CHANNELS = 5
+CHANNELS = 8
 FULL_MM = 60.0
 FINE_MM = 1.5
 FINE_SIGMA = 2.0
 SPREAD_MM = 3.0
+UNSURE_MM = 0.5
+BANDS = ((1.0, 3.0, 1.0), (2.5, 6.0, 3.0))
+"""Of the body's own relief: cells over which it is smoothed, cells of its surroundings, millimetres that make 1."""
+LEAST_LOOKS = 3
+"""Fewer are no evidence: the noise would be judged."""
 AROUND_MM = 12.0
 COARSEST_MM = 2.1
 """Raster cells larger than this show no skin: what is seen with them is no evidence."""
@@ -66,29 +71,51 @@ class Portrait:
         self._inside += look.inside
 
     def channels(self) -> NDArray[np.float32]:
-        """(5, 48, 48) float32 as the network takes it; there must be a look."""
-        count: NDArray[np.float32] = np.maximum(self._seen, np.float32(1)).astype(np.float32)
-        mean: NDArray[np.float32] = self._height / count
-        variance: NDArray[np.float32] = np.maximum(self._square / count - mean * mean, 0).astype(np.float32)
-        return as_channels(mean, np.sqrt(variance), self._inside / count, self._seen / np.float32(self.looks))
+        """(8, 48, 48) float32 as the network takes it; there must be a look."""
+        return as_channels(self._height, self._square, self._seen, self._inside, looks=self.looks)
 
 
 def as_channels(
-    mean_mm: NDArray[np.float32],
-    spread_mm: NDArray[np.float32],
-    inside: NDArray[np.float32],
+    height: NDArray[np.float32],
+    square: NDArray[np.float32],
     seen: NDArray[np.float32],
+    inside: NDArray[np.float32],
+    *,
+    looks: int,
 ) -> NDArray[np.float32]:
-    """(5, 48, 48) float32: height / 60 mm, height over its surroundings / 1.5 mm, how much of it is the instance,
-    spread from look to look / 3 mm, share of the looks that saw it.
+    """(8, 48, 48) float32 from sums over the looks: mean height / 60 mm, the same over its surroundings / 1.5 mm, how
+    much of it is the instance, spread from look to look / 3 mm, share of the looks that saw it, standard error of the
+    mean / 0.5 mm, and the instance's own relief at two scales (`BANDS`), to which its neighbours add nothing.
     """
+    count: NDArray[np.float32] = np.maximum(seen, np.float32(1)).astype(np.float32)
+    mean_mm: NDArray[np.float32] = (height / count).astype(np.float32)
+    share: NDArray[np.float32] = (inside / count).astype(np.float32)
+    spread_mm = np.sqrt(np.maximum(square / count - mean_mm * mean_mm, 0))
     here = (seen > 0).astype(np.float32)
-    weight = np.maximum(cv2.GaussianBlur(here, (0, 0), FINE_SIGMA), 1e-3)
-    fine = here * (mean_mm - cv2.GaussianBlur(mean_mm * here, (0, 0), FINE_SIGMA) / weight)
+    fine = here * (mean_mm - _smoothed(mean_mm, here, FINE_SIGMA))
+    bands = [
+        np.clip(share * (_smoothed(mean_mm, share, near) - _smoothed(mean_mm, share, far)) / unit_mm, -4, 4)
+        for near, far, unit_mm in BANDS
+    ]
     channels: NDArray[np.float32] = np.stack(
-        [mean_mm / FULL_MM, np.clip(fine / FINE_MM, -4, 4), inside, np.minimum(spread_mm / SPREAD_MM, 3), seen]
+        [
+            mean_mm / FULL_MM,
+            np.clip(fine / FINE_MM, -4, 4),
+            share,
+            np.minimum(spread_mm / SPREAD_MM, 3),
+            seen / np.float32(looks),
+            np.minimum(spread_mm / np.sqrt(count) / UNSURE_MM, 4),
+            *bands,
+        ]
     ).astype(np.float32)
     return channels
+
+
+def _smoothed(mean_mm: NDArray[np.float32], weight: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Weighted mean over the neighbourhood."""
+    total = np.asarray(cv2.GaussianBlur(mean_mm * weight, (0, 0), sigma), np.float32)
+    of = np.maximum(np.asarray(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32), np.float32(1e-3))
+    return np.asarray(total / of, np.float32)
 
 
 def take_look(heights: HeightMap, instances: Instances, index: int, belt: BeltGeometry) -> Look:

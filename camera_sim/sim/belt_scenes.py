@@ -10,11 +10,14 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
+from camera_sim.sim.cultivars import draw_recipe
+from camera_sim.sim.distractors import draw_look_alike
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
 from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET, Preset
-from camera_sim.sim.scenes import Layout, SceneSettings, build_world
+from camera_sim.sim.scenes import Layout, SceneSettings, belt_tuber, build_world
 from camera_sim.sim.stereo import NoiseBank, measure
+from camera_sim.sim.tubers import Tuber, grow
 from camera_sim.sim.world import Body, CameraPose, World, render
 from conveyor.geometry import Intrinsics
 
@@ -22,6 +25,10 @@ DISTANCE_M = (0.30, 0.60)
 MOST_TILT_DEG = 4.0
 MOST_NOISE = 2.5
 STEP_M = (0.015, 0.040)
+LOOK_STEP_M = (0.017, 0.023)
+"""About the segmenter's way between two looks at a track."""
+HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
+"""Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +50,17 @@ class BeltView:
     belt_from_camera: NDArray[np.float64]
 
 
-def random_belt_views(seed: int, number: int, *, frames: int, tubers: int) -> Iterator[BeltView]:
-    """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn."""
+def random_belt_views(
+    seed: int, number: int, *, frames: int, tubers: int, look_alikes: bool = False
+) -> Iterator[BeltView]:
+    """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
+
+    `look_alikes`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and
+    views are as far apart as the segmenter's looks.
+    """
     rng = np.random.default_rng([seed, 40, number])
-    settings, layout = _settings(rng, seed=int(rng.integers(2**31)), tubers=tubers)
+    drawn = _look_alikes if look_alikes else _settings
+    settings, layout = drawn(rng, seed=int(rng.integers(2**31)), tubers=tubers)
     world = build_world(settings, layout)
     relief = draw_belt(
         rng,
@@ -60,7 +74,7 @@ def random_belt_views(seed: int, number: int, *, frames: int, tubers: int) -> It
     bank = NoiseBank(rng, height=k.height, width=k.width)
     places = [body.place[0] for body in world.bodies]
     middle_m = camera.belt_from_camera[0, 3] - (max(places) + min(places)) / 2
-    step_m = rng.uniform(*STEP_M)
+    step_m = rng.uniform(*(LOOK_STEP_M if look_alikes else STEP_M))
     for n in range(frames):
         travel_m = middle_m + (n - (frames - 1) / 2) * step_m + rng.uniform(-0.005, 0.005)
         yield _view(world, camera, settings, bank, rng, travel_m=travel_m)
@@ -84,6 +98,39 @@ def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings,
         unit_m=0.0001 if rng.random() < 0.2 else 0.001,
     )
     return settings, layout
+
+
+def _look_alikes(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+    half = rng.uniform(0.30, 0.52)
+    layout = Layout(
+        packing=(SINGULATED, TOUCHING, CROWDED)[int(rng.choice(3, p=[0.15, 0.60, 0.25]))],
+        lanes_m=((-half, half),),
+        distractors=1.0,
+        one_tuber=_often_hard,
+        one_distractor=draw_look_alike,
+        tilt_deg=(rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG), rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG)),
+    )
+    preset = FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET
+    settings = SceneSettings(
+        scene="random",
+        seed=seed,
+        tubers=tubers,
+        preset=_noisier(preset, rng) if rng.random() < 0.4 else preset,
+        optics=D405_1280 if rng.random() < 0.2 else D405_848,
+        belt_distance_m=float(rng.triangular(DISTANCE_M[0], 0.46, DISTANCE_M[1])),
+        unit_m=0.0001 if rng.random() < 0.2 else 0.001,
+    )
+    return settings, layout
+
+
+def _often_hard(rng: Generator) -> Tuber:
+    """A tuber; often one of those that are taken for clods."""
+    if rng.random() >= HARD_SHARE:
+        return belt_tuber(rng)
+    recipe = draw_recipe(rng)
+    while recipe.volume_ml > SMALL_ML and recipe.knobs < KNOBBY:
+        recipe = draw_recipe(rng)
+    return grow(recipe, rng, level=3)
 
 
 def _noisier(preset: Preset, rng: Generator) -> Preset:

@@ -14,9 +14,10 @@ from camera_sim.sim.tubers import smooth_relief
 Mesh = tuple[Vertices, Faces]
 HALF_M = (0.010, 0.042)
 """Longest half axis of clods and stones, metres: from crumbs to the size of a large tuber."""
+LOOK_ALIKE_HALF_M = (0.015, 0.046)
 
 
-def clod(rng: Generator) -> Mesh:
+def clod(rng: Generator, *, longest_m: tuple[float, float] = HALF_M) -> Mesh:
     """A lump of soil: rough at every scale, no smooth skin; one in three broken, with a few flat faces.
 
     Balls of mud as smooth as a tuber are left out: no depth camera tells them from one.
@@ -27,16 +28,16 @@ def clod(rng: Generator) -> Mesh:
     radius = np.ones(len(directions))
     if rng.random() < 1 / 3:
         radius = _cut(rng, directions, faces_cut=int(rng.integers(1, 5)), worn=rng.uniform(0.0, 0.05))
-    half_m = rng.uniform(*HALF_M) * rng.uniform(0.6, 1.0, 3)
+    half_m = rng.uniform(*longest_m) * rng.uniform(0.6, 1.0, 3)
     return directions * np.maximum(radius + coarse + fine, 0.35)[:, None] * half_m @ random_rotation(rng).T, faces
 
 
-def stone(rng: Generator) -> Mesh:
+def stone(rng: Generator, *, longest_m: tuple[float, float] = HALF_M) -> Mesh:
     """A stone: an ellipsoid with flat faces broken off, its edges sharp to somewhat worn; no round pebbles."""
     directions, faces = icosphere(3)
     radius = _cut(rng, directions, faces_cut=int(rng.integers(4, 10)), worn=rng.uniform(0.0, 0.05))
     radius = radius + smooth_relief(rng, directions, rms=rng.uniform(0.0, 0.02), finest=rng.uniform(8.0, 20.0))
-    half_m = rng.uniform(*HALF_M) * rng.uniform(0.55, 1.0, 3)
+    half_m = rng.uniform(*longest_m) * rng.uniform(0.55, 1.0, 3)
     return directions * radius[:, None] * half_m @ random_rotation(rng).T, faces
 
 
@@ -102,3 +103,11 @@ def draw_distractor(rng: Generator) -> tuple[str, Mesh]:
     """(kind, mesh); half of them clods."""
     kind = str(rng.choice(np.array(list(KINDS)), p=[0.5, 0.2, 0.2, 0.1]))
     return kind, KINDS[kind](rng)
+
+
+def draw_look_alike(rng: Generator) -> tuple[str, Mesh]:
+    """(kind, mesh) of what is hard to tell from a tuber: clods and stones of a tuber's size, hardly any haulm."""
+    kind = str(rng.choice(np.array(["clod", "stone", "haulm"]), p=[0.50, 0.44, 0.06]))
+    if kind == "haulm":
+        return kind, haulm(rng)
+    return kind, (clod if kind == "clod" else stone)(rng, longest_m=LOOK_ALIKE_HALF_M)

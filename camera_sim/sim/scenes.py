@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
 
 from camera_sim.sim.belt import draw_belt, draw_rods
-from camera_sim.sim.distractors import draw_distractor
+from camera_sim.sim.distractors import Mesh, draw_distractor
 from camera_sim.sim.drift import draw_drift
 from camera_sim.sim.meshes import Vertices
 from camera_sim.sim.motion import Profile, plan_motion
@@ -22,6 +23,11 @@ from camera_sim.sim.world import Body, CameraPose, World, mount
 from conveyor.errors import InputError
 
 
+def belt_tuber(rng: Generator) -> Tuber:
+    """A tuber with a mesh as fine as whole belts of them can be rendered with."""
+    return draw_tuber(rng, level=3)
+
+
 @dataclass(frozen=True, slots=True)
 class Layout:
     """What a named scene is made of.
@@ -29,6 +35,7 @@ class Layout:
     Attributes:
         lanes_m: stretches across the belt that carry tubers, as (low, high) in units of a camera's view across.
         distractors: per tuber.
+        one_tuber, one_distractor: draw what is put on the belt.
         cameras: (name, x, y) of each, x in metres along the belt, y in units of a camera's view across.
         tilt_deg: of every camera about its u and v axes.
         dropped: share of frames that are missing, singly and in bursts.
@@ -40,6 +47,8 @@ class Layout:
     packing: Packing
     lanes_m: tuple[tuple[float, float], ...] = ((-0.36, 0.36),)
     distractors: float = 0.0
+    one_tuber: Callable[[Generator], Tuber] = belt_tuber
+    one_distractor: Callable[[Generator], tuple[str, Mesh]] = draw_distractor
     cameras: tuple[tuple[str, float, float], ...] = (("front", 0.0, 0.0),)
     profile: Profile = "constant"
     tilt_deg: tuple[float, float] = (0.0, 0.0)
@@ -158,7 +167,7 @@ def _bodies(
     extra = 0.0
     on_top = round(layout.piled * settings.tubers)
     while len(tubers) < settings.tubers - on_top:
-        tuber = draw_tuber(rng, level=3)
+        tuber = layout.one_tuber(rng)
         points = rest_on_belt(tuber.vertices, initial_rotation(tuber.vertices, settings.preset, rng))
         placed = _put(points, lanes, rng)
         if placed is None:
@@ -169,7 +178,7 @@ def _bodies(
         extra += layout.distractors
         while extra >= 1:
             extra -= 1
-            kind, (vertices, faces) = draw_distractor(rng)
+            kind, (vertices, faces) = layout.one_distractor(rng)
             placed = _put(_lie(kind, vertices, rng), lanes, rng)
             if placed is not None:
                 others.append(Body(0, kind, placed, faces, None))

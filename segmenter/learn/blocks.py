@@ -14,9 +14,13 @@ KEEP_AVERAGE = 0.998
 OPSET = 17
 
 
-def convolution(inputs: int, outputs: int, *, stride: int = 1) -> list[nn.Module]:
-    """A 3x3 convolution with batch norm and ReLU."""
-    return [nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()]
+def convolution(inputs: int, outputs: int, *, stride: int = 1, kernel: int = 3) -> list[nn.Module]:
+    """A convolution with batch norm and ReLU; `kernel` is odd."""
+    return [
+        nn.Conv2d(inputs, outputs, kernel, stride=stride, padding=kernel // 2, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(),
+    ]
 
 
 def averaged(kept: Tensor, new: Tensor, _count: Tensor | int) -> Tensor:

@@ -12,7 +12,7 @@ from conveyor.errors import InputError
 
 def train_eyes(
     *,
-    data: Path,
+    data: list[Path],
     val: Path,
     out: Path,
     net: Literal["judge", "cells"] = "judge",
@@ -27,7 +27,7 @@ def train_eyes(
     Parameters
     ----------
     data
-        Belts to learn from, made by `tuberline simulate-belts`.
+        Belts to learn from, made by `tuberline simulate-belts`; may be given more than once.
     val
         Other belts to judge it by.
     out
@@ -56,7 +56,7 @@ def train_eyes(
     if steps < 20 or epochs < 1:
         raise InputError(f"--steps {steps} --epochs {epochs}: at least 20 steps and 1 epoch are needed")
     run = EyesRun(
-        data, val, out, name or ("tuberline-eyes" if net == "judge" else "tuberline-cells"),
+        tuple(data), val, out, name or ("tuberline-eyes" if net == "judge" else "tuberline-cells"),
         " ".join(["tuberline", *sys.argv[1:]]),
     )  # fmt: skip
     with Progress(console=Console(stderr=True)) as progress:

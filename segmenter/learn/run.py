@@ -30,9 +30,12 @@ OnStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class EyesRun:
-    """Where a training reads and writes. `command` goes into the sidecar as it was typed."""
+    """Where a training reads and writes: packs to learn from, one to judge by.
 
-    data: Path
+    `command` goes into the sidecar as it was typed.
+    """
+
+    data: tuple[Path, ...]
     validation: Path
     out: Path
     name: str
@@ -46,41 +49,43 @@ def make_judge(run: EyesRun, recipe: JudgeRecipe, *, on_step: OnStep) -> dict[st
         InputError: packs that cannot be used, or a validation on the belts of the training.
     """
     origins = _prepare(run)
-    sitters, held_out = load_sitters(run.data), load_sitters(run.validation)
+    sitters = [sitter for folder in run.data for sitter in load_sitters(folder)]
+    held_out = load_sitters(run.validation)
     net, seconds = train_judge(sitters, recipe, on_step=on_step)
     export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
-    origins["trained_on"]["bodies"] = len(sitters)
+    origins["bodies"] = len(sitters)
     return _sidecar(run, net, asdict(recipe), origins, seconds, scores(judged(net, held_out), held_out))
 
 
 def make_cells(run: EyesRun, recipe: CellsRecipe, *, on_step: OnStep) -> dict[str, Any]:
     """The same for the network of cells, which the method 'learned' finds instances with; raises likewise."""
     origins = _prepare(run)
-    grids, held_out = load_pack(run.data), load_pack(run.validation)
+    grids = [grid for folder in run.data for grid in load_pack(folder)]
+    held_out = load_pack(run.validation)
     net, seconds = train_cells(grids, recipe, on_step=lambda step, loss: on_step(step, recipe.steps, loss))
     example = torch.zeros(1, 3, 8 * MULTIPLE, 10 * MULTIPLE)
     export_net(net, run.out / f"{run.name}.onnx", example, open_axes=OPEN_AXES)
     return _sidecar(run, net, asdict(recipe), origins, seconds, agreement(net, held_out))
 
 
-def _prepare(run: EyesRun) -> dict[str, dict[str, Any]]:
-    origins = {"trained_on": _origin(run.data), "judged_on": _origin(run.validation)}
-    seed = origins["trained_on"].get("seed")
-    if seed is not None and seed == origins["judged_on"].get("seed"):
+def _prepare(run: EyesRun) -> dict[str, Any]:
+    trained_on, judged_on = [_origin(folder) for folder in run.data], _origin(run.validation)
+    seed = judged_on.get("seed")
+    if seed is not None and seed in [origin.get("seed") for origin in trained_on]:
         raise InputError(
-            f"{run.validation} was simulated with the seed of {run.data} ({seed}): the network would be judged on "
-            "belts that it learned from; make one with another --seed"
+            f"{run.validation} was simulated with a seed of the training's packs ({seed}): the network would be judged "
+            "on belts that it learned from; make one with another --seed"
         )
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    return origins
+    return {"trained_on": trained_on, "judged_on": judged_on}
 
 
 def _sidecar(
     run: EyesRun,
     net: nn.Module,
     recipe: dict[str, Any],
-    origins: dict[str, dict[str, Any]],
+    origins: dict[str, Any],
     seconds: float,
     found: dict[str, float],
 ) -> dict[str, Any]:

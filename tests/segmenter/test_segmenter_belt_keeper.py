@@ -76,6 +76,6 @@ def test_a_full_belt_that_shows_too_little_of_itself_leaves_the_followed_one_as_
 
 
 def test_the_config_says_how_far_a_belt_may_be_followed() -> None:
-    assert core_settings(parse_config({}, where="of the test")).belt_follow_m == 0.0
+    assert core_settings(parse_config({}, where="of the test")).belt_follow_m == pytest.approx(0.006)
     config = parse_config({"segmenter": {"belt_follow_mm": 4}}, where="of the test")
     assert core_settings(config).belt_follow_m == pytest.approx(0.004)

@@ -25,7 +25,8 @@ from segmenter.heights import HeightMap, height_map
 from segmenter.instances import SplitSettings, described, split
 from segmenter.judge import Judge
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.portrait import Look, Portrait, take_look
+from segmenter.portrait import LEAST_LOOKS, Look, Portrait, take_look
+from segmenter.prior import Prior
 from segmenter.setup import core_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,6 +97,28 @@ def test_only_sure_words_reject() -> None:
     assert class_refusal(-1.6, settings) == "distractor"
 
 
+def test_the_same_portrait_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one() -> None:
+    """One in fifty before anything was seen; sure words move it towards the belt's own share, old ones fade."""
+    assert Prior().log_odds(0.0) == pytest.approx(np.log(50))
+    clean, cloddy = Prior(), Prior()
+    for n in range(300):
+        clean.log_odds(6.0)
+        cloddy.log_odds(-12.0 if n % 4 == 0 else 6.0)
+    assert clean.log_odds(-3.0) > 0.7
+    assert cloddy.log_odds(-3.0) < -1.0
+    assert cloddy.others / (cloddy.others + cloddy.tubers) == pytest.approx(0.25, abs=0.05)
+    for _ in range(600):
+        cloddy.log_odds(8.0)
+    assert cloddy.log_odds(-3.0) > 0.0
+
+
+def test_words_beyond_all_measure_do_no_harm() -> None:
+    prior = Prior()
+    assert prior.log_odds(1e4) > 1e3
+    assert prior.log_odds(-1e4) < -1e3
+    assert np.isfinite([prior.others, prior.tubers]).all()
+
+
 @pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])
 def test_a_rough_lump_is_told_from_a_smooth_one_through_noise(noise_mm: float) -> None:
     judge = Judge()
@@ -125,6 +148,8 @@ def test_looks_are_due_by_belt_travel_and_not_where_nothing_can_be_seen() -> Non
     assert not eyes.look_due(far, 1.0)
     assert eyes.coarse == 1
     assert eyes.judge(Portrait()) is None
+    assert eyes.judge(portrait_of(lump(rough_mm=3.0), noise_mm=1.0, looks=LEAST_LOOKS - 1)) is None
+    assert eyes.judge(portrait_of(lump(rough_mm=3.0), noise_mm=1.0, looks=LEAST_LOOKS)) is not None
     assert not Eyes(EyesSettings("classical"), SplitSettings()).look_due(heights, 0.0)
 
 

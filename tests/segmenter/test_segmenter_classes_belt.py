@@ -25,11 +25,12 @@ from segmenter.learn.cells_crops import draw_crop, towards_centres
 from segmenter.learn.cells_net import OPEN_AXES, BeltNet
 from segmenter.learn.cells_train import CellsRecipe
 from segmenter.learn.judge_net import JudgeRecipe
-from segmenter.learn.pack import load_pack
-from segmenter.learn.portraits import draw_portrait, load_sitters
+from segmenter.learn.pack import HEIGHT_STEP_MM, load_pack, pack_frames
+from segmenter.learn.portraits import draw_portrait, load_sitters, plain_portrait
 from segmenter.learn.run import EyesRun, make_cells, make_judge
 from segmenter.offline import segment_recording
 from segmenter.pipeline import Settings
+from segmenter.portrait import CHANNELS, Look, Portrait
 
 SEED = 4201
 
@@ -73,13 +74,13 @@ def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -> None:
-    judge = EyesRun(packs / "train", packs / "val", tmp_path, "judge", "test")
+    judge = EyesRun((packs / "train",), packs / "val", tmp_path, "judge", "test")
     sidecar = make_judge(judge, JudgeRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
     assert json.loads((tmp_path / "judge.json").read_text()) == sidecar
-    assert sidecar["trained_on"]["seed"] == 5
+    assert [pack["seed"] for pack in sidecar["trained_on"]] == [5]
     assert sidecar["held_out"]["tubers"] >= 3
     assert Judge(tmp_path / "judge.onnx").path.stat().st_size < 600_000
-    cells = EyesRun(packs / "train", packs / "val", tmp_path, "cells", "test")
+    cells = EyesRun((packs / "train",), packs / "val", tmp_path, "cells", "test")
     sidecar = make_cells(cells, CellsRecipe(steps=20, batch=1), on_step=lambda step, total, loss: None)
     assert set(sidecar["held_out"]) == {"iou_belt", "iou_tuber", "iou_other"}
     assert ClassNet(tmp_path / "cells.onnx").path.stat().st_size < 600_000
@@ -88,7 +89,7 @@ def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -
 
 
 def test_nothing_is_judged_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
-    same = EyesRun(packs / "train", packs / "train", tmp_path, "judge", "test")
+    same = EyesRun((packs / "val", packs / "train"), packs / "train", tmp_path, "judge", "test")
     with pytest.raises(InputError, match="learned from"):
         make_judge(same, JudgeRecipe(), on_step=lambda step, total, loss: None)
 
@@ -110,9 +111,26 @@ def test_sitters_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
     sitters = load_sitters(packs / "train")
     assert sum(sitter.is_tuber for sitter in sitters) >= 3
     for sitter in sitters:
-        assert sitter.heights_mm.shape == (*sitter.inside.shape[:1], 48, 48)
-        assert sitter.heights_mm[sitter.inside > 0].mean() > 10
-        assert draw_portrait(sitter, np.random.default_rng(1)).shape == (5, 48, 48)
+        assert sitter.heights.shape == (*sitter.inside.shape[:1], 48, 48)
+        assert sitter.heights[sitter.inside > 127].mean() * HEIGHT_STEP_MM > 10
+        assert draw_portrait(sitter, np.random.default_rng(1)).shape == (CHANNELS, 48, 48)
+
+
+def test_a_sitter_averages_as_the_running_portrait_does(packs: Path) -> None:
+    for sitter in load_sitters(packs / "train")[:3]:
+        portrait = Portrait()
+        for height, seen, inside in zip(sitter.heights, sitter.seen, sitter.inside, strict=True):
+            shown = seen.astype(np.float32)
+            portrait.add(Look(height * np.float32(HEIGHT_STEP_MM) * shown, shown, inside / np.float32(255)))
+        # The spread of like heights is a small difference of large sums.
+        assert np.abs(plain_portrait(sitter) - portrait.channels()).max() < 0.06
+
+
+def test_belts_of_look_alikes_are_half_clods_and_stones(tmp_path: Path) -> None:
+    write_belt_pack(tmp_path, belts=1, frames=1, tubers=12, seed=7, command="test", look_alikes=True)
+    (frame,) = pack_frames(tmp_path)
+    assert frame.kinds.count("tuber") == 12
+    assert sum(kind in ("clod", "stone") for kind in frame.kinds) >= 8
 
 
 def test_crops_keep_heights_and_labels_together(packs: Path) -> None:
