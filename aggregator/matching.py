@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 
 def one_to_one(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
@@ -15,6 +14,9 @@ def one_to_one(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
     """
     if cost.size == 0:
         return []
+    # Here and not above: it takes longer to load than all the rest of a command that reads a ledger.
+    from scipy.optimize import linear_sum_assignment
+
     capped = np.minimum(cost, 1.0)
     rows, columns = linear_sum_assignment(capped)
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < 1.0]

@@ -15,6 +15,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+GIVE_BACK_EVERY_S = 30.0
+
 
 def give_back() -> bool:
     """Return all free pages of the heap to the system; False where the C library has no such call (musl, macOS)."""

@@ -24,7 +24,7 @@ from conveyor import __version__, topics
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.delivery.kept import KeptPublisher
-from conveyor.heap import give_back, resident_mib
+from conveyor.heap import GIVE_BACK_EVERY_S, give_back, resident_mib
 from conveyor.messages import Counters
 from conveyor.notify import notify
 from conveyor.session import open_client
@@ -34,7 +34,6 @@ STOP_WITHIN_S = 2.0
 STALL_AFTER_S = 5.0
 STUCK_AFTER_S = 30.0
 """No Python thread ran for so long: some native call holds the interpreter lock. The process tells where, and ends."""
-GIVE_BACK_EVERY_S = 30.0
 
 
 class Node:

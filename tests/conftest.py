@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: a real router process, the optional shared data, seeds that are printed."""
+"""Fixtures shared by all tests: a router process, recorded belts, the optional shared data, seeds."""
 
 from __future__ import annotations
 
@@ -12,8 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from conveyor.config import LinkConfig
+from tests.belts import live_recording, recording, run_dir
+
+__all__ = ["live_recording", "recording", "run_dir"]
+
+# How long an example takes says something of the machine and its load, nothing of the code.
+settings.register_profile("tuberline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("tuberline")
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -50,7 +58,7 @@ def link(free_port: int) -> Iterator[LinkConfig]:
     process = start_router(endpoint)
     yield LinkConfig(router=endpoint)
     process.terminate()
-    process.wait(10)
+    process.wait(30)
 
 
 def start_router(endpoint: str) -> subprocess.Popen[bytes]:
@@ -66,7 +74,7 @@ def start_router(endpoint: str) -> subprocess.Popen[bytes]:
     return process
 
 
-def wait_until(true: Callable[[], object], *, what: str, timeout_s: float = 20.0) -> None:
+def wait_until(true: Callable[[], object], *, what: str, timeout_s: float = 60.0) -> None:
     """Poll until `true()`; fails with `what` after the deadline."""
     deadline = time.monotonic() + timeout_s
     while not true():

@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 import signal
 import threading
+import time
 from pathlib import Path
 
 from conveyor.access import router_access
 from conveyor.config import LineConfig, load_config
+from conveyor.heap import GIVE_BACK_EVERY_S, give_back
 from conveyor.notify import notify
 from conveyor.session import open_router
 
@@ -33,5 +35,9 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
     with open_router(link, access_control=router_access(line)):
         logging.getLogger("router").info("listening on %s", ", ".join(link.listen or (link.router,)))
         notify("READY=1")
+        given_back = time.monotonic()
         while not stop.wait(1.0):
             notify("WATCHDOG=1")
+            if time.monotonic() - given_back >= GIVE_BACK_EVERY_S:
+                given_back = time.monotonic()
+                give_back()

@@ -40,10 +40,8 @@ def test_a_replay_waits_for_the_segmenter_and_loses_nothing(
         assert sorted(set(side.seen)) == list(range(frames))
         assert (info.published, info.first_seq, info.last_seq, info.refused) == (frames, 0, frames - 1, {})
         assert info.waits
-        started = time.monotonic()
         camera.send_signal(signal.SIGTERM)
-        assert camera.wait(5) == 0
-        assert time.monotonic() - started < 2.0
+        assert camera.wait(30) == 0  # within 2 s by its own clock: later, it leaves with 70
 
 
 def test_unacknowledged_frames_come_again_and_a_killed_camera_goes_on_where_it_was(

@@ -42,7 +42,7 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
             )
         counters = side.counters("recorder")
         recorder.send_signal(signal.SIGTERM)
-        assert recorder.wait(5) == 0
+        assert recorder.wait(30) == 0
     assert counters is not None
     assert counters.values["frames_missing"] == counters.values["frame_dropped_overwritten"] == 0
     recorded = [frame for frame in open_source(out).frames(run="r") if isinstance(frame, Frame)]
@@ -66,7 +66,7 @@ def test_a_killed_recorder_loses_at_most_its_last_chunk(
             )
             counters = side.counters("recorder")
             recorder.kill()
-            recorder.wait(5)
+            recorder.wait(30)
     saved = recover(out, tmp_path / "mended.mcap")
     frames_per_chunk = (1 << 20) // (320 * 180 * 2) + 1
     assert not saved.whole

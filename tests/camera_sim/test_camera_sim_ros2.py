@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import threading
-import time
 from itertools import count, pairwise
 from pathlib import Path
 
@@ -96,10 +95,8 @@ def test_a_camera_process_hears_ros_2_and_counts_what_is_lost(link: LinkConfig, 
                 assert np.array_equal(frame.depth, depth_mm(n))
                 assert (frame.depth_scale_m, frame.belt_distance_m, frame.intrinsics.height) == (0.001, 0.46, HEIGHT)
             wait_until(lambda: (c := side.counters()) and c.gauges["source_silent_s"] > 1, what="the silence to show")
-            started = time.monotonic()
             running.send_signal(signal.SIGTERM)
-            assert running.wait(5) == 0
-            assert time.monotonic() - started < 2.0
+            assert running.wait(30) == 0  # within 2 s by its own clock: later, it leaves with 70
 
 
 @pytest.mark.graph

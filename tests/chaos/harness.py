@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from conveyor.config import LineConfig, dump_toml
 from conveyor.observer import Observer
 from conveyor.processes import line_processes
 from conveyor.supervisor import ProcessSpec, Supervisor
-from tests.integration.conftest import tuberline
+from tests.belts import tuberline
 
 Disturbance = Callable[["DisturbedLine"], None]
 
@@ -58,6 +59,15 @@ class DisturbedLine:
     def wait_count(self, name: str, at_least: int) -> None:
         """Until the counter `name` reached `at_least`, over all nodes."""
         self.wait(lambda: self.count(name) >= at_least, what=f"{name} >= {at_least}", timeout_s=120.0)
+
+    def wait_applied(self) -> None:
+        """Until the aggregator that runs now, and not one before it, has applied an entry."""
+
+        def applied() -> bool:
+            pid = self.pid("aggregator")
+            return any(node.pid == pid and node.count("entries_applied") for node in self.observer.nodes().values())
+
+        self.wait(applied, what="an entry applied by this aggregator", timeout_s=120.0)
 
     def go_on(self, seconds: float) -> None:
         """Keep the line supervised for a while."""
@@ -192,6 +202,7 @@ def live_run(
     return {**summary, "restarts": restarts}
 
 
+@cache
 def canonical(out: Path) -> str:
-    """The canonical export of a run's ledger."""
+    """The canonical export of a finished run's ledger; asked for once."""
     return tuberline("ledger", "export", out / "ledger.db", "--canonical").stdout

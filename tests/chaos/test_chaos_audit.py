@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from conveyor.messages import TrackEntry
-from tests.integration.conftest import tuberline
+from tests.belts import tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.belts import tuberline
 from tests.chaos.harness import canonical, site, started
-from tests.integration.conftest import tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(300)]
 

@@ -10,6 +10,9 @@ from benchmarks.link import why_no_links
 from benchmarks.link_check import measure
 from benchmarks.link_wire import MOST_UNDER_WAY_BYTES, LinkSettings, Wire
 
+ATTEMPTS = 4
+"""A busy machine makes a link slower than it is, for a moment; a wrong link is wrong each time."""
+
 
 def arrivals(wire: Wire, *, until_s: float, step_s: float = 0.001) -> list[tuple[float, bytes]]:
     """When each packet arrives, to the step."""
@@ -128,9 +131,19 @@ def test_settings_that_no_link_has_are_refused(wrong: dict[str, float], why: str
 def test_the_real_link_delays_loses_and_throttles_as_it_is_set() -> None:
     if reason := why_no_links():
         pytest.skip(f"the emulated link is not measured: {reason}")
-    seen = measure(LinkSettings(delay_s=0.050, loss=0.05), echoes=200, tcp_s=0.0)
-    assert 100.0 <= seen.rtt_ms[0] < 130.0, "twice 50 ms, and little more where the machine let it"
-    assert 0.02 < seen.round_trips_lost < 0.22, "two ways with 5 % each: 9.75 %"
-    assert 0.01 < seen.packets_lost < 0.12
-    fast = measure(LinkSettings(bits_per_s=8e6), echoes=5, tcp_s=1.0)
-    assert 4e6 < fast.tcp_bits_per_s < 8e6
+    for _ in range(ATTEMPTS):
+        seen = measure(LinkSettings(delay_s=0.050, loss=0.05), echoes=200, tcp_s=0.0)
+        assert seen.rtt_ms[0] >= 100.0, "twice 50 ms"
+        assert seen.round_trips_lost > 0.02, "two ways with 5 % each: 9.75 %"
+        assert 0.01 < seen.packets_lost < 0.12
+        if seen.rtt_ms[0] < 130.0 and seen.round_trips_lost < 0.22:
+            break
+    else:
+        pytest.fail(f"{ATTEMPTS} times slower than it is set to, at last: {seen}")
+    for _ in range(ATTEMPTS):
+        fast = measure(LinkSettings(bits_per_s=8e6), echoes=5, tcp_s=1.0)
+        assert fast.tcp_bits_per_s < 8e6
+        if fast.tcp_bits_per_s > 4e6:
+            break
+    else:
+        pytest.fail(f"{ATTEMPTS} times slower than it is set to, at last: {fast}")

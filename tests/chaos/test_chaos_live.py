@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.belts import tuberline
 from tests.chaos.harness import DisturbedLine, live_run
-from tests.integration.conftest import tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 MAX_AGE_MS = 500.0

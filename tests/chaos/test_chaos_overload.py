@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from benchmarks.soak import loop
+from tests.belts import tuberline
 from tests.chaos.harness import DisturbedLine, live_run
-from tests.integration.conftest import tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(420)]
 WEIGH_DEADLINE_S = 30.0

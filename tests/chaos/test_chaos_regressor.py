@@ -8,7 +8,7 @@ import pytest
 
 from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(300)]
 
 
 def test_a_killed_regressor_changes_nothing(recording: Path, run_dir: Path, tmp_path: Path) -> None:

@@ -27,18 +27,21 @@ def at_work(line: DisturbedLine) -> None:
 
 
 @pytest.mark.usefixtures("lock_holders")
-def test_a_regressor_that_holds_the_interpreter_lock_for_3_s_changes_nothing(
+def test_one_that_holds_the_interpreter_lock_for_3_s_and_one_frozen_for_4_s_change_nothing(
     recording: Path, run_dir: Path, tmp_path: Path
 ) -> None:
+    """The first keeps its token, the second loses it and comes back with answers that nobody needs."""
+
     def disturb(line: DisturbedLine) -> None:
         at_work(line)
         line.signal("regressor-r1", signal.SIGUSR1)
         line.wait_count("views_requeued_deadline", 1)
         assert "regressor/r1" in line.observer.alive(), "its token is gone: that is a dead process, not a stuck one"
+        line.freeze("regressor-r2", 4.0)
 
     summary = disturbed_replay(recording, tmp_path / "run", disturb, settings={"segmenter": {"job_deadline_s": 1.0}})
     assert summary["balanced"]
-    assert summary["restarts"]["regressor-r1"] == 0
+    assert (summary["restarts"]["regressor-r1"], summary["restarts"]["regressor-r2"]) == (0, 0)
     assert canonical(tmp_path / "run") == canonical(run_dir)
 
 

@@ -37,7 +37,7 @@ def test_a_node_ends_when_its_supervisor_was_killed(tmp_path: Path, free_port: i
         assert supervisor.stdout is not None
         pid = int(supervisor.stdout.readline())
         log = tmp_path / "router.log"
-        wait_until(lambda: "listening" in log.read_text(), what="the router listens", timeout_s=30)
+        wait_until(lambda: "listening" in log.read_text(), what="the router listens", timeout_s=60)
         assert not gone(pid)
         supervisor.kill()
     try:

@@ -112,7 +112,7 @@ def _running(folder: Path) -> Iterator[Proxy]:
             yield proxy
         finally:
             process.terminate()
-            process.wait(10)
+            process.wait(30)
 
 
 def _answers(proxy: Proxy, process: subprocess.Popen[bytes], log: Path) -> bool:

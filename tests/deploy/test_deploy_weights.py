@@ -17,8 +17,8 @@ from conveyor.supervisor import ProcessSpec, Supervisor
 from regressor.checkpoint import SHIPPED, read_checkpoint
 from regressor.weights_client import all_states, use
 from regressor.weights_messages import WeightsState, read_parcel
+from tests.belts import simulate, tuberline
 from tests.chaos.harness import DisturbedLine, Site, site
-from tests.integration.conftest import SEED, tuberline
 from tests.regressor.test_regressor_weights import scaled_weights
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
@@ -27,10 +27,8 @@ pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
 @pytest.fixture(scope="module")
 def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One camera, tubers one by one."""
-    folder = tmp_path_factory.mktemp("belt") / "recording"
-    options = {"--seed": SEED, "--scene": "singulated", "--tubers": "16", "--fps": "10", "--camera": "d405-848"}
-    tuberline("simulate", "--out", folder, *(part for option in options.items() for part in option))
-    return folder
+    out = tmp_path_factory.mktemp("belt") / "recording"
+    return simulate(out, scene="singulated", tubers="16", fps="10")
 
 
 def test_weights_change_while_a_belt_passes(belt: Path, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def worker(node: Node, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     wait_until(lambda: presence.names() == {"r1"}, what="the worker's token", timeout_s=60)
     yield process
     process.kill()
-    process.wait(10)
+    process.wait(30)
 
 
 def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: subprocess.Popen[bytes]) -> None:
@@ -69,7 +69,7 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
 
     wait_until(counted, what="the worker's counters")
     os.kill(worker.pid, signal.SIGTERM)
-    assert worker.wait(4) == 0
+    assert worker.wait(30) == 0
 
 
 def test_a_device_that_cannot_be_used_is_refused() -> None:

@@ -38,7 +38,7 @@ class Page:
 
     def lines(self) -> dict[str, dict[str, Any]]:
         """What it shows, by line; nothing while it is not there."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
         try:
             connection.request("GET", "/snapshot.json")
             return {line["line"]: line for line in json.loads(connection.getresponse().read())["lines"]}
@@ -58,7 +58,7 @@ def page(link: LinkConfig, port: int, *lines: str) -> Iterator[Page]:
     finally:
         if process.poll() is None:
             process.kill()
-        process.wait(10)
+        process.wait(30)
 
 
 @pytest.mark.graph

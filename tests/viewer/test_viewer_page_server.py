@@ -6,6 +6,7 @@ import http.client
 import json
 import re
 import socket
+import statistics
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -167,16 +168,18 @@ def test_a_frozen_browser_is_let_go(page: PageServer, board: Board, monkeypatch:
     big = {**snapshot(good_look()), "line": "north", "padding": "x" * 2_000_000}
     with stream(page) as frozen:
         read_until(frozen, b"data: ")
+        took_s = []
         deadline = time.monotonic() + 15
         for n in range(100):
             started = time.monotonic()
             board.put({**big, "n": n})
-            assert time.monotonic() - started < 0.5, "writers never wait for readers"
+            took_s.append(time.monotonic() - started)
             if page.streams._value == MAX_STREAMS:
                 break
             assert time.monotonic() < deadline
             time.sleep(0.1)
         assert page.streams._value == MAX_STREAMS
+        assert statistics.median(took_s) < 0.1, "writers never wait for readers, of which each may take 0.3 s"
 
 
 def test_a_port_that_is_taken_is_said(page: PageServer, board: Board) -> None:

@@ -27,6 +27,7 @@ SCALE_M = 0.0001
 LENS = Intrinsics(424, 240, 280.0, 280.0, 211.5, 119.5)
 SPEED_MPS = 0.3
 FPS = 30.0
+BUSY = 3.0
 START_NS = 1_790_000_000_000_000_000
 
 
@@ -175,10 +176,10 @@ def free_port() -> int:
 
 
 def within(seconds: float, condition: Callable[[], bool], what: str) -> None:
-    """Poll until `condition` holds, or fail saying `what` did not happen."""
-    deadline = time.monotonic() + seconds
+    """Poll until `condition` holds, or fail saying `what` did not happen; a busy machine gets three times as long."""
+    deadline = time.monotonic() + BUSY * seconds
     while not condition():
-        assert time.monotonic() < deadline, f"not within {seconds} s: {what}"
+        assert time.monotonic() < deadline, f"not within {BUSY * seconds:g} s: {what}"
         time.sleep(0.02)
 
 
@@ -192,7 +193,7 @@ def router() -> Iterator[LinkConfig]:
         yield link
     finally:
         process.terminate()
-        process.wait(5)
+        process.wait(30)
 
 
 @dataclass(slots=True)
@@ -218,13 +219,11 @@ class ViewerProcess:
         done = self.counter(f"{sink}_sent") + sum(self.counter(f"{sink}_dropped_{why}") for why in drops)
         return self.counter(f"{sink}_offered") == done > 0
 
-    def stop(self, *, within_s: float) -> float:
-        """SIGTERM; the seconds it took to end with code 0."""
-        started = time.monotonic()
+    def stop(self) -> None:
+        """SIGTERM, and it ends with code 0: by its own clock within 2 s, for later it leaves with 70."""
         self.process.send_signal(signal.SIGTERM)
-        code = self.process.wait(within_s)
+        code = self.process.wait(30)
         assert code == 0, f"viewer ended with code {code}"
-        return time.monotonic() - started
 
 
 @contextlib.contextmanager
@@ -241,4 +240,4 @@ def viewer(link: LinkConfig, tmp_path: Path, *options: str) -> Iterator[ViewerPr
         finally:
             if process.poll() is None:
                 process.kill()
-                process.wait(5)
+                process.wait(30)

@@ -1,4 +1,4 @@
-"""A recorded belt for the whole graph, simulated once per test session."""
+"""Recorded belts and the undisturbed run that others are compared with, made once per test session."""
 
 from __future__ import annotations
 
@@ -35,32 +35,29 @@ def replay(recording: Path, out: Path, *options: str) -> dict[str, Any]:
     return summary
 
 
+def simulate(out: Path, **options: str) -> Path:
+    """`tuberline simulate` with the session's seed, 15 frames/s of 848 x 480."""
+    sys.stdout.write(f"seed {SEED} (TUBERLINE_SEED repeats it)\n")
+    chosen = {"seed": SEED, "fps": "15", "camera": "d405-848", **options}
+    tuberline("simulate", "--out", out, *(part for name, value in chosen.items() for part in (f"--{name}", value)))
+    return out
+
+
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two overlapping cameras over one belt, with truth."""
-    folder = tmp_path_factory.mktemp("belt") / "recording"
-    sys.stdout.write(f"seed {SEED} (TUBERLINE_SEED repeats it)\n")
-    tuberline(
-        "simulate",
-        "--out",
-        folder,
-        "--seed",
-        SEED,
-        "--scene",
-        "two-cameras",
-        "--tubers",
-        "24",
-        "--fps",
-        "15",
-        "--camera",
-        "d405-848",
-    )
-    return folder
+    return simulate(tmp_path_factory.mktemp("belt") / "recording", scene="two-cameras", tubers="24")
 
 
 @pytest.fixture(scope="session")
 def run_dir(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The undisturbed run every other one is compared with."""
+    """The undisturbed run every other one is compared with: one regressor, and as fast as it goes."""
     out = tmp_path_factory.mktemp("run") / "out"
-    replay(recording, out)
+    replay(recording, out, "--regressors", "1")
     return out
+
+
+@pytest.fixture(scope="session")
+def live_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One camera over a belt that takes 6 s to pass, with truth."""
+    return simulate(tmp_path_factory.mktemp("belt") / "live", scene="touching", tubers="80")
