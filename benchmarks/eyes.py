@@ -30,8 +30,6 @@ from segmenter.setup import core_settings
 
 TIMED = (("crowded", "d405-848"), ("crowded", "d405-1280"))
 TIMED_TUBERS = 60
-FOLLOW_MM = 6.0
-"""Each recording is also counted and weighed with the belt followed this far, for the loads beside each other."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -86,14 +84,14 @@ def _judge(case: Case, options: argparse.Namespace, settings: Settings) -> dict[
     weigher = Weigher.load()
     line = run_line(recording, weigher)
     score = line.score(recording / "truth.json")
-    followed = run_line(recording, weigher, belt_follow_mm=FOLLOW_MM).score(recording / "truth.json")
+    as_given = run_line(recording, weigher, belt_follow_mm=0.0).score(recording / "truth.json")
     masks = evaluate_recording(recording, settings=settings, every=options.every)
     distractors = json.loads((recording / "truth.json").read_text(encoding="utf-8"))["distractors"]
     return {
         **asdict(case),
         "name": case.name,
         "score": score.as_dict(),
-        "followed": followed.as_dict(),
+        "belt_as_given": as_given.as_dict(),
         "belt_off_mm": line.belt_off_mm,
         "masks": asdict(masks),
         "discarded": line.discarded,

@@ -60,20 +60,19 @@ class _NothingCommitted:
         return False
 
 
-def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float = 0.0) -> LineResult:
+def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None = None) -> LineResult:
     """Count and weigh everything in `recording`; its masks are not used.
 
     Args:
-        belt_follow_mm: as in the config.
+        belt_follow_mm: as in the config; None is the default there.
 
     Raises:
         TuberlineError: a recording that cannot be used.
     """
     names = camera_names(recording)
     cameras = {name: {"path": str(recording), "ignore_masks": True} for name in names}
-    config = parse_config(
-        {"cameras": cameras, "segmenter": {"belt_follow_mm": belt_follow_mm}}, where="of the benchmark"
-    )
+    segmenter = {} if belt_follow_mm is None else {"belt_follow_mm": belt_follow_mm}
+    config = parse_config({"cameras": cameras, "segmenter": segmenter}, where="of the benchmark")
     warm_up(config.segmenter.pixel_mm)
     line = Aggregation(
         RUN,

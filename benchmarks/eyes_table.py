@@ -28,7 +28,7 @@ def counting_table(rows: Sequence[Row]) -> str:
     """Counts and loads; scenes with several seeds get a line of their own with the sums."""
     head = (
         "| scene | seed | true | counted | error | missed | double | false | taken for clods | belt seen off "
-        "| load off by | MAE, tuber | load, belt followed | MAE, belt followed | place off |\n"
+        "| load off by | MAE, tuber | load, belt as given | MAE, belt as given | place off |\n"
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n"
     )
     lines = []
@@ -45,7 +45,7 @@ def counting_table(rows: Sequence[Row]) -> str:
 
 def _counted(scene: str, seed: str, rows: Sequence[Row]) -> str:
     scores = [row["score"] for row in rows]
-    followed = [row["followed"] for row in rows]
+    as_given = [row["belt_as_given"] for row in rows]
     true, count = _total(scores, "true_count"), _total(scores, "count")
     refused = sum(row["discarded"].get("distractor", 0) for row in rows)
     belts = ", ".join(f"{off:+.1f}" for off in rows[0]["belt_off_mm"].values()) + " mm" if len(rows) == 1 else ""
@@ -53,7 +53,7 @@ def _counted(scene: str, seed: str, rows: Sequence[Row]) -> str:
         f"| {scene} | {seed} | {true:.0f} | {count:.0f} | {100 * (count / true - 1):+.2f} % "
         f"| {_total(scores, 'missed'):.0f} | {_total(scores, 'double_counted'):.0f} | {_total(scores, 'false'):.0f} "
         f"| {refused} | {belts} | {_load_percent(scores):+.1f} % | {_mean(scores, 'mae_g'):.1f} g "
-        f"| {_load_percent(followed):+.1f} % | {_mean(followed, 'mae_g'):.1f} g "
+        f"| {_load_percent(as_given):+.1f} % | {_mean(as_given, 'mae_g'):.1f} g "
         f"| {_mean(scores, 'place_mean_mm'):.1f} mm |\n"
     )
 

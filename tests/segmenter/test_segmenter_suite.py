@@ -65,9 +65,9 @@ def test_the_table_adds_up_the_seeds_of_a_scene_and_names_what_falls_short() -> 
             "weight_g": 51000.0, "true_weight_g": 50000.0, "mae_g": 8.0, "place_mean_mm": 1.5,
             "count_error_percent": 100 * (count / 300 - 1),
         }  # fmt: skip
-        followed = {**score, "weight_g": 50250.0, "mae_g": 7.0}
+        as_given = {**score, "weight_g": 50250.0, "mae_g": 7.0}
         belts = {"front": 1.53}
-        return {"scene": "touching", "seed": seed, "score": score, "followed": followed, "belt_off_mm": belts,
+        return {"scene": "touching", "seed": seed, "score": score, "belt_as_given": as_given, "belt_off_mm": belts,
                 "discarded": {"distractor": 2, "tiny": 3}, "masks": {"f1_50": f1}}  # fmt: skip
 
     rows = [row(1, 301, 0.99), row(2, 306, 0.96)]
