@@ -1,4 +1,4 @@
-"""The regressor's commands: its process, weighing files, training, evaluation, import of the authors' checkpoint."""
+"""The regressor's commands: its process, weighing files, training, evaluation, import and export of checkpoints."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ import json as json_module
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
-
-if TYPE_CHECKING:
-    from regressor.recipe import TrainSettings
 
 
 def regressor(*, config: Path, name: str, run: str) -> None:
@@ -175,6 +172,7 @@ def train(
     import torch
 
     from conveyor.errors import InputError
+    from regressor.recipe import recipe_named
     from regressor.trainbar import TrainingBar
     from regressor.trainrun import RunOptions
     from regressor.trainrun import train as run
@@ -182,7 +180,7 @@ def train(
     if (recipe == "fine-tune") != (start is not None):
         raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
     torch.set_num_threads(threads)
-    settings = _recipe(
+    settings = recipe_named(
         recipe,
         epochs=epochs,
         minutes=minutes,
@@ -214,17 +212,6 @@ def train(
         sidecar = run(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
     figures = sidecar.metrics["validation"]
     sys.stderr.write(f"{out / 'weights.safetensors'}: MAE {figures['mae_g']:.1f} g per view on the validation set\n")
-
-
-def _recipe(recipe: str, *, shear: float | None, **given: Any) -> TrainSettings:
-    from dataclasses import replace
-
-    from regressor.recipe import TrainSettings
-
-    recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
-    settings = recipes[recipe]()
-    settings = replace(settings, **{key: value for key, value in given.items() if value is not None})
-    return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))
 
 
 def import_checkpoint(
@@ -345,74 +332,3 @@ def export(*, out: Path, weights: Path | None = None, batch: int | None = None) 
     model, sidecar = load_checkpoint(weights)
     export_onnx(out, model, sidecar, batch=batch)
     sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")
-
-
-def ablate(
-    *names: str,
-    data: Path,
-    val: Path,
-    test: Path,
-    out: Path,
-    epochs: float | None = None,
-    minutes: float | None = None,
-    lr: float | None = None,
-    compute: Literal["float32", "bfloat16"] = "float32",
-    device: Literal["cpu", "cuda"] = "cpu",
-    max_views: int | None = None,
-    cache: Path | None = None,
-    seed: int = 133,
-) -> None:
-    """Train the paper's ablations and the other networks with one recipe and compare them in one table.
-
-    Parameters
-    ----------
-    names
-        Of full, no-height (PointNet++), pointnet, no-dropout, 512-points, 2048-points; default: all.
-    data
-        Training views, as for `train`.
-    val
-        Validation views.
-    test
-        Views to compare on.
-    out
-        Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained again.
-    epochs
-        Per variant.
-    minutes
-        Per variant, by the clock.
-    lr
-        First learning rate (1e-3).
-    compute, device
-        As for `train`.
-    max_views
-        Compare on the first so many.
-    cache
-        Folder of prepared clouds, shared by the variants; default: in --out.
-    seed
-        Of everything random.
-    """
-    import torch
-    from rich.console import Console
-    from rich.markdown import Markdown
-
-    from regressor.ablate import VARIANTS, markdown, read_table
-    from regressor.ablate import ablate as run
-    from regressor.trainbar import TrainingBar
-    from regressor.trainrun import RunOptions
-
-    torch.set_num_threads(1)
-    given = {"epochs": epochs, "minutes": minutes, "lr": lr, "compute": compute, "device": device, "seed": seed}
-    settings = _recipe("tuberline", shear=None, **given)
-    command = shlex.join(["tuberline", *sys.argv[1:]])
-    options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
-    with TrainingBar() as bar:
-        run(
-            names or tuple(VARIANTS),
-            settings,
-            options,
-            test=test,
-            max_views=max_views,
-            on_step=lambda name, training: bar.step(training, name),
-        )
-    table, words = read_table(out)
-    Console().print(Markdown(markdown(table, recipe=words)))

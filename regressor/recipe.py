@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -124,3 +125,10 @@ class TrainSettings:
         if self.schedule == "exponential":
             return self.lr * float(self.final_lr**share)
         return self.lr * float(self.final_lr + (1 - self.final_lr) * 0.5 * (1 + np.cos(np.pi * share)))
+
+
+def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettings:
+    """The recipe 'tuberline', 'paper' or 'fine-tune' with what is `given` in place of its own; None is not given."""
+    recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
+    settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
+    return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))

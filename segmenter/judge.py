@@ -36,11 +36,12 @@ class Judge:
         One that is not clear at first sight is turned and mirrored: the mean of all eight answers errs less.
         """
         channels = portrait.channels()
-        first = float(self._answer(channels).ravel()[0])
+        first = self._answer(channels).ravel()[0]
         if not CLEAR_OTHER < first < CLEAR_TUBER:
-            return first
-        turned = (np.rot90(side, turns, (1, 2)) for side in (channels, channels[:, :, ::-1]) for turns in range(4))
-        return float(np.mean([self._answer(np.ascontiguousarray(one)).ravel()[0] for one in turned]))
+            return float(first)
+        turned = [np.rot90(side, turns, (1, 2)) for side in (channels, channels[:, :, ::-1]) for turns in range(4)]
+        others = [self._answer(np.ascontiguousarray(one)).ravel()[0] for one in turned[1:]]
+        return float(np.mean([first, *others]))
 
     def _answer(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
         self._net.setInput(channels[None])

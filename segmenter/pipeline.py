@@ -19,7 +19,7 @@ from segmenter.eyes import Eyes, EyesSettings
 from segmenter.heights import HeightMap, height_map
 from segmenter.history import TravelHistory
 from segmenter.instances import Instances, SplitSettings, given
-from segmenter.plane import BeltCheck
+from segmenter.plane import DRIFT_M, BeltCheck
 from segmenter.portrait import Portrait
 from segmenter.resume import Resume
 from segmenter.sides import completed_centres
@@ -46,7 +46,7 @@ class Settings:
     eyes: EyesSettings = field(default_factory=EyesSettings)
     views_per_tuber: int = 3
     belt_sd_m: float = TYPICAL_BELT_SD_M
-    belt_follow_m: float = 0.006
+    belt_follow_m: float = DRIFT_M
 
 
 @dataclass(frozen=True, slots=True)

@@ -200,7 +200,7 @@ def _pile(
         ground.add(body.vertices, body.faces)
     part_m, piled = (front_m - rear_m) / count, []
     for n in range(count):
-        tuber = draw_tuber(rng, level=3)
+        tuber = layout.one_tuber(rng)
         points = rest_on_belt(tuber.vertices, initial_rotation(tuber.vertices, settings.preset, rng))
         x_m = front_m - (n + 1) * part_m, front_m - n * part_m
         half = float(points[:, 1].max())

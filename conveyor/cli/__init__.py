@@ -64,7 +64,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "Train the segmenter's network to tell clods from tubers.",
         ),
         "evaluate": ("regressor.commands:evaluate", "Evaluate weights and baselines on views with known weights."),
-        "ablate": ("regressor.commands:ablate", "Train or load the paper's ablations and compare them."),
+        "ablate": ("regressor.commands_study:ablate", "Train or load the paper's ablations and compare them."),
         "search": ("regressor.commands_study:search", "Search for a recipe with Optuna."),
         "split": ("regressor.commands_study:split", "Share tubers out over training, validation and test."),
         "drift": ("regressor.commands_study:drift", "Evaluate weights on views that drift from their training."),
