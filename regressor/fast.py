@@ -2,8 +2,10 @@
 
 Against the readable form: batch norm is folded into the weights, first layers are computed per point instead of per
 edge, only the centroids that are read are computed, and the edges pass through in blocks of 32 centroids that stay in
-the second-level cache. Clouds do not meet in a product, so a weight does not depend on the batch it came with; on a
-CPU nothing is lost by that, the products of one cloud are large enough.
+the second-level cache. Of the last stage only those units are carried on that some row of this cloud wakes: behind a
+ReLU two in three are zero in all 128 rows, which adds nothing to a product. Clouds do not meet in a product, so a
+weight does not depend on the batch it came with; on a CPU nothing is lost by that, the products of one cloud are large
+enough.
 
 Two ways to save time are not exact and have to be asked for (`Form`): products of bfloat16 operands, and fewer
 second-stage centroids. What they cost in grams stands in docs/pointraft.md (`python -m benchmarks regressor`).
@@ -12,7 +14,7 @@ second-stage centroids. What they cost in grams stands in docs/pointraft.md (`py
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +32,8 @@ from regressor.grouping import GatheredGroups, SharedGroups
 from regressor.pointraft import NEIGHBOURS, PointRaft, SharedMlp
 
 BLOCK_CENTROIDS = 32
+LIVE_STEP = 32
+"""Live units are filled up to a multiple of this with others: few shapes of a product, each compiled once."""
 
 Layer = Callable[[Tensor, Tensor, Tensor | None, bool], Tensor]
 
@@ -73,12 +77,13 @@ class FastPointRaft:
         self.form = form
         self._dtype = torch.bfloat16 if form.precision == "bfloat16" else torch.float32
         self._layer = fused_layer()
-        self._stage1 = _fold(model.sa1_module.conv.local_nn, self._dtype)
-        self._stage2 = _fold(model.sa2_module.conv.local_nn, self._dtype)
+        rows = BLOCK_CENTROIDS * NEIGHBOURS
+        self._stage1 = _packed(_fold(model.sa1_module.conv.local_nn, self._dtype), rows)
+        self._stage2 = _packed(_fold(model.sa2_module.conv.local_nn, self._dtype), rows)
         self._stage3 = _fold(model.sa3_module.nn, self._dtype)
+        self._last_two = tuple(weight.T.contiguous() for weight in self._stage3.wide[1:])
         self._height = _fold(model.height_embed) if model.height_embed is not None else None
         self._head = _fold(model.regression_head)
-        rows = BLOCK_CENTROIDS * NEIGHBOURS
         kind = np.uint16 if self._dtype == torch.bfloat16 else np.float32
         self._block = {
             width: np.empty((rows, width), kind)
@@ -101,10 +106,11 @@ class FastPointRaft:
         features1 = self._abstract(self._stage1, source, centroids1, index1)
         features2 = self._abstract(self._stage2, torch.cat([features1, centroids1], dim=1), centroids2, index2)
         mlp = self._stage3
-        x = torch.cat([features2, centroids2], dim=1).to(self._dtype)
-        for weight, bias in zip(mlp.wide[:-1], mlp.wide_biases[:-1], strict=True):
-            x = self._layer(x, weight, bias, True)
-        return self._layer(x, mlp.wide[-1], None, False).amax(0).float() + mlp.biases[-1]
+        x = self._layer(
+            torch.cat([features2, centroids2], dim=1).to(self._dtype), mlp.wide[0], mlp.wide_biases[0], True
+        )
+        x = self._layer(*_live(x, self._last_two[0]), mlp.wide_biases[1], True)
+        return self._layer(*_live(x, self._last_two[1]), None, False).amax(0).float() + mlp.biases[2]
 
     def _abstract(self, mlp: _Folded, inputs: Tensor, centroids: Tensor, index: NDArray[np.int64] | None) -> Tensor:
         """(C, O): max over the neighbours (`inputs` (K, G + 3), or those that (C, 64) `index` picks)."""
@@ -153,6 +159,15 @@ class FastPointRaft:
         return _plain(self._head, x)[0, 0]
 
 
+def _live(x: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """The columns of (rows, I) activations `x` >= 0 that are not zero in all rows, and (O, L) of the (I, O) weights."""
+    highest = x.amax(0)
+    live = int(torch.count_nonzero(highest))
+    filled = min(-(-max(live, 1) // LIVE_STEP) * LIVE_STEP, len(highest))
+    columns = torch.topk(highest, filled, sorted=False).indices.sort().values
+    return x.index_select(1, columns), weight.index_select(0, columns).T
+
+
 def _plain(mlp: _Folded, x: Tensor) -> Tensor:
     for weight, bias in zip(mlp.weights[:-1], mlp.biases[:-1], strict=True):
         x = torch.relu(torch.nn.functional.linear(x, weight, bias))
@@ -177,6 +192,24 @@ def _fold(mlp: SharedMlp, wide: torch.dtype = torch.float32) -> _Folded:
     return _Folded(tuple(weights), tuple(biases), *rounded)
 
 
+def _packed(mlp: _Folded, rows: int) -> _Folded:
+    """The wide weights of the second and third layer in oneDNN's own order, where this build of torch has it: the same
+    sums, without ordering the weights anew for each block of `rows`.
+    """
+    if _onednn() is None:
+        return mlp
+    with torch.inference_mode():
+        ordered = [torch.ops.mkldnn._reorder_linear_weight(weight, rows) for weight in mlp.wide[1:]]
+    return replace(mlp, wide=(mlp.wide[0], *ordered))
+
+
+def _onednn() -> Callable[..., Tensor] | None:
+    """oneDNN's linear layer, and with it its order of weights, where this build of torch has both."""
+    if not torch.backends.mkldnn.is_available() or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight"):  # type: ignore[no-untyped-call]
+        return None
+    return getattr(torch.ops.mkldnn, "_linear_pointwise", None)
+
+
 def fused_layer() -> Layer:
     """linear (with ReLU, where asked) by oneDNN where this build of torch has it, else by torch's own product.
 
@@ -184,7 +217,7 @@ def fused_layer() -> Layer:
     (measured on a Zen 5: 210 against 95 GFLOP/s, float32, one core). The choice depends on the build only, never on a
     timing: the same machine always gives the same bits.
     """
-    fused = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None  # type: ignore[no-untyped-call]
+    fused = _onednn()
     if fused is None:
         return _torch_layer
 

@@ -123,7 +123,9 @@ def _repeat(points: NDArray[np.float32], count: int) -> NDArray[np.float32]:
 def radius_is_free(groups: SharedGroups, cloud: NDArray[np.float32]) -> bool:
     """Whether every pair of both stages lies inside its radius: the box first, the distances where it does not tell."""
     # 1e-3 keeps the screen on the safe side of float32 rounding; the distances below decide exactly.
-    if float(np.linalg.norm(np.ptp(cloud, axis=0))) < RADIUS_1_M * (1 - 1e-3):
+    # Axis by axis: np.ptp over the rows of 10,000 points takes longer than sampling them.
+    box = [float(axis.max() - axis.min()) for axis in cloud.T]
+    if float(np.linalg.norm(box)) < RADIUS_1_M * (1 - 1e-3):
         return True
     return _all_within(groups.centroids1, groups.neighbours, RADIUS_1_M) and _all_within(
         groups.centroids2, groups.centroids1, RADIUS_2_M

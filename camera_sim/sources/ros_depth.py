@@ -2,8 +2,8 @@
 
 16-bit depth is in millimetres and float depth in metres (REP 118). Float depth is rounded to 0.1 mm, which a stereo
 camera cannot tell apart at any belt distance. `compressedDepth` is the format of compressed_depth_image_transport:
-twelve bytes (int32 kind, two float32 of the inverse-depth quantisation), then a PNG file. Without them, a 16-bit PNG
-file is what the plain image transport and Foxglove send.
+twelve bytes (int32 kind, two float32 of the inverse-depth quantisation), then a PNG file or RVL. Without them, a 16-bit
+PNG file is what the plain image transport and Foxglove send.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from camera_sim.sources.png16 import Refusal, is_whole_png
 from camera_sim.sources.ros_messages import RosCalibration, RosCompressed, RosImage
+from camera_sim.sources.rvl import decode_rvl
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics
 
 SHORT_ENCODINGS = ("16UC1", "mono16", "Z16")
 FLOAT_ENCODING = "32FC1"
-KNOWN = ", ".join((*SHORT_ENCODINGS, f"{FLOAT_ENCODING} (metres)", "compressedDepth png"))
+KNOWN = ", ".join((*SHORT_ENCODINGS, f"{FLOAT_ENCODING} (metres)", "compressedDepth png or rvl"))
 SHORT_UNIT_M, FLOAT_UNIT_M = 0.001, 0.0001
 _HEADER = struct.Struct("<iff")
 
@@ -44,8 +45,6 @@ def unsupported(message: RosImage | RosCompressed) -> str | None:
         plain_png = encoding == "png" or ("png" in transport and encoding in SHORT_ENCODINGS)
         if "compressedDepth" not in transport and not plain_png:
             return f"has format '{message.format}', which is no depth; depth is read from {KNOWN}"
-        if "rvl" in transport:
-            return "is compressed with RVL; set the publisher's format to png"
         if encoding == "png":
             return None
     if encoding not in (*SHORT_ENCODINGS, FLOAT_ENCODING):
@@ -99,16 +98,21 @@ def _compressed(message: RosCompressed) -> NDArray[np.uint16] | Refusal:
         return Refusal("truncated", f"has {len(message.data)} bytes, less than its header")
     _, quant_a, quant_b = _HEADER.unpack_from(message.data)
     data = np.frombuffer(message.data, np.uint8)[0 if plain_png else _HEADER.size :]
+    image = decode_rvl(data.tobytes()) if "rvl" in message.format.partition(";")[2] else _png(data)
+    if isinstance(image, Refusal) or depth_encoding(message) != FLOAT_ENCODING:
+        return image
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres = np.float32(quant_a) / (image.astype(np.float32) - np.float32(quant_b))
+    return _from_metres(np.where(image > 0, metres, np.nan).astype(np.float32))
+
+
+def _png(data: NDArray[np.uint8]) -> NDArray[np.uint16] | Refusal:
     if not is_whole_png(data):
         return Refusal("broken_png", "is truncated or no PNG behind its 12 bytes of header")
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         return Refusal("not_16_bit", "holds no 16-bit single-channel PNG")
-    if depth_encoding(message) != FLOAT_ENCODING:
-        return np.asarray(image, np.uint16)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        metres = np.float32(quant_a) / (image.astype(np.float32) - np.float32(quant_b))
-    return _from_metres(np.where(image > 0, metres, np.nan).astype(np.float32))
+    return np.asarray(image, np.uint16)
 
 
 def _from_metres(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:

@@ -13,6 +13,8 @@ import numpy as np
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
+from viewer.rvl import encode_rvl
+
 WIDTH, HEIGHT = 32, 24
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 33_333_333
 K = (30.0, 0.0, 15.5, 0.0, 31.0, 11.5, 0.0, 0.0, 1.0)
@@ -67,9 +69,10 @@ def compressed_depth(n: int, *, form: str = "16UC1; compressedDepth png") -> byt
         quant_b = 1.0 - quant_a / 10.0
         metres = np.maximum(depth_mm(n), 1) / 1000.0
         pixels = np.where(depth_mm(n) > 0, quant_a / metres + quant_b, 0).astype(np.uint16)
-    png = cv2.imencode(".png", pixels)[1].tobytes()
+    # An RVL blob of the viewer has the transport's twelve bytes before it, as that of ROS.
+    packed = encode_rvl(pixels)[12:] if form.endswith("rvl") else cv2.imencode(".png", pixels)[1].tobytes()
     header = struct.pack("<iff", 0, quant_a, quant_b) if "compressedDepth" in form else b""
-    data = np.frombuffer(header + png, np.uint8)
+    data = np.frombuffer(header + packed, np.uint8)
     return _serialised(COMPRESSED, {"format": form, "data": data}, n)
 
 

@@ -62,7 +62,10 @@ def test_depth_is_the_same_in_every_encoding(tmp_path: Path, encoding: str, pad:
         assert (k.fx, k.fy, k.cx, k.cy) == (29.0, 30.5, 15.0, 11.0)  # a rectified image has the projection matrix
 
 
-@pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "16UC1; compressedDepth", "32FC1; compressedDepth png"])
+FORMS = [f"{pixels}; compressedDepth{how}" for pixels in ("16UC1", "32FC1") for how in (" png", "", " rvl")]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_compressed_depth_is_read(tmp_path: Path, form: str) -> None:
     topic = f"{DEPTH}/compressedDepth"
     path = _bag(tmp_path, [compressed_depth(n, form=form) for n in range(2)], kind=COMPRESSED, topic=topic)
@@ -195,7 +198,7 @@ def test_every_cut_of_a_message_is_an_error_of_ours() -> None:
         ),
         (
             {DEPTH: (IMAGE, "cdr", [image(0, encoding="8UC1")]), DEPTH_INFO: (INFO, "cdr", [info()])},
-            r"has encoding '8UC1'; depth is read from 16UC1, mono16, Z16, 32FC1 \(metres\), compressedDepth png",
+            r"has encoding '8UC1'; depth is read from 16UC1, mono16, Z16, 32FC1 \(metres\), compressedDepth png or rvl",
         ),
         (
             {DEPTH: (IMAGE, "cdr", [image(0)]), DEPTH_INFO: (INFO, "cdr", [info(k=(0.0,) * 9)[:-200]])},
