@@ -27,7 +27,7 @@ from regressor.volume import TYPICAL_RULE, blend
 Z90 = 1.645
 MIN_TUBERS = 20
 LEAST_BIAS = 0.01
-DISTANCE_STEP_M = 0.05
+DISTANCE_STEP_M, SITE_STEP_M = 0.05, 0.0005
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +91,13 @@ def fused_share(
 def load_share(weight_g: NDArray[np.float64], data: CloudSet) -> float:
     """Half of the 90 % interval of what all tubers of a load have in common, as a share of its weight; at least 1 %.
 
-    The bias of the total differs between stocks (cultivar, season, belt distance) by more than their numbers explain:
-    that part does not shrink with the count.
+    The bias of the total differs between stocks (cultivar, season, belt distance) and sites (how well the belt is
+    known, and what goes with it) by more than their numbers explain: that part does not shrink with the count.
     """
     distance = np.round(data.belt_distance_m / DISTANCE_STEP_M).astype(np.int64)
-    stock = np.array([f"{c}/{s}/{d}" for c, s, d in zip(data.cultivar, data.season, distance, strict=True)])
+    site = np.round(data.belt_sd_m / SITE_STEP_M).astype(np.int64)
+    names = zip(data.cultivar, data.season, distance, site, strict=True)
+    stock = np.array(["/".join(map(str, name)) for name in names])
     bias, chance, weight = [], [], []
     for name in np.unique(stock):
         rows = stock == name

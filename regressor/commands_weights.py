@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import App
 
+from conveyor.cli.address import NO_ADDRESS, LineAddress
+
 if TYPE_CHECKING:
     from regressor.weights_client import Changed
     from regressor.weights_messages import WeightsState
@@ -18,27 +20,18 @@ weights = App(name="weights", help="The weights a running line weighs with: list
 
 
 @weights.command(name="list")
-def list_(
-    *, config: Path | None = None, connect: str | None = None, line: str | None = None, json: bool = False
-) -> None:
+def list_(*, address: LineAddress = NO_ADDRESS, json: bool = False) -> None:
     """Print which weights each regressor weighs with.
 
     Parameters
     ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     json
         For machines.
     """
-    from conveyor.cli.status import line_address
     from conveyor.session import open_client
     from regressor.weights_client import all_states
 
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     with open_client(link, name="observer") as session:
         found = all_states(session, name)
     if json:
@@ -48,15 +41,7 @@ def list_(
 
 
 @weights.command
-def use(
-    file: Path,
-    /,
-    *,
-    config: Path | None = None,
-    connect: str | None = None,
-    line: str | None = None,
-    json: bool = False,
-) -> None:
+def use(file: Path, /, *, address: LineAddress = NO_ADDRESS, json: bool = False) -> None:
     """Let all regressors of a running line weigh with other weights; no view is lost.
 
     Every regressor first tries them on three reference clouds; if one refuses, all go on as before. What the ledger
@@ -67,54 +52,37 @@ def use(
     ----------
     file
         A .safetensors file with its .json beside it, or the authors' .pth.
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     json
         For machines.
     """
-    from conveyor.cli.status import line_address
-    from conveyor.config import LineConfig, load_config
     from conveyor.session import open_client
     from regressor.weigher import Weigher
     from regressor.weights_check import check_weights
     from regressor.weights_client import use as give
     from regressor.weights_messages import read_parcel
 
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     parcel = read_parcel(file)
     # Here first: a file that is no good is refused before a byte of it is sent.
-    check_weights(Weigher.load(file), load_config(config) if config else LineConfig())
+    check_weights(Weigher.load(file), address.loaded())
     with open_client(link, name="keeper") as session:
         changed = give(session, name, parcel, tell=_tell)
     _report(name, changed, json=json)
 
 
 @weights.command
-def rollback(
-    *, config: Path | None = None, connect: str | None = None, line: str | None = None, json: bool = False
-) -> None:
+def rollback(*, address: LineAddress = NO_ADDRESS, json: bool = False) -> None:
     """Let all regressors go back to the weights before the last change; once more goes forward again.
 
     Parameters
     ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     json
         For machines.
     """
-    from conveyor.cli.status import line_address
     from conveyor.session import open_client
     from regressor.weights_client import rollback as go_back
 
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     with open_client(link, name="keeper") as session:
         changed = go_back(session, name, tell=_tell)
     _report(name, changed, json=json)

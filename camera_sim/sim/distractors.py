@@ -15,16 +15,18 @@ Mesh = tuple[Vertices, Faces]
 HALF_M = (0.010, 0.042)
 """Longest half axis of clods and stones, metres: from crumbs to the size of a large tuber."""
 LOOK_ALIKE_HALF_M = (0.015, 0.046)
+FINE_RMS, WORN_RMS = (0.03, 0.07), (0.0, 0.03)
+"""Fine roughness of a clod, as a share of its radius, and of one that was rained on or rolled about."""
 
 
-def clod(rng: Generator, *, longest_m: tuple[float, float] = HALF_M) -> Mesh:
+def clod(rng: Generator, *, longest_m: tuple[float, float] = HALF_M, fine_rms: tuple[float, float] = FINE_RMS) -> Mesh:
     """A lump of soil: rough at every scale, no smooth skin; one in three broken, with a few flat faces.
 
     Balls of mud as smooth as a tuber are left out: no depth camera tells them from one.
     """
     directions, faces = icosphere(3)
     coarse = smooth_relief(rng, directions, rms=rng.uniform(0.06, 0.13), finest=rng.uniform(10.0, 18.0))
-    fine = smooth_relief(rng, directions, rms=rng.uniform(0.03, 0.07), finest=rng.uniform(22.0, 36.0))
+    fine = smooth_relief(rng, directions, rms=rng.uniform(*fine_rms), finest=rng.uniform(22.0, 36.0))
     radius = np.ones(len(directions))
     if rng.random() < 1 / 3:
         radius = _cut(rng, directions, faces_cut=int(rng.integers(1, 5)), worn=rng.uniform(0.0, 0.05))
@@ -106,8 +108,12 @@ def draw_distractor(rng: Generator) -> tuple[str, Mesh]:
 
 
 def draw_look_alike(rng: Generator) -> tuple[str, Mesh]:
-    """(kind, mesh) of what is hard to tell from a tuber: clods and stones of a tuber's size, hardly any haulm."""
+    """(kind, mesh) of what is hard to tell from a tuber: clods (one in three worn) and stones of a tuber's size, hardly
+    any haulm.
+    """
     kind = str(rng.choice(np.array(["clod", "stone", "haulm"]), p=[0.50, 0.44, 0.06]))
     if kind == "haulm":
         return kind, haulm(rng)
-    return kind, (clod if kind == "clod" else stone)(rng, longest_m=LOOK_ALIKE_HALF_M)
+    if kind == "stone":
+        return kind, stone(rng, longest_m=LOOK_ALIKE_HALF_M)
+    return kind, clod(rng, longest_m=LOOK_ALIKE_HALF_M, fine_rms=WORN_RMS if rng.random() < 1 / 3 else FINE_RMS)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor import __version__
+from conveyor.cli.address import LineAddress
 from conveyor.config import LineConfig, load_config
 from conveyor.doctor import Finding, Level, worst
 from conveyor.doctor.finding import fault, ok
@@ -63,9 +64,7 @@ def health(
     timeout_s
         How long to look for it.
     """
-    from conveyor.cli.status import line_address
-
-    link, line = line_address(config, connect, None)
+    link, line = LineAddress(config, connect).link()
     with Observer(link.model_copy(update={"connect_timeout_s": timeout_s}), line=line) as observer:
         if node is None:
             sys.stdout.write(f"router at {link.router} answers\n")

@@ -8,10 +8,9 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
+from conveyor.cli.address import NO_ADDRESS, LineAddress
 from conveyor.cli.live import Items, duration, losses, short_name
-from conveyor.cli.status import line_address
 from conveyor.errors import ConfigError
 from conveyor.messages import Counters
 from conveyor.observer import Observer
@@ -67,9 +66,7 @@ class Graph:
 
 def graph(
     *,
-    config: Path | None = None,
-    connect: str | None = None,
-    line: str | None = None,
+    address: LineAddress = NO_ADDRESS,
     json: bool = False,
     dot: bool = False,
     every: bool = False,
@@ -81,12 +78,6 @@ def graph(
 
     Parameters
     ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     json
         For machines.
     dot
@@ -98,7 +89,7 @@ def graph(
     """
     if json and dot:
         raise ConfigError("--json and --dot are two forms of the same output: give one of them")
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     with Observer(link, line=name) as observer:
         first, last = _listen(observer, wait_s)
         found = line_graph(name, first, last, alive=observer.alive(), now_unix_s=time.time(), every=every)

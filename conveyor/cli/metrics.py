@@ -5,32 +5,19 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from pathlib import Path
 
+from conveyor.cli.address import NO_ADDRESS, LineAddress
 from conveyor.errors import ConfigError
 
 
-def metrics(
-    *,
-    config: Path | None = None,
-    connect: str | None = None,
-    line: str | None = None,
-    listen: str = "127.0.0.1:9108",
-) -> None:
+def metrics(*, address: LineAddress = NO_ADDRESS, listen: str = "127.0.0.1:9108") -> None:
     """Serve a line's counters, levels and totals to Prometheus until stopped.
 
     Parameters
     ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     listen
         HOST:PORT to serve /metrics on; 127.0.0.1 unless Prometheus runs elsewhere.
     """
-    from conveyor.cli.status import line_address
     from conveyor.exporter import serving
     from conveyor.notify import notify
     from conveyor.observer import Observer
@@ -38,7 +25,7 @@ def metrics(
     host, _, port = listen.rpartition(":")
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
         raise ConfigError(f"--listen {listen} is not HOST:PORT, e.g. 127.0.0.1:9108")
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

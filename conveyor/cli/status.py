@@ -6,43 +6,22 @@ import json as json_module
 import sys
 import time
 from dataclasses import asdict
-from pathlib import Path
 
-from conveyor.config import LineConfig, LinkConfig, load_config
+from conveyor.cli.address import NO_ADDRESS, LineAddress
 from conveyor.observer import Observer
 
 
-def line_address(config: Path | None, connect: str | None, line: str | None) -> tuple[LinkConfig, str]:
-    """Where a line is watched: from its config, or from an endpoint and a line name."""
-    loaded = load_config(config) if config else LineConfig()
-    link = loaded.link.model_copy(update={"connect_timeout_s": 5.0, **({"router": connect} if connect else {})})
-    return link, line or loaded.name
-
-
-def status(
-    *,
-    config: Path | None = None,
-    connect: str | None = None,
-    line: str | None = None,
-    json: bool = False,
-    wait_s: float = 1.5,
-) -> None:
+def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: float = 1.5) -> None:
     """Print totals and nodes of a running line.
 
     Parameters
     ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
-    line
-        Name of the line, where no config says it.
     json
         For machines.
     wait_s
         How long to listen.
     """
-    link, name = line_address(config, connect, line)
+    link, name = address.link()
     with Observer(link, line=name) as observer:
         time.sleep(wait_s)
         totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()

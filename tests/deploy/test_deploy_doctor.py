@@ -234,10 +234,9 @@ def test_prometheus_scrapes_counters_levels_and_totals(line: Path, camera: Node)
     pytest.importorskip("prometheus_client", reason="metrics need tuberline[deploy]")
     totals = KeptPublisher(camera, topics.TOTALS)
     totals.put(Totals("r1", 3, 512.5, 480.0, 540.0, 0.75, 600.0, 550.0, 650.0, 1.5, 50.0, (0, 3), {}, final=False))
-    code = "import sys\nfrom pathlib import Path\nfrom conveyor.cli.metrics import metrics\n"
-    code += "metrics(config=Path(sys.argv[1]), listen=sys.argv[2])"
     address = f"127.0.0.1:{another_port()}"
-    with subprocess.Popen([sys.executable, "-c", code, str(line), address]) as exporter:
+    command = [sys.executable, "-m", "conveyor", "metrics", "--config", str(line), "--listen", address]
+    with subprocess.Popen(command) as exporter:
         try:
             page = scrape_until(f"http://{address}/metrics", "tuberline_load_tubers", "frames_published_total")
         finally:

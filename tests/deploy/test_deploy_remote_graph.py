@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from conveyor.cli.address import LineAddress
 from conveyor.cli.graph import dot_text, graph, line_graph
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.messages import Counters
@@ -106,7 +107,7 @@ def test_a_real_line(link: LinkConfig, capsys: pytest.CaptureFixture[str]) -> No
         Node("segmenter", "front", config=config, run="monday"),
     ):
         camera.counters.add("frames_published", 5)
-        graph(connect=link.router, line="north", json=True)
+        graph(address=LineAddress(connect=link.router, line="north"), json=True)
     found = json.loads(capsys.readouterr().out)
     sys.stdout.write(f"{found['nodes']}\n")
     assert [node["state"] for node in found["nodes"]] == ["ok", "ok"]
@@ -120,5 +121,5 @@ def test_a_real_line(link: LinkConfig, capsys: pytest.CaptureFixture[str]) -> No
 def test_two_lines_at_one_router_do_not_see_each_other(link: LinkConfig, capsys: pytest.CaptureFixture[str]) -> None:
     north, south = (LineConfig(name=name, link=link) for name in ("north", "south"))
     with Node("camera", "front", config=north, run="monday"), Node("camera", "rear", config=south, run="monday"):
-        graph(connect=link.router, line="south", json=True, wait_s=1.0)
+        graph(address=LineAddress(connect=link.router, line="south"), json=True, wait_s=1.0)
     assert [node["name"] for node in json.loads(capsys.readouterr().out)["nodes"]] == ["camera/rear"]

@@ -10,6 +10,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from conveyor.cli.address import LineAddress
 from conveyor.errors import ConfigError
 
 TICK_S = 1.0
@@ -36,7 +37,6 @@ def page(
         HOST:PORT to serve the page on. Beyond this machine only where everybody in the network may look; else put
         deploy/proxy before it.
     """
-    from conveyor.cli.status import line_address
     from conveyor.notify import notify
     from viewer.page.board import Board
     from viewer.page.server import PageServer
@@ -47,9 +47,9 @@ def page(
     if config and (connect or line):
         raise ConfigError("give --config (once for each line), or --connect with --line, not both")
     addresses = (
-        [line_address(path, None, None) for path in config]
+        [LineAddress(path).link() for path in config]
         if config
-        else [line_address(None, connect, name) for name in (line or (None,))]
+        else [LineAddress(None, connect, name).link() for name in (line or (None,))]
     )
     names = [name for _, name in addresses]
     if len(set(names)) < len(names):

@@ -1,0 +1,44 @@
+"""The options that say where a line is watched, the same for all commands that watch one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cyclopts import Parameter
+
+from conveyor.config import LineConfig, LinkConfig, load_config
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class LineAddress:
+    """A line by its config, or by an endpoint and its name.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    connect
+        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
+    line
+        Name of the line, where no config says it.
+    """
+
+    config: Path | None = None
+    connect: str | None = None
+    line: str | None = None
+
+    def loaded(self) -> LineConfig:
+        """The line's settings, defaults where there is no config."""
+        return load_config(self.config) if self.config else LineConfig()
+
+    def link(self) -> tuple[LinkConfig, str]:
+        """How to reach the line, and its name."""
+        settings = self.loaded()
+        changed = {"connect_timeout_s": 5.0, **({"router": self.connect} if self.connect else {})}
+        return settings.link.model_copy(update=changed), self.line or settings.name
+
+
+NO_ADDRESS = LineAddress()
+"""The line 'line' at the router that a config names by default."""
