@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from conveyor.errors import ConfigError
+from regressor.device import usable_device
 from regressor.export import ExportedPointRaft
 from regressor.fast import FastPointRaft, groups_tensor
 from regressor.grouping import GatheredGroups, SharedGroups
@@ -26,11 +26,9 @@ class BatchedPointRaft:
         """`device` as torch names it.
 
         Raises:
-            ConfigError: this machine or this build of torch does not have it.
+            InputError: this machine or this build of torch does not have it.
         """
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise ConfigError(f"device '{device}': torch {torch.__version__} finds no CUDA GPU here; use 'cpu'")
-        self._device = torch.device(device)
+        self._device = usable_device(device)
         self._alone = FastPointRaft(model)
         fresh = PointRaft(height_embedding=model.height_embed is not None)
         fresh.load_state_dict(model.state_dict())

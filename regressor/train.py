@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from conveyor.errors import InputError
 from regressor.augment import augmented_batch
 from regressor.cloudset import TARGET_POWER, CloudSet
+from regressor.device import usable_device
 from regressor.networks import POINTNET_POINTS, Network, new_network, run_network
 from regressor.pointnet import PointNet
 from regressor.pointraft import NEIGHBOURS
@@ -192,17 +193,6 @@ class Training:
         if self.device.type == "cuda" and state.get("cuda_rng") is not None:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)
         self.progress = Progress(**state["progress"])
-
-
-def usable_device(name: str) -> torch.device:
-    """The device `name` to compute on.
-
-    Raises:
-        InputError: 'cuda' without a GPU that this torch can use.
-    """
-    if name == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"there is no CUDA GPU that torch {torch.__version__} can use: train with --device cpu")
-    return torch.device(name)
 
 
 def start_at_mean(model: Network, weight_g: NDArray[np.float64]) -> None:

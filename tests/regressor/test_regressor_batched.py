@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from conveyor.errors import ConfigError
+from conveyor.errors import InputError
 from regressor.batched import BatchedPointRaft
 from regressor.checkpoint import load_checkpoint
 from regressor.fast import FastPointRaft
@@ -31,5 +31,5 @@ def test_a_batch_on_a_device_equals_the_fast_form(rng: np.random.Generator, devi
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="a CUDA GPU is here")
 def test_a_missing_gpu_is_named() -> None:
-    with pytest.raises(ConfigError, match="finds no CUDA GPU here; use 'cpu'"):
+    with pytest.raises(InputError, match="finds no CUDA GPU here; use 'cpu'"):
         BatchedPointRaft(load_checkpoint()[0])

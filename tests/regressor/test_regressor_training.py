@@ -149,7 +149,7 @@ def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) 
 def test_a_gpu_takes_the_same_steps_or_is_said_to_be_missing(data: CloudSet, tmp_path: Path) -> None:
     settings = replace(QUICK, dropout=0.0)
     if not torch.cuda.is_available():
-        with pytest.raises(InputError, match=r"no CUDA GPU .* --device cpu"):
+        with pytest.raises(InputError, match="finds no CUDA GPU here; use 'cpu'"):
             Training(data, data, replace(settings, device="cuda"))
         pytest.skip("no CUDA GPU here: training was NOT compared on one")
     here, there = Training(data, data, settings), Training(data, data, replace(settings, device="cuda"))

@@ -1,0 +1,18 @@
+"""Where a network is computed."""
+
+from __future__ import annotations
+
+import torch
+
+from conveyor.errors import InputError
+
+
+def usable_device(name: str) -> torch.device:
+    """The device `name`, as torch names it.
+
+    Raises:
+        InputError: a CUDA device without a GPU that this torch can use.
+    """
+    if name.startswith("cuda") and not torch.cuda.is_available():
+        raise InputError(f"device '{name}': torch {torch.__version__} finds no CUDA GPU here; use 'cpu'")
+    return torch.device(name)
