@@ -81,6 +81,7 @@ class FastPointRaft:
         self._stage1 = _packed(_fold(model.sa1_module.conv.local_nn, self._dtype), rows)
         self._stage2 = _packed(_fold(model.sa2_module.conv.local_nn, self._dtype), rows)
         self._stage3 = _fold(model.sa3_module.nn, self._dtype)
+        # (I, O) each: of these the rows of live units are picked.
         self._last_two = tuple(weight.T.contiguous() for weight in self._stage3.wide[1:])
         self._height = _fold(model.height_embed) if model.height_embed is not None else None
         self._head = _fold(model.regression_head)

@@ -32,7 +32,7 @@ class EyesSettings:
 
     method: Method = "classes"
     weights: Path | None = None
-    look_every_m: float = 0.018
+    look_every_m: float = 0.009
 
 
 class Eyes:

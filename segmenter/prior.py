@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, log
 
-OTHERS, TUBERS = 0.5, 25.0
-"""What is believed before anything was seen: one body in fifty is no tuber, held as lightly as 25 bodies."""
+OTHERS, TUBERS = 0.5, 8.0
+"""What is believed before anything was seen: one body in 17 is no tuber, held as lightly as eight bodies."""
 KEEP = 0.995
 """Of what earlier tracks said, per track: the last 200 matter, a field's end is another soil than its beginning."""
 

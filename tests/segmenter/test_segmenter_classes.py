@@ -98,8 +98,8 @@ def test_only_sure_words_reject() -> None:
 
 
 def test_the_same_portrait_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one() -> None:
-    """One in fifty before anything was seen; sure words move it towards the belt's own share, old ones fade."""
-    assert Prior().log_odds(0.0) == pytest.approx(np.log(50))
+    """One in 17 before anything was seen; sure words move it towards the belt's own share, old ones fade."""
+    assert Prior().log_odds(0.0) == pytest.approx(np.log(16))
     clean, cloddy = Prior(), Prior()
     for n in range(300):
         clean.log_odds(6.0)
