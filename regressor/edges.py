@@ -1,4 +1,5 @@
-"""The edges of a set abstraction as plain loops: the differences before its products and the maximum after them.
+"""The edges of a set abstraction as plain loops: the differences before its products and the maximum after them; and of
+the last stage, which has no edges, the units that are awake.
 
 torch would pass over the block three times (subtract, ReLU, maximum) where once is enough. LLVM vectorises the inner
 loops; a product in between is still torch's. The bfloat16 variants hold bit patterns in uint16, as NumPy has no such
@@ -6,6 +7,8 @@ type: subtraction is in float32 and rounds once, to the nearest, as the processo
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -79,3 +82,40 @@ def pooled_maximum_bfloat16(values: NDArray[np.int16], out: NDArray[np.float32])
             bits[o] = np.uint32(np.uint16(back)) << np.uint32(16)
         for o in range(width):
             out[c, o] = floats[o]
+
+
+@njit(cache=True, nogil=True)
+def live_units(values: Any, weights: Any, step: int) -> tuple[Any, Any]:
+    """What a product of activations behind a ReLU and the weights needs: units that are zero in all rows add nothing.
+
+    Args:
+        values: (R, I) bits of float32 or bfloat16 as integers. weights: (I, O), likewise.
+        step: the live units are filled up to a multiple of this with others: few shapes of a product, each compiled
+            once.
+
+    Returns:
+        (R, L) columns of `values` and (L, O) rows of `weights`, in their order.
+    """
+    rows, units = values.shape
+    awake = np.zeros(units, np.bool_)
+    for row in range(rows):
+        for unit in range(units):
+            awake[unit] |= values[row, unit] != 0
+    live = int(awake.sum())
+    size = min(units, max(1, -(-live // step)) * step)
+    asleep = size - live
+    kept = np.empty(size, np.int64)
+    count = 0
+    for unit in range(units):
+        if awake[unit] or asleep > 0:
+            asleep -= not awake[unit]
+            kept[count] = unit
+            count += 1
+    columns = np.empty((rows, size), values.dtype)
+    for row in range(rows):
+        for k in range(size):
+            columns[row, k] = values[row, kept[k]]
+    picked = np.empty((size, weights.shape[1]), weights.dtype)
+    for k in range(size):
+        picked[k] = weights[kept[k]]
+    return columns, picked

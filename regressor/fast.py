@@ -25,6 +25,7 @@ from torch import Tensor
 from regressor.edges import (
     edge_differences,
     edge_differences_bfloat16,
+    live_units,
     pooled_maximum,
     pooled_maximum_bfloat16,
 )
@@ -33,7 +34,7 @@ from regressor.pointraft import NEIGHBOURS, PointRaft, SharedMlp
 
 BLOCK_CENTROIDS = 32
 LIVE_STEP = 32
-"""Live units are filled up to a multiple of this with others: few shapes of a product, each compiled once."""
+"""See `live_units`."""
 
 Layer = Callable[[Tensor, Tensor, Tensor | None, bool], Tensor]
 
@@ -81,8 +82,9 @@ class FastPointRaft:
         self._stage1 = _packed(_fold(model.sa1_module.conv.local_nn, self._dtype), rows)
         self._stage2 = _packed(_fold(model.sa2_module.conv.local_nn, self._dtype), rows)
         self._stage3 = _fold(model.sa3_module.nn, self._dtype)
-        # (I, O) each: of these the rows of live units are picked.
-        self._last_two = tuple(weight.T.contiguous() for weight in self._stage3.wide[1:])
+        self._bits = torch.int16 if form.precision == "bfloat16" else torch.int32
+        # (I, O) each, as bits: NumPy has no bfloat16. Of these the rows of live units are picked.
+        self._last_two = [weight.T.contiguous().view(self._bits).numpy() for weight in self._stage3.wide[1:]]
         self._height = _fold(model.height_embed) if model.height_embed is not None else None
         self._head = _fold(model.regression_head)
         kind = np.uint16 if self._dtype == torch.bfloat16 else np.float32
@@ -110,8 +112,13 @@ class FastPointRaft:
         x = self._layer(
             torch.cat([features2, centroids2], dim=1).to(self._dtype), mlp.wide[0], mlp.wide_biases[0], True
         )
-        x = self._layer(*_live(x, self._last_two[0]), mlp.wide_biases[1], True)
-        return self._layer(*_live(x, self._last_two[1]), None, False).amax(0).float() + mlp.biases[2]
+        x = self._layer(*self._live(x, 0), mlp.wide_biases[1], True)
+        return self._layer(*self._live(x, 1), None, False).amax(0).float() + mlp.biases[2]
+
+    def _live(self, x: Tensor, layer: int) -> tuple[Tensor, Tensor]:
+        """(rows, L) live columns of activations and the (O, L) weights that they meet in one of the last two layers."""
+        columns, rows = live_units(x.view(self._bits).numpy(), self._last_two[layer], LIVE_STEP)
+        return torch.from_numpy(columns).view(self._dtype), torch.from_numpy(rows).view(self._dtype).T
 
     def _abstract(self, mlp: _Folded, inputs: Tensor, centroids: Tensor, index: NDArray[np.int64] | None) -> Tensor:
         """(C, O): max over the neighbours (`inputs` (K, G + 3), or those that (C, 64) `index` picks)."""
@@ -158,15 +165,6 @@ class FastPointRaft:
         if self._height is not None:
             x = torch.cat([x, _plain(self._height, torch.tensor([[height_m]], dtype=torch.float32))], dim=1)
         return _plain(self._head, x)[0, 0]
-
-
-def _live(x: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """The columns of (rows, I) activations `x` >= 0 that are not zero in all rows, and (O, L) of the (I, O) weights."""
-    highest = x.amax(0)
-    live = int(torch.count_nonzero(highest))
-    filled = min(-(-max(live, 1) // LIVE_STEP) * LIVE_STEP, len(highest))
-    columns = torch.topk(highest, filled, sorted=False).indices.sort().values
-    return x.index_select(1, columns), weight.index_select(0, columns).T
 
 
 def _plain(mlp: _Folded, x: Tensor) -> Tensor:

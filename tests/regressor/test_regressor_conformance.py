@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from regressor.checkpoint import load_checkpoint
+from regressor.edges import live_units
 from regressor.fast import FastPointRaft
 from regressor.grouping import GatheredGroups, group_given, group_prefix
 from regressor.pointraft import PointRaft
@@ -152,3 +153,14 @@ def test_a_training_step_in_float64(shared: Path, clouds: dict[str, NDArray[np.g
         want = expected[f"grad/{name}"].ravel()
         assert np.linalg.norm(gradient[: len(want)] - want) <= 1e-6 * norm, name
         assert float(np.linalg.norm(gradient)) == pytest.approx(norm, rel=1e-6), name
+
+
+@pytest.mark.parametrize(("live", "kept"), [((), 4), ((5,), 4), ((0, 3, 9), 4), (tuple(range(5)), 8), (range(10), 10)])
+def test_units_that_are_zero_in_all_rows_are_left_out_of_a_product(live: tuple[int, ...], kept: int) -> None:
+    rng = np.random.default_rng(7)
+    values, weights = np.zeros((6, 10), np.float32), rng.normal(size=(10, 3)).astype(np.float32)
+    values[:, list(live)] = np.maximum(rng.normal(size=(6, len(live))), 0) + np.eye(6, len(live))
+    columns, rows = live_units(values.view(np.int32), weights.view(np.int32), 4)
+    assert columns.shape == (6, kept)
+    assert rows.shape == (kept, 3)
+    np.testing.assert_allclose(columns.view(np.float32) @ rows.view(np.float32), values @ weights, rtol=1e-6)
