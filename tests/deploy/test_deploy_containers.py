@@ -7,6 +7,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ RUN, NAME = "monday", "worker-7f9c"
 def parsed(words: list[str]) -> tuple[str, dict[str, Any]]:
     """(command, its arguments) of a `tuberline` command line; raises where it would be refused."""
     command, bound, _ = build_app().parse_args(words, print_error=False, exit_on_error=False)
-    return command.__name__, dict(bound.arguments)
+    arguments = dict(bound.arguments)
+    address = arguments.pop("address", None)  # several commands take a line's address as one
+    return command.__name__, {**arguments, **(asdict(address) if address else {})}
 
 
 def filled(text: str) -> str:
