@@ -47,6 +47,7 @@ def test_weights_change_while_a_belt_passes(belt: Path, tmp_path: Path) -> None:
             [1.06**network_share] * 3, abs=0.003
         )
 
+        wait_reports(line)
         at_change = line.count("views_weighed")
         with pytest.raises(InputError, match=r"r1 refuses: weights broken@\w+ fail on the reference clouds: network 2"):
             use(keeper, "replay", read_parcel(broken))
@@ -78,6 +79,17 @@ def at_work(line_site: Site) -> Iterator[DisturbedLine]:
         with Supervisor(line_site.parts("camera"), log_dir=line_site.out / "logs") as cameras:
             line.watched.append(cameras)
             yield line
+
+
+def wait_reports(line: DisturbedLine) -> None:
+    """Until all regressors have counted anew: what they say once a second may be from before a moment ago."""
+    nodes = line.observer.nodes()
+    then_s = {name: node.uptime_s for name, node in nodes.items() if node.role == "regressor"}
+
+    def anew() -> bool:
+        return all(line.observer.nodes()[name].uptime_s > uptime_s + 1.5 for name, uptime_s in then_s.items())
+
+    line.wait(anew, what="counters made since")
 
 
 @contextmanager
