@@ -183,7 +183,9 @@ def _quantised(graph: Path, clouds: Clouds) -> Path:
 
 
 def product_seconds() -> float:
-    """Process time of one cloud's float32 products alone, by the same routine: the limit of the exact form."""
+    """Process time of all of one cloud's float32 products alone, by the same routine; the exact form leaves out a
+    part of the last stage's.
+    """
     layer = fused_layer()
     total = 0.0
     for rows, inner, outer, times in PRODUCTS:
