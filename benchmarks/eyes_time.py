@@ -67,7 +67,8 @@ def _timed(frame: Frame, core: Segmenter, eyes: Eyes, belt: BeltGeometry, pixel_
     marks.append(time.thread_time())
     if eyes.judges:
         for n in range(len(instances)):
-            take_look(heights, instances, n, belt)
+            x_m, y_m = instances.centre_m[n].tolist()
+            take_look(heights, instances, n, belt, x_m=x_m, y_m=y_m)
     marks.append(time.thread_time())
     core.step(frame)
     marks.append(time.thread_time())

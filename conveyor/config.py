@@ -74,7 +74,7 @@ class SegmenterConfig(Section):
     )
     weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
     reject_below: float = Field(
-        0.0, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
+        0.3, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )
     belt_sd_mm: float = Field(
         2.0, ge=0, le=100, description="how well the belt's height is known (standard deviation): widens intervals"

@@ -62,7 +62,7 @@ class CountSettings:
     lump_seen: float = 0.75
     steady_share: float = 0.9
     same_share: float = 0.6
-    reject_below: float = 0.0
+    reject_below: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)

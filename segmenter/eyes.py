@@ -76,7 +76,8 @@ class Eyes:
         for track, index in found:
             whole = not instances.cut[index, :2].any() and not track.is_odd(float(instances.area_mm2[index]))
             if track.state is State.OPEN and whole:
-                track.portrait.add(take_look(heights, instances, index, belt))
+                x_m, y_m = track.place_x_m + travel_m, track.place_y_m
+                track.portrait.add(take_look(heights, instances, index, belt, x_m=x_m, y_m=y_m))
 
     def look_due(self, heights: HeightMap, travel_m: float) -> bool:
         """This frame is one for portraits: the belt moved on, and its cells are fine enough."""

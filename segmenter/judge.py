@@ -48,7 +48,10 @@ class Judge:
         try:
             return np.asarray(self._net.forward(), np.float32)
         except cv2.error as error:
-            raise InputError(f"{self.path} does not take portraits {channels.shape}: {error}") from error
+            raise InputError(
+                f"{self.path} does not take portraits {channels.shape}: train it anew with this version's "
+                f"`tuberline train-eyes` ({error})"
+            ) from error
 
 
 def read_network(path: Path) -> cv2.dnn.Net:

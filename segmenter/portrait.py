@@ -8,6 +8,7 @@ a tuber moves 10 mm against its rim while it passes, and an average there would 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -17,10 +18,11 @@ from numpy.typing import NDArray
 from segmenter.belt import BeltGeometry
 from segmenter.heights import HeightMap
 from segmenter.instances import Instances
+from segmenter.quadric import departures
 
 SIZE = 48
 CELL_MM = 2.0
-CHANNELS = 8
+CHANNELS = 10
 FULL_MM = 60.0
 FINE_MM = 1.5
 FINE_SIGMA = 2.0
@@ -28,6 +30,7 @@ SPREAD_MM = 3.0
 UNSURE_MM = 0.5
 BANDS = ((1.0, 3.0, 1.0), (2.5, 6.0, 3.0))
 """Of the body's own relief: cells over which it is smoothed, cells of its surroundings, millimetres that make 1."""
+DEPARTURES_MM = (1.5, 6.0)
 LEAST_LOOKS = 3
 """Fewer are no evidence: the noise would be judged."""
 AROUND_MM = 12.0
@@ -71,8 +74,9 @@ class Portrait:
         self._inside += look.inside
 
     def channels(self) -> NDArray[np.float32]:
-        """(8, 48, 48) float32 as the network takes it; there must be a look."""
-        return as_channels(self._height, self._square, self._seen, self._inside, looks=self.looks)
+        """(10, 48, 48) float32 as the network takes it; there must be a look."""
+        sums = (image[None] for image in (self._height, self._square, self._seen, self._inside))
+        return np.asarray(as_channels(*sums, looks=np.array([self.looks], np.float32))[0])
 
 
 def as_channels(
@@ -81,11 +85,13 @@ def as_channels(
     seen: NDArray[np.float32],
     inside: NDArray[np.float32],
     *,
-    looks: int,
+    looks: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """(8, 48, 48) float32 from sums over the looks: mean height / 60 mm, the same over its surroundings / 1.5 mm, how
-    much of it is the instance, spread from look to look / 3 mm, share of the looks that saw it, standard error of the
-    mean / 0.5 mm, and the instance's own relief at two scales (`BANDS`), to which its neighbours add nothing.
+    """(n, 10, 48, 48) float32 from n bodies' sums over their looks, each (n, 48, 48), and how many looks they are (n,).
+
+    Mean height / 60 mm, the same over its surroundings / 1.5 mm, how much of it is the instance, spread from look to
+    look / 3 mm, share of the looks that saw it, standard error of the mean / 0.5 mm, the instance's own relief at two
+    scales (`BANDS`), to which its neighbours add nothing, and how far it departs from an ellipsoid / 1.5 and / 6 mm.
     """
     count: NDArray[np.float32] = np.maximum(seen, np.float32(1)).astype(np.float32)
     mean_mm: NDArray[np.float32] = (height / count).astype(np.float32)
@@ -97,35 +103,50 @@ def as_channels(
         np.clip(share * (_smoothed(mean_mm, share, near) - _smoothed(mean_mm, share, far)) / unit_mm, -4, 4)
         for near, far, unit_mm in BANDS
     ]
+    departure_mm = departures(mean_mm, share)
     channels: NDArray[np.float32] = np.stack(
         [
             mean_mm / FULL_MM,
             np.clip(fine / FINE_MM, -4, 4),
             share,
             np.minimum(spread_mm / SPREAD_MM, 3),
-            seen / np.float32(looks),
+            seen / looks[:, None, None],
             np.minimum(spread_mm / np.sqrt(count) / UNSURE_MM, 4),
             *bands,
-        ]
+            *(np.clip(departure_mm / unit_mm, -4, 4) for unit_mm in DEPARTURES_MM),
+        ],
+        axis=1,
     ).astype(np.float32)
     return channels
 
 
 def _smoothed(mean_mm: NDArray[np.float32], weight: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """Weighted mean over the neighbourhood."""
-    total = np.asarray(cv2.GaussianBlur(mean_mm * weight, (0, 0), sigma), np.float32)
-    of = np.maximum(np.asarray(cv2.GaussianBlur(weight, (0, 0), sigma), np.float32), np.float32(1e-3))
-    return np.asarray(total / of, np.float32)
+    blur = _blur(sigma)
+    total, of = (blur @ image @ blur.T for image in (mean_mm * weight, weight))
+    return np.asarray(total / np.maximum(of, np.float32(1e-3)), np.float32)
 
 
-def take_look(heights: HeightMap, instances: Instances, index: int, belt: BeltGeometry) -> Look:
-    """What a frame shows around the centre of instance `index`."""
+@lru_cache
+def _blur(sigma: float) -> NDArray[np.float32]:
+    """(48, 48) what blurs along a side, mirrored at the ends: many images at once are two products."""
+    kernel = cv2.getGaussianKernel(round(8 * sigma + 1) | 1, sigma)
+    rows = cv2.filter2D(np.eye(SIZE), cv2.CV_64F, kernel, borderType=cv2.BORDER_REFLECT_101)
+    return np.asarray(rows, np.float32)
+
+
+def take_look(
+    heights: HeightMap, instances: Instances, index: int, belt: BeltGeometry, *, x_m: float, y_m: float
+) -> Look:
+    """What a frame shows of instance `index`, around (x, y) on the belt.
+
+    An instance's own centre wanders by a millimetre from frame to frame, and the body's skin would be blurred by that.
+    """
     i0, i1, j0, j1 = (int(value) for value in instances.box[index])
     around = round(AROUND_MM / heights.cell_mm)
     rows, columns = instances.labels.shape
     box = (max(0, i0 - around), min(rows, i1 + around + 1), max(0, j0 - around), min(columns, j1 + around + 1))
     k, m = belt.intrinsics, belt.belt_from_camera
-    x_m, y_m = (float(value) for value in instances.centre_m[index])
     height_mm, seen, inside = _from_above(
         heights.height_mm, heights.seen, instances.labels, index + 1, box, heights.stride,
         np.array(belt.height_coefficients()), np.array([k.fx, k.fy, k.cx, k.cy]),

@@ -25,8 +25,10 @@ DISTANCE_M = (0.30, 0.60)
 MOST_TILT_DEG = 4.0
 MOST_NOISE = 2.5
 STEP_M = (0.015, 0.040)
-LOOK_STEP_M = (0.017, 0.023)
-"""About the segmenter's way between two looks at a track."""
+LOOK_STEP_M = (0.011, 0.021)
+"""Up to twice the segmenter's way between two looks at a track: a training draws some of them anyway."""
+RESTLESS = 0.4
+"""Share of look-alike belts whose load rocks, slides and rolls, at any strength up to that of the scene `rolling`."""
 HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
 """Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
 
@@ -40,6 +42,7 @@ class BeltView:
         labels: (H, W) uint16, body numbers as rendered, 0 = belt; also where `depth` is 0.
         kinds: kind of body number n + 1.
         belt_from_camera: (4, 4) as the calibration says, with its error.
+        travel_m: how far the belt had moved.
     """
 
     depth: NDArray[np.uint16]
@@ -48,6 +51,7 @@ class BeltView:
     depth_scale_m: float
     intrinsics: Intrinsics
     belt_from_camera: NDArray[np.float64]
+    travel_m: float
 
 
 def random_belt_views(
@@ -56,7 +60,7 @@ def random_belt_views(
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
     `look_alikes`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and
-    views are as far apart as the segmenter's looks.
+    views are about as far apart as the segmenter's looks.
     """
     rng = np.random.default_rng([seed, 40, number])
     drawn = _look_alikes if look_alikes else _settings
@@ -119,6 +123,7 @@ def _look_alikes(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettin
         optics=D405_1280 if rng.random() < 0.2 else D405_848,
         belt_distance_m=float(rng.triangular(DISTANCE_M[0], 0.46, DISTANCE_M[1])),
         unit_m=0.0001 if rng.random() < 0.2 else 0.001,
+        unrest=rng.uniform(0, 1) if rng.random() < RESTLESS else 0.0,
     )
     return settings, layout
 
@@ -160,6 +165,7 @@ def _view(
         depth_scale_m=settings.unit_m,
         intrinsics=camera.optics.intrinsics,
         belt_from_camera=camera.believed_belt_from_camera,
+        travel_m=travel_m,
     )
 
 

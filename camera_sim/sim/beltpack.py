@@ -30,7 +30,7 @@ def write_belt_pack(
 
     A shard holds, for its n frames: `depth` and `labels` as PNG files (16 bit, one channel) one after the other, with
     `depth_offset` and `labels_offset` (n + 1,); `kinds` (bodies,) kind of label 1, 2, ...; `depth_scale_m`;
-    `intrinsics` (4,) fx fy cx cy; `image_size` (2,) width height; `belt_from_camera` (4, 4).
+    `intrinsics` (4,) fx fy cx cy; `image_size` (2,) width height; `belt_from_camera` (4, 4); `travel_m` (n,).
     """
     out.mkdir(parents=True, exist_ok=True)
     made = 0
@@ -67,6 +67,7 @@ def _packed(views: list[BeltView]) -> dict[str, Any]:
         "intrinsics": np.array([k.fx, k.fy, k.cx, k.cy]),
         "image_size": np.array([k.width, k.height], np.int32),
         "belt_from_camera": views[0].belt_from_camera,
+        "travel_m": np.array([view.travel_m for view in views]),
     }
 
 

@@ -17,6 +17,8 @@ HALF_M = (0.010, 0.042)
 LOOK_ALIKE_HALF_M = (0.015, 0.046)
 FINE_RMS, WORN_RMS = (0.03, 0.07), (0.0, 0.03)
 """Fine roughness of a clod, as a share of its radius, and of one that was rained on or rolled about."""
+LUMP_FALL, LUMP_RMS, LUMP_FINEST = (0.5, 1.2), (0.06, 0.12), (7.0, 15.0)
+"""Relief of a clod without any fine roughness: how fast it falls off, its share of the radius, its finest waves."""
 
 
 def clod(rng: Generator, *, longest_m: tuple[float, float] = HALF_M, fine_rms: tuple[float, float] = FINE_RMS) -> Mesh:
@@ -32,6 +34,20 @@ def clod(rng: Generator, *, longest_m: tuple[float, float] = HALF_M, fine_rms: t
         radius = _cut(rng, directions, faces_cut=int(rng.integers(1, 5)), worn=rng.uniform(0.0, 0.05))
     half_m = rng.uniform(*longest_m) * rng.uniform(0.6, 1.0, 3)
     return directions * np.maximum(radius + coarse + fine, 0.35)[:, None] * half_m @ random_rotation(rng).T, faces
+
+
+def lump(rng: Generator, *, longest_m: tuple[float, float] = HALF_M) -> Mesh:
+    """A clod as smooth as a tuber, but of no tuber's shape: two to five times its relief."""
+    directions, faces = icosphere(3)
+    relief = smooth_relief(
+        rng,
+        directions,
+        rms=rng.uniform(*LUMP_RMS),
+        finest=rng.uniform(*LUMP_FINEST),
+        fall=rng.uniform(*LUMP_FALL),
+    )
+    half_m = rng.uniform(*longest_m) * rng.uniform(0.6, 1.0, 3)
+    return directions * np.maximum(1 + relief, 0.35)[:, None] * half_m @ random_rotation(rng).T, faces
 
 
 def stone(rng: Generator, *, longest_m: tuple[float, float] = HALF_M) -> Mesh:
@@ -108,12 +124,15 @@ def draw_distractor(rng: Generator) -> tuple[str, Mesh]:
 
 
 def draw_look_alike(rng: Generator) -> tuple[str, Mesh]:
-    """(kind, mesh) of what is hard to tell from a tuber: clods (one in three worn) and stones of a tuber's size, hardly
-    any haulm.
+    """(kind, mesh) of what is hard to tell from a tuber: clods (one in four worn, one in four a smooth lump) and stones
+    of a tuber's size, hardly any haulm.
     """
     kind = str(rng.choice(np.array(["clod", "stone", "haulm"]), p=[0.50, 0.44, 0.06]))
     if kind == "haulm":
         return kind, haulm(rng)
     if kind == "stone":
         return kind, stone(rng, longest_m=LOOK_ALIKE_HALF_M)
-    return kind, clod(rng, longest_m=LOOK_ALIKE_HALF_M, fine_rms=WORN_RMS if rng.random() < 1 / 3 else FINE_RMS)
+    sort = rng.random()
+    if sort < 1 / 4:
+        return kind, lump(rng, longest_m=LOOK_ALIKE_HALF_M)
+    return kind, clod(rng, longest_m=LOOK_ALIKE_HALF_M, fine_rms=WORN_RMS if sort < 1 / 2 else FINE_RMS)

@@ -22,6 +22,9 @@ from camera_sim.sim.tubers import Tuber, draw_tuber
 from camera_sim.sim.world import Body, CameraPose, World, mount
 from conveyor.errors import InputError
 
+ROUND = ("tuber", "clod", "stone")
+"""What may rock, slide and roll; stalks and leaves lie still."""
+
 
 def belt_tuber(rng: Generator) -> Tuber:
     """A tuber with a mesh as fine as whole belts of them can be rendered with."""
@@ -40,7 +43,7 @@ class Layout:
         tilt_deg: of every camera about its u and v axes.
         dropped: share of frames that are missing, singly and in bursts.
         piled: share of the tubers that lie on others.
-        unrest: how much tubers rock, roll and slide; 1 on a belt that shakes.
+        unrest: how much the load rocks, rolls and slides; 1 on a belt that shakes.
         rods: a web of rods that one sees through, instead of a belt with cleats.
     """
 
@@ -80,7 +83,7 @@ class SceneSettings:
     """What the user chooses.
 
     Attributes:
-        unrest: how much tubers move, where the scene does not move them more; see `drift`.
+        unrest: how much the load moves, where the scene does not move it more; see `drift`.
         jitter: how unsteady the belt's speed is, 1 = 1 %.
         claimed_unit_m: what the recording says its depth unit is; None: the truth.
     """
@@ -135,7 +138,7 @@ def _moving(bodies: tuple[Body, ...], settings: SceneSettings, layout: Layout) -
     rng = np.random.default_rng([settings.seed, 11])
     drifts = [draw_drift(rng, body.vertices, strength=strength) for body in bodies]
     return tuple(
-        replace(body, drift=drift) if body.kind == "tuber" and body.layer == 1 else body
+        replace(body, drift=drift) if body.kind in ROUND and body.layer == 1 else body
         for body, drift in zip(bodies, drifts, strict=True)
     )
 

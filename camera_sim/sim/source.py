@@ -161,7 +161,7 @@ def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
         if seen and body.kind == "tuber":
             tubers.append(_truth_row(body, seen, crossing_place(world, body, seen[0])))
         elif seen:
-            others.append(_distractor_row(body, seen))
+            others.append(_distractor_row(body, seen, crossing_place(world, body, seen[0])))
     distractors = [body.kind for body in world.bodies if body.kind != "tuber"]
     return {
         "tubers": tubers,
@@ -180,8 +180,7 @@ def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Bo
     return first <= at <= last
 
 
-def _distractor_row(body: Body, cameras: list[str]) -> dict[str, Any]:
-    place = body.place
+def _distractor_row(body: Body, cameras: list[str], place: NDArray[np.float64]) -> dict[str, Any]:
     reach_m = float(np.ptp(body.vertices[:, :2], axis=0).max()) / 2
     return {
         "kind": body.kind,

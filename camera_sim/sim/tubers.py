@@ -74,13 +74,15 @@ def grow(recipe: Recipe, rng: Generator, *, level: int = LEVEL) -> Tuber:
     return Tuber(vertices, faces, (length, width, depth), volume_ml, volume_ml * recipe.density_g_ml, recipe.stock)
 
 
-def smooth_relief(rng: Generator, directions: Vertices, *, rms: float, finest: float = 13.0) -> NDArray[np.float64]:
-    """(V,) smooth noise over the sphere of the given rms: plane waves of 2..`finest` radians, power ~ 1/k."""
+def smooth_relief(
+    rng: Generator, directions: Vertices, *, rms: float, finest: float = 13.0, fall: float = 0.5
+) -> NDArray[np.float64]:
+    """(V,) smooth noise over the sphere of the given rms: waves of k = 2..`finest` radians, height ~ k^-`fall`."""
     waves = 28
     k = rng.uniform(2.0, finest, waves)
     vectors = rng.standard_normal((waves, 3))
     vectors *= (k / np.linalg.norm(vectors, axis=1))[:, None]
-    field = np.cos(directions @ vectors.T + rng.uniform(0, 2 * np.pi, waves)) @ (1 / np.sqrt(k))
+    field = np.cos(directions @ vectors.T + rng.uniform(0, 2 * np.pi, waves)) @ (k ** (0.5 - fall) / np.sqrt(k))
     field -= field.mean()
     return np.asarray(field * (rms / field.std()))
 

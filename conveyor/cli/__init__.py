@@ -59,6 +59,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "Model": {
         "train": ("regressor.commands:train", "Train PointRAFT."),
+        "cut-portraits": ("segmenter.learn.commands:cut_portraits", "Cut belts into what train-eyes learns from."),
         "train-eyes": (
             "segmenter.learn.commands:train_eyes",
             "Train the segmenter's network to tell clods from tubers.",

@@ -1,13 +1,55 @@
-"""The command that trains the segmenter's networks."""
+"""The commands that train the segmenter's networks."""
 
 from __future__ import annotations
 
 import json as json_module
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from conveyor.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+
+def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
+    """Keep of simulated belts what the judge learns from; the belts may be deleted then.
+
+    Cutting takes longer than reading what was cut, and a training holds all of it in memory: 0.1 MB a body.
+
+    Parameters
+    ----------
+    data
+        Belts made by `tuberline simulate-belts`; may be given more than once.
+    out
+        Folder of portraits-<seed>.npz, one of each pack, for `tuberline train-eyes`.
+    force
+        Overwrite a file that is there.
+    """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from segmenter.learn.cut import cut_pack
+    from segmenter.learn.pack import pack_origin
+    from segmenter.learn.sitters import write_sitters
+
+    for folder in data:
+        origin = pack_origin(folder)
+        path = out / f"portraits-{origin.get('seed', folder.name)}.npz"
+        if path.exists() and not force:
+            raise InputError(f"{path} is there already; choose another folder or add --force")
+        with Progress(console=Console(stderr=True)) as progress:
+            on_shard = partial(_show, progress, progress.add_task(f"cutting {folder}", total=None))
+            sitters = cut_pack(folder, on_shard=on_shard)
+        write_sitters(path, sitters, origin=origin)
+        tubers = sum(sitter.is_tuber for sitter in sitters)
+        sys.stdout.write(f"{path}: {tubers} tubers and {len(sitters) - tubers} others\n")
+
+
+def _show(progress: Progress, task: TaskID, done: int, total: int) -> None:
+    progress.update(task, completed=done, total=total)
 
 
 def train_eyes(
@@ -27,7 +69,8 @@ def train_eyes(
     Parameters
     ----------
     data
-        Belts to learn from, made by `tuberline simulate-belts`; may be given more than once.
+        Belts to learn from, made by `tuberline simulate-belts`; may be given more than once. For the judge also
+        folders of `tuberline cut-portraits`.
     val
         Other belts to judge it by.
     out

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,6 +30,7 @@ class LabelledFrame:
         belt_number: frames of one belt show the same bodies.
         depth: (H, W) uint16, units of `depth_scale_m` metres; labels: (H, W) uint16, 0 = belt.
         kinds: of label 1, 2, ...
+        travel_m: how far the belt had moved.
     """
 
     belt_number: int
@@ -36,6 +39,7 @@ class LabelledFrame:
     kinds: tuple[str, ...]
     depth_scale_m: float
     belt: BeltGeometry
+    travel_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +88,31 @@ def load_pack(folder: Path, *, on_shard: Callable[[int, int], None] = lambda don
     return [labelled_grid(frame) for frame in pack_frames(folder, on_shard=on_shard)]
 
 
+def pack_origin(folder: Path) -> dict[str, Any]:
+    """What a pack says of itself; nothing where it says nothing.
+
+    Raises:
+        InputError: what it says cannot be read.
+    """
+    path = folder / "meta.json"
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
+    return dict(meta) if isinstance(meta, dict) else {}
+
+
 def _shard(shard: np.lib.npyio.NpzFile, number: int) -> Iterator[LabelledFrame]:
     width, height = (int(n) for n in shard["image_size"])
     intrinsics = Intrinsics(width, height, *(float(value) for value in shard["intrinsics"]))
     belt = BeltGeometry(intrinsics, shard["belt_from_camera"])
     kinds = tuple(str(kind) for kind in shard["kinds"].tolist())
     scale_m = float(shard["depth_scale_m"])
-    for depth, labels in zip(_images(shard, "depth"), _images(shard, "labels"), strict=True):
-        yield LabelledFrame(number, depth, labels, kinds, scale_m, belt)
+    images = zip(_images(shard, "depth"), _images(shard, "labels"), shard["travel_m"].tolist(), strict=True)
+    for depth, labels, travel_m in images:
+        yield LabelledFrame(number, depth, labels, kinds, scale_m, belt, travel_m)
 
 
 def labelled_grid(frame: LabelledFrame) -> LabelledGrid:

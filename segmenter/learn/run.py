@@ -20,9 +20,10 @@ from segmenter.classes import MULTIPLE
 from segmenter.learn.blocks import export_net
 from segmenter.learn.cells_net import OPEN_AXES
 from segmenter.learn.cells_train import CellsRecipe, agreement, train_cells
+from segmenter.learn.cut import cut_pack
 from segmenter.learn.judge_net import JudgeRecipe, judged, scores, train_judge
-from segmenter.learn.pack import load_pack
-from segmenter.learn.portraits import load_sitters
+from segmenter.learn.pack import load_pack, pack_origin
+from segmenter.learn.sitters import Sitter, origin_of, read_sitters, sitter_files
 from segmenter.portrait import CHANNELS, SIZE
 
 OnStep = Callable[[int, int, float], None]
@@ -30,7 +31,7 @@ OnStep = Callable[[int, int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class EyesRun:
-    """Where a training reads and writes: packs to learn from, one to judge by.
+    """Where a training reads and writes: folders of belts or of portraits, to learn from and to judge by.
 
     `command` goes into the sidecar as it was typed.
     """
@@ -49,8 +50,8 @@ def make_judge(run: EyesRun, recipe: JudgeRecipe, *, on_step: OnStep) -> dict[st
         InputError: packs that cannot be used, or a validation on the belts of the training.
     """
     origins = _prepare(run)
-    sitters = [sitter for folder in run.data for sitter in load_sitters(folder)]
-    held_out = load_sitters(run.validation)
+    sitters = [sitter for folder in run.data for sitter in _sitters(folder)]
+    held_out = _sitters(run.validation)
     net, seconds = train_judge(sitters, recipe, on_step=on_step)
     export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
     origins["bodies"] = len(sitters)
@@ -69,12 +70,12 @@ def make_cells(run: EyesRun, recipe: CellsRecipe, *, on_step: OnStep) -> dict[st
 
 
 def _prepare(run: EyesRun) -> dict[str, Any]:
-    trained_on, judged_on = [_origin(folder) for folder in run.data], _origin(run.validation)
-    seed = judged_on.get("seed")
-    if seed is not None and seed in [origin.get("seed") for origin in trained_on]:
+    trained_on, judged_on = [origin for folder in run.data for origin in _origins(folder)], _origins(run.validation)
+    seeds = {origin.get("seed") for origin in trained_on} & {origin.get("seed") for origin in judged_on} - {None}
+    if seeds:
         raise InputError(
-            f"{run.validation} was simulated with a seed of the training's packs ({seed}): the network would be judged "
-            "on belts that it learned from; make one with another --seed"
+            f"{run.validation} was simulated with a seed of the training's packs ({seeds.pop()}): the network would be "
+            "judged on belts that it learned from; make one with another --seed"
         )
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -109,13 +110,11 @@ def _sidecar(
     return sidecar
 
 
-def _origin(folder: Path) -> dict[str, Any]:
-    """What a pack says of itself; nothing where it says nothing."""
-    path = folder / "meta.json"
-    if not path.is_file():
-        return {}
-    try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
-    return dict(meta) if isinstance(meta, dict) else {}
+def _origins(folder: Path) -> list[dict[str, Any]]:
+    return [origin_of(path) for path in sitter_files(folder)] or [pack_origin(folder)]
+
+
+def _sitters(folder: Path) -> list[Sitter]:
+    """The bodies of a folder of portraits, or of a pack of belts."""
+    files = sitter_files(folder)
+    return [sitter for path in files for sitter in read_sitters(path)] if files else cut_pack(folder)

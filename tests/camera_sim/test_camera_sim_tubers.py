@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from camera_sim.sim.cultivars import draw_recipe
+from camera_sim.sim.distractors import LUMP_RMS, clod, draw_look_alike, lump
 from camera_sim.sim.meshes import icosphere, random_rotation, rotation_about, rotation_taking, volume
 from camera_sim.sim.poses import rest_on_belt, resting_rotation
 from camera_sim.sim.tubers import draw_tuber
@@ -81,3 +82,27 @@ def test_the_same_seed_gives_the_same_tuber() -> None:
     one, two = (draw_tuber(np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one.vertices, two.vertices)
     assert one.weight_g == two.weight_g
+
+
+def test_lumps_have_no_fine_relief_and_more_of_the_coarse_than_tubers(rng: np.random.Generator) -> None:
+    _, faces = icosphere(3)
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+
+    def roughness(vertices: np.ndarray) -> float:
+        """Change of the radius along an edge, as a share of it: the mesh's finest detail."""
+        radius = np.linalg.norm(vertices / np.abs(vertices).max(axis=0), axis=1)
+        return float(np.std(np.diff(radius[edges], axis=1)))
+
+    lumps, clods = (np.array([roughness(draw(rng)[0]) for _ in range(30)]) for draw in (lump, clod))
+    assert np.median(lumps) < 0.75 * np.median(clods)
+    tubers = np.array([roughness(draw_tuber(rng, level=3).vertices) for _ in range(30)])
+    assert np.median(lumps) > 1.3 * np.median(tubers)
+    assert LUMP_RMS[0] > 2 * 0.022  # twice a tuber's
+
+
+def test_look_alikes_are_clods_and_stones_of_a_tubers_size(rng: np.random.Generator) -> None:
+    drawn = [draw_look_alike(rng) for _ in range(300)]
+    kinds = [kind for kind, _ in drawn]
+    assert min(kinds.count("clod"), kinds.count("stone")) > 3 * kinds.count("haulm")
+    sizes = [np.ptp(vertices, axis=0).max() for kind, (vertices, _) in drawn if kind != "haulm"]
+    assert 0.015 < min(sizes) < np.median(sizes) < max(sizes) < 0.14

@@ -50,6 +50,23 @@ def test_moving_tubers_are_where_the_truth_says_when_they_cross(small_settings: 
     assert max(wandered_m) < 0.06
 
 
+def test_clods_and_stones_move_as_tubers_do_and_haulm_lies_still(small_settings: SceneSettings) -> None:
+    still = replace(small_settings, tubers=24)
+    world, sources = _world(replace(still, unrest=1.0), "distractors")
+    moves = {kind: {body.drift is not None for body in world.bodies if body.kind == kind} for kind in ("clod", "stone")}
+    assert moves == {"clod": {True}, "stone": {True}}
+    assert {body.drift is None for body in world.bodies if body.kind in ("haulm", "leaf")} == {True}
+    at_rest, _ = _world(still, "distractors")
+    for body, resting in zip(world.bodies, at_rest.bodies, strict=True):
+        assert np.array_equal(body.vertices, resting.vertices)
+    camera = world.cameras[0]
+    others = [body for body in world.bodies if body.kind != "tuber" and crossing_travel_m(body, camera) is not None]
+    for row, body in zip(truth_of(world, sources)["distractor_places"], others, strict=True):
+        travel = crossing_travel_m(body, camera)
+        assert travel is not None
+        assert (row["place_x_m"], row["place_y_m"]) == pytest.approx(tuple(body.place_at(travel)[:2]), abs=1e-5)
+
+
 def test_piled_tubers_lie_on_others_and_in_none(small_settings: SceneSettings) -> None:
     world, sources = _world(replace(small_settings, tubers=30), "piled")
     assert len(truth_of(world, sources)["tubers"]) == 30

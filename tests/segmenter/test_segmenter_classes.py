@@ -42,16 +42,17 @@ def portrait_of(height_mm: np.ndarray, *, noise_mm: float, looks: int, seed: int
         noisy = np.maximum(height_mm + rng.normal(0, noise_mm, height_mm.shape), 0).astype(np.float32)
         heights = HeightMap(noisy, np.ones(height_mm.shape, np.uint8), 1, 1.0)
         instances = described((height_mm > 8).astype(np.int32), 1, heights, belt, SplitSettings())
-        portrait.add(take_look(heights, instances, 0, belt))
+        x_m, y_m = instances.centre_m[0].tolist()
+        portrait.add(take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
     return portrait
 
 
 def lump(*, rough_mm: float) -> np.ndarray:
-    """(160, 200) half an ellipsoid of 60 x 52 x 50 mm; `rough_mm`: rms of knobs 8 mm wide on it."""
+    """(160, 200) half a body of 76 x 52 x 50 mm, as full as tubers are; `rough_mm`: rms of knobs 8 mm wide on it."""
     i, j = np.mgrid[:160, :200]
-    rise = 1 - ((i - 80) / 26.0) ** 2 - ((j - 100) / 30.0) ** 2
+    rise = 1 - np.abs((i - 80) / 26.0) ** 2.4 - np.abs((j - 100) / 38.0) ** 2.4
     knobs = cv2.GaussianBlur(np.random.default_rng(5).normal(0, 1, rise.shape), (0, 0), 2.5)
-    smooth = 25 * np.sqrt(np.maximum(rise, 0)) + 25 * (rise > 0)
+    smooth = 25 * np.maximum(rise, 0) ** (1 / 2.4) + 25 * (rise > 0)
     return np.where(rise > 0, smooth + rough_mm * knobs / knobs.std(), 0).astype(np.float32)
 
 
@@ -83,7 +84,8 @@ def test_a_portrait_shows_the_same_millimetres_whatever_the_camera() -> None:
         depth[v - half : v + half, u - half : u + half] = round((distance_m - 0.025) * 1e4)
         heights = height_map(depth, depth_scale_m=1e-4, belt=belt, pixel_mm=1.45)
         instances = split(heights, belt, SplitSettings())
-        look = take_look(heights, instances, 0, belt)
+        x_m, y_m = instances.centre_m[0].tolist()
+        look = take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m)
         rows, columns = np.nonzero(look.inside > 0.5)
         assert len(rows) == pytest.approx(900, rel=0.06)
         assert (rows.mean(), columns.mean()) == pytest.approx((23.5, 23.5), abs=1.0)

@@ -24,10 +24,13 @@ from segmenter.learn.blocks import export_net
 from segmenter.learn.cells_crops import draw_crop, towards_centres
 from segmenter.learn.cells_net import OPEN_AXES, BeltNet
 from segmenter.learn.cells_train import CellsRecipe
+from segmenter.learn.commands import cut_portraits
+from segmenter.learn.cut import cut_pack
 from segmenter.learn.judge_net import JudgeRecipe
-from segmenter.learn.pack import HEIGHT_STEP_MM, load_pack, pack_frames
-from segmenter.learn.portraits import draw_portrait, load_sitters, plain_portrait
+from segmenter.learn.pack import load_pack, pack_frames
+from segmenter.learn.portraits import draw_portraits, plain_portraits
 from segmenter.learn.run import EyesRun, make_cells, make_judge
+from segmenter.learn.sitters import looks_of, origin_of, read_sitters, sitter_files, sitter_of
 from segmenter.offline import segment_recording
 from segmenter.pipeline import Settings
 from segmenter.portrait import CHANNELS, Look, Portrait
@@ -108,22 +111,66 @@ def test_opencv_answers_as_torch_does_at_any_size(tmp_path: Path) -> None:
 
 
 def test_sitters_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
-    sitters = load_sitters(packs / "train")
+    sitters = cut_pack(packs / "train")
     assert sum(sitter.is_tuber for sitter in sitters) >= 3
     for sitter in sitters:
-        assert sitter.heights.shape == (*sitter.inside.shape[:1], 48, 48)
-        assert sitter.heights[sitter.inside > 127].mean() * HEIGHT_STEP_MM > 10
-        assert draw_portrait(sitter, np.random.default_rng(1)).shape == (CHANNELS, 48, 48)
+        looks = looks_of(sitter)
+        assert np.mean([look.height_mm[look.inside > 0].mean() for look in looks]) > 10
+    drawn = draw_portraits(sitters, np.random.default_rng(1))
+    assert drawn.shape == (len(sitters), CHANNELS, 48, 48)
+    assert np.isfinite(drawn).all()
 
 
 def test_a_sitter_averages_as_the_running_portrait_does(packs: Path) -> None:
-    for sitter in load_sitters(packs / "train")[:3]:
+    sitters = cut_pack(packs / "train")[:3]
+    for sitter, plain in zip(sitters, plain_portraits(sitters), strict=True):
         portrait = Portrait()
-        for height, seen, inside in zip(sitter.heights, sitter.seen, sitter.inside, strict=True):
-            shown = seen.astype(np.float32)
-            portrait.add(Look(height * np.float32(HEIGHT_STEP_MM) * shown, shown, inside / np.float32(255)))
+        for look in looks_of(sitter):
+            portrait.add(look)
         # The spread of like heights is a small difference of large sums.
-        assert np.abs(plain_portrait(sitter) - portrait.channels()).max() < 0.06
+        assert np.abs(plain - portrait.channels()).max() < 0.06
+
+
+def test_a_sitter_keeps_heights_and_in_the_mean_the_shares_of_its_looks() -> None:
+    rng = np.random.default_rng(2)
+    share = rng.uniform(0, 1, (48, 48)).astype(np.float32)
+    seen = (rng.random((48, 48)) < 0.9).astype(np.float32)
+    looks = [Look((seen * rng.uniform(0, 90, (48, 48))).astype(np.float32), seen, seen * share) for _ in range(40)]
+    kept = looks_of(sitter_of(looks, "tuber"))
+    for before, after in zip(looks, kept, strict=True):
+        assert np.array_equal(before.seen, after.seen)
+        assert np.abs(before.height_mm - after.height_mm).max() <= 0.0051
+    assert np.abs(np.mean([look.inside for look in kept], axis=0) - seen * share).max() < 0.06
+
+
+def test_portraits_are_cut_once_and_train_the_same_judge(packs: Path, tmp_path: Path) -> None:
+    cut_portraits(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
+    files = sitter_files(tmp_path / "cut")
+    assert [origin_of(path)["seed"] for path in files] == [5, 6]
+    for path, pack in zip(files, ("train", "val"), strict=True):
+        for stored, cut in zip(read_sitters(path), cut_pack(packs / pack), strict=True):
+            assert stored.kind == cut.kind
+            assert np.array_equal(stored.looks, cut.looks)
+    with pytest.raises(InputError, match="--force"):
+        cut_portraits(data=[packs / "train"], out=tmp_path / "cut")
+    (tmp_path / "train").mkdir()
+    files[0].rename(tmp_path / "train" / files[0].name)
+    answers = []
+    for name, data in (("of-portraits", tmp_path / "train"), ("of-belts", packs / "train")):
+        run = EyesRun((data,), tmp_path / "cut", tmp_path, name, "test")
+        make_judge(run, JudgeRecipe(epochs=1, batch=4), on_step=lambda step, total, loss: None)
+        answers.append(Judge(tmp_path / f"{name}.onnx").log_odds(_portrait(packs / "val")))
+    assert answers[0] == answers[1]
+    files[1].write_bytes(files[1].read_bytes()[:5000])
+    with pytest.raises(InputError, match="cut-portraits"):
+        read_sitters(files[1])
+
+
+def _portrait(pack: Path) -> Portrait:
+    portrait = Portrait()
+    for look in looks_of(cut_pack(pack)[0]):
+        portrait.add(look)
+    return portrait
 
 
 def test_belts_of_look_alikes_are_half_clods_and_stones(tmp_path: Path) -> None:
