@@ -64,7 +64,7 @@ def train_eyes(
     name: str | None = None,
     json: bool = False,
 ) -> None:
-    """Train one of the segmenter's networks on simulated belts: minutes of one core.
+    """Train one of the segmenter's networks on simulated belts: minutes of two cores.
 
     Parameters
     ----------

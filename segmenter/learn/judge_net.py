@@ -86,7 +86,7 @@ class _Batches(IterableDataset[tuple[Tensor, Tensor]]):
 def train_judge(
     sitters: list[Sitter], recipe: JudgeRecipe, *, on_step: Callable[[int, int, float], None]
 ) -> tuple[JudgeNet, float]:
-    """The network with averaged weights, and the processor seconds that it took.
+    """The network with averaged weights, and the processor seconds of this process; a second one draws the portraits.
 
     Its answers are freed of how many tubers there were to learn from: 0 is as likely for a tuber as for another body.
     """

@@ -19,6 +19,7 @@ from segmenter.portrait import SIZE, Look
 
 INSIDE_BIT = np.uint16(1 << 15)
 GOLDEN = 0.6180339887498949
+"""Multiples of it, less their whole parts, fill 0 to 1 as evenly as any number of looks can."""
 
 
 @dataclass(frozen=True, slots=True)
