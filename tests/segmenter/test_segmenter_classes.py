@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -126,6 +127,26 @@ def test_a_rough_lump_is_told_from_a_smooth_one_through_noise(noise_mm: float) -
     judge = Judge()
     assert judge.log_odds(portrait_of(lump(rough_mm=0.0), noise_mm=noise_mm, looks=10)) > 1.0
     assert judge.log_odds(portrait_of(lump(rough_mm=3.0), noise_mm=noise_mm, looks=10)) < -1.5
+
+
+def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
+    """A depth image of 3DPotatoTwin (R9-9, D405, belt at 0.345 m), looked at three times."""
+    sample = shared / "data" / "potatotwin_sample"
+    depth = cv2.imread(str(sample / "derived" / "R9-9_pcd_365_depth_z16_mm.png"), cv2.IMREAD_UNCHANGED)
+    mask = cv2.imread(str(sample / "derived" / "R9-9_pcd_365_rgba.png"), cv2.IMREAD_UNCHANGED)[:, :, 3] > 0
+    k = json.loads((sample / "realsense_d405_intrinsic.json").read_text())["intrinsic_matrix"]
+    intrinsics = Intrinsics(depth.shape[1], depth.shape[0], k[0], k[4], k[6], k[7])
+    belt = BeltGeometry(intrinsics, straight_down_belt_from_camera(0.345))
+    heights = height_map(np.where(mask, depth, 345).astype(np.uint16), depth_scale_m=0.001, belt=belt, pixel_mm=1.45)
+    step = heights.stride
+    rows, columns = heights.height_mm.shape
+    labels = mask[step // 2 :: step, step // 2 :: step][:rows, :columns].astype(np.int32)
+    instances = described(labels, 1, heights, belt, SplitSettings())
+    x_m, y_m = instances.centre_m[0].tolist()
+    portrait = Portrait()
+    for _ in range(LEAST_LOOKS):
+        portrait.add(take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
+    assert Judge().log_odds(portrait) > 0.5
 
 
 def test_smooth_bodies_of_another_simulator_are_counted() -> None:
