@@ -33,8 +33,8 @@ def simulate_belts(
     tubers
         Tubers on each; distractors come on top.
     look_alikes
-        Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and frames are
-        20 mm apart: for the judge.
+        Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, the load of two
+        belts in five moves, and frames are 11 to 21 mm apart: for the judge.
     seed
         The same seed gives the same frames.
     force

@@ -17,6 +17,11 @@ ODD_AREA = 1.35
 """A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
 
 
+def trusted(trust: float, weight: float) -> float:
+    """Effective number of readings behind a place, with one more of this weight."""
+    return min(trust, TRUST_CAP) + weight
+
+
 class State(StrEnum):
     """Where a track stands."""
 
@@ -77,7 +82,7 @@ class TrackState:
     def add(self, hit: Hit, *, moved: bool) -> None:
         """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
         weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_mm2) else 1.0
-        self.trust = min(self.trust, TRUST_CAP) + weight
+        self.trust = trusted(self.trust, weight)
         gain = weight / self.trust
         self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)
         self.place_y_m += gain * (hit.y_m - self.place_y_m)

@@ -82,7 +82,8 @@ def smooth_relief(
     k = rng.uniform(2.0, finest, waves)
     vectors = rng.standard_normal((waves, 3))
     vectors *= (k / np.linalg.norm(vectors, axis=1))[:, None]
-    field = np.cos(directions @ vectors.T + rng.uniform(0, 2 * np.pi, waves)) @ (k ** (0.5 - fall) / np.sqrt(k))
+    heights = k ** (0.5 - fall) / np.sqrt(k)  # a power alone may differ in its last bit from machine to machine
+    field = np.cos(directions @ vectors.T + rng.uniform(0, 2 * np.pi, waves)) @ heights
     field -= field.mean()
     return np.asarray(field * (rms / field.std()))
 

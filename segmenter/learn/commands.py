@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json as json_module
 import sys
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 from conveyor.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
 
 
 def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
@@ -28,28 +24,33 @@ def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
     force
         Overwrite a file that is there.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from segmenter.learn.cut import cut_pack
     from segmenter.learn.pack import pack_origin
-    from segmenter.learn.sitters import write_sitters
 
     for folder in data:
         origin = pack_origin(folder)
         path = out / f"portraits-{origin.get('seed', folder.name)}.npz"
         if path.exists() and not force:
             raise InputError(f"{path} is there already; choose another folder or add --force")
-        with Progress(console=Console(stderr=True)) as progress:
-            on_shard = partial(_show, progress, progress.add_task(f"cutting {folder}", total=None))
-            sitters = cut_pack(folder, on_shard=on_shard)
-        write_sitters(path, sitters, origin=origin)
-        tubers = sum(sitter.is_tuber for sitter in sitters)
-        sys.stdout.write(f"{path}: {tubers} tubers and {len(sitters) - tubers} others\n")
+        _cut(folder, path, origin)
 
 
-def _show(progress: Progress, task: TaskID, done: int, total: int) -> None:
-    progress.update(task, completed=done, total=total)
+def _cut(folder: Path, path: Path, origin: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from segmenter.learn.cut import cut_pack
+    from segmenter.learn.sitters import write_sitters
+
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(f"cutting {folder}", total=None)
+
+        def on_shard(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        sitters = cut_pack(folder, on_shard=on_shard)
+    write_sitters(path, sitters, origin=origin)
+    tubers = sum(sitter.is_tuber for sitter in sitters)
+    sys.stdout.write(f"{path}: {tubers} tubers and {len(sitters) - tubers} others\n")
 
 
 def train_eyes(

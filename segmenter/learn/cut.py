@@ -17,7 +17,7 @@ from segmenter.learn.pack import LabelledFrame, pack_frames
 from segmenter.learn.sitters import Sitter, sitter_of
 from segmenter.portrait import COARSEST_MM, take_look
 from segmenter.sides import completed_centres
-from segmenter.track import ODD_AREA, TRUST_CAP
+from segmenter.track import ODD_AREA, trusted
 
 MOSTLY = 0.7
 """Of an instance's cells that one body must have for the instance to stand for it."""
@@ -68,9 +68,10 @@ def _sitter(body: int, seen: list[Seen]) -> Sitter:
 
 def _steadied(places: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 2) where the tracker takes a body to be after each of its n readings."""
-    taken = places.copy()
+    taken, trust = places.copy(), 1.0
     for n in range(1, len(places)):
-        taken[n] = taken[n - 1] + (places[n] - taken[n - 1]) / min(n + 1, TRUST_CAP + 1)
+        trust = trusted(trust, 1.0)
+        taken[n] = taken[n - 1] + (places[n] - taken[n - 1]) / trust
     return taken
 
 

@@ -51,15 +51,6 @@ def sitter_of(looks: list[Look], kind: str) -> Sitter:
     return Sitter(packed, kind)
 
 
-def looks_of(sitter: Sitter) -> list[Look]:
-    """The looks of a body, as exactly as they were kept."""
-    steps = (sitter.looks & ~INSIDE_BIT).astype(np.float32)
-    seen = (steps > 0).astype(np.float32)
-    height_mm = (np.maximum(steps - 1, 0) * np.float32(HEIGHT_STEP_MM)).astype(np.float32)
-    inside = ((sitter.looks & INSIDE_BIT) > 0).astype(np.float32)
-    return [Look(*one) for one in zip(height_mm, seen, inside, strict=True)]
-
-
 def write_sitters(path: Path, sitters: list[Sitter], *, origin: dict[str, Any]) -> None:
     """One file of bodies: `looks` in a row, `looks_offset` (bodies + 1,), `kinds`, and `origin` as JSON text."""
     offset = np.cumsum([0] + [len(sitter.looks) for sitter in sitters]).astype(np.int64)

@@ -11,7 +11,7 @@ from benchmarks.link_wire import LinkSettings
 from benchmarks.partitions import TROUBLES, Replayed, Trouble, canonical, troubled_replay, why_not
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(1000)]
-SHORT = Trouble("loss, delay and a cut", LinkSettings(loss=0.02, delay_s=0.002), cut_s=1.0, timeout_s=170.0)
+SHORT = Trouble("loss, delay and a cut", LinkSettings(loss=0.05, delay_s=0.002), cut_s=1.0, timeout_s=170.0)
 
 
 def assert_nothing_changed(recording: Path, run_dir: Path, out: Path, trouble: Trouble) -> Replayed:

@@ -27,10 +27,10 @@ from segmenter.learn.cells_train import CellsRecipe
 from segmenter.learn.commands import cut_portraits
 from segmenter.learn.cut import cut_pack
 from segmenter.learn.judge_net import JudgeRecipe
-from segmenter.learn.pack import load_pack, pack_frames
+from segmenter.learn.pack import HEIGHT_STEP_MM, load_pack, pack_frames
 from segmenter.learn.portraits import draw_portraits, plain_portraits
 from segmenter.learn.run import EyesRun, make_cells, make_judge
-from segmenter.learn.sitters import looks_of, origin_of, read_sitters, sitter_files, sitter_of
+from segmenter.learn.sitters import INSIDE_BIT, Sitter, origin_of, read_sitters, sitter_files, sitter_of
 from segmenter.offline import segment_recording
 from segmenter.pipeline import Settings
 from segmenter.portrait import CHANNELS, Look, Portrait
@@ -110,10 +110,20 @@ def test_opencv_answers_as_torch_does_at_any_size(tmp_path: Path) -> None:
         assert np.abs(read(heights).answer - expected).max() < 1e-4
 
 
+def looks_of(sitter: Sitter) -> list[Look]:
+    """The looks of a body, as exactly as they were kept."""
+    steps = (sitter.looks & ~INSIDE_BIT).astype(np.float32)
+    seen = (steps > 0).astype(np.float32)
+    height_mm = (np.maximum(steps - 1, 0) * np.float32(HEIGHT_STEP_MM)).astype(np.float32)
+    inside = ((sitter.looks & INSIDE_BIT) > 0).astype(np.float32)
+    return [Look(*one) for one in zip(height_mm, seen, inside, strict=True)]
+
+
 def test_sitters_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
     sitters = cut_pack(packs / "train")
     assert sum(sitter.is_tuber for sitter in sitters) >= 3
     for sitter in sitters:
+        assert sitter.looks.shape[1:] == (48, 48)
         looks = looks_of(sitter)
         assert np.mean([look.height_mm[look.inside > 0].mean() for look in looks]) > 10
     drawn = draw_portraits(sitters, np.random.default_rng(1))
