@@ -75,6 +75,7 @@ class SendWindow:
         if freed:
             if not self._resent:  # else nobody knows which sending was the one that arrived (Karn's rule)
                 took_s = (now_s - max(self.moved_s, self._sent_s)) / len(freed)
+                took_s = min(took_s, self.resend_after_s)  # longer: this process stood still
                 self._takes_s += 0.2 * (max(took_s, 0.0) - self._takes_s)
                 self._in_vain = 0
             self._resent = False

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import zenoh
 from zenoh import ext
 
+from conveyor.delivery.beginning import Beginnings
 from conveyor.delivery.inbox import Inbox
 from conveyor.delivery.priorities import zenoh_priority
 from conveyor.messages import Message
@@ -28,13 +29,13 @@ INBOX_MESSAGES = 65536
 class ReliablePublisher:
     """Publishes messages that every present and soon returning subscriber gets, in order."""
 
-    def __init__(self, node: Endpoint, topic: Topic, *, cache: int = CACHE_MESSAGES, **parts: str) -> None:
+    def __init__(self, node: Endpoint, topic: Topic, **parts: str) -> None:
         self._publisher = ext.declare_advanced_publisher(
             node.session,
             topic.key(node.line, **parts),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh_priority(topic),
-            cache=ext.CacheConfig(cache),
+            cache=ext.CacheConfig(CACHE_MESSAGES),
             sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT_S, sporadic_heartbeat=None),
             publisher_detection=True,
         )
@@ -58,16 +59,17 @@ class ReliableSubscriber(Inbox[M]):
         **parts: str,
     ) -> None:
         super().__init__(message_type, name=topic.name, capacity=capacity, counters=node.counters, log=node.log)
+        beginnings = Beginnings(node.session, self.push, cache=CACHE_MESSAGES, lost=self._count_missed, log=node.log)
         self._subscriber = ext.declare_advanced_subscriber(
             node.session,
             topic.key(node.line, **parts),
-            zenoh.handlers.Callback(self.push, indirect=False),
+            zenoh.handlers.Callback(beginnings.push if history else self.push, indirect=False),
             history=ext.HistoryConfig(detect_late_publishers=True) if history else None,
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
-        self._misses: Any = self._subscriber.sample_miss_listener(self._on_miss)
+        self._misses: Any = self._subscriber.sample_miss_listener(lambda miss: self._count_missed(int(miss.nb)))
 
-    def _on_miss(self, miss: Any) -> None:
-        """The publisher's cache no longer holds what was missed: an error with a count."""
-        self._counters.add(f"{self._name}_missed", int(miss.nb))
-        self._log.error("%d messages of %s were lost for good: older than the sender's cache", miss.nb, self._name)
+    def _count_missed(self, count: int) -> None:
+        """The sender's cache no longer holds what was missed, or does not answer: an error with a count."""
+        self._counters.add(f"{self._name}_missed", count)
+        self._log.error("%d messages of %s were lost for good: the sender no longer gives them", count, self._name)

@@ -101,3 +101,13 @@ def test_a_quick_line_is_asked_again_sooner() -> None:
         now += 0.02
         window.done(seq, now)
     assert window.resend_after_s == RESEND_AFTER_S[0]
+
+
+def test_a_camera_that_stood_still_itself_does_not_take_the_line_for_slow() -> None:
+    """Frozen for 12 s and cut off by that, it lost the next frame and waited another 10 s to send it again."""
+    window, now = SendWindow(1), 0.0
+    for seq in range(40):
+        window.sent(_frame(seq), now)
+        now += 12.0 if seq == 30 else 0.02
+        window.done(seq, now)
+    assert window.resend_after_s == RESEND_AFTER_S[0]

@@ -22,6 +22,7 @@ from conveyor.delivery import (
     ReliablePublisher,
     ReliableSubscriber,
 )
+from conveyor.delivery.reliable import CACHE_MESSAGES
 from conveyor.errors import LinkError
 from conveyor.messages import Committed, FrameProgress, Travel
 from conveyor.node import Node
@@ -96,6 +97,32 @@ def test_never_lost_survives_a_killed_router(free_port: int) -> None:
             if message:
                 got.append(message.n)
         assert got == list(range(60))
+    router.terminate()
+    router.wait(30)
+
+
+def test_what_outgrows_the_senders_cache_is_a_loss_with_a_count(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    router = start_router(endpoint)
+    config = LineConfig(link=LinkConfig(router=endpoint))
+    with (
+        Node("segmenter", "a", config=config, run="r1") as sender,
+        Node("aggregator", "b", config=config, run="r1") as receiver,
+    ):
+        out = ReliablePublisher(sender, topics.COMMITTED, camera="front")
+        into = ReliableSubscriber(receiver, topics.COMMITTED, Committed, camera="*")
+        out.put(Committed("front", "r1", 0))
+        assert into.get(30.0) == Committed("front", "r1", 0)
+        os.kill(router.pid, signal.SIGKILL)
+        router.wait()
+        newest = CACHE_MESSAGES + 10
+        for n in range(1, newest + 1):
+            out.put(Committed("front", "r1", n))
+        router = start_router(endpoint)
+        wait_until(lambda: len(into) == CACHE_MESSAGES, what="everything that the cache still held")
+        got = [message.n for message in (into.get(0.0) for _ in range(CACHE_MESSAGES)) if message]
+        assert got == list(range(11, newest + 1))
+        assert receiver.counters.get("committed_missed") == 10
     router.terminate()
     router.wait(30)
 

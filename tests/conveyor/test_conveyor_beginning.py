@@ -1,0 +1,198 @@
+"""What was sent before the first message that arrived is asked for, put in its place, and counted where nobody answers.
+
+The subscriber here is a plain one: of a sender that spoke before it, it always hears a later message first, as an
+advanced subscriber does in an unlucky moment.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import pytest
+import zenoh
+from zenoh import ext
+
+from conveyor import topics
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.delivery import ReliablePublisher
+from conveyor.delivery.beginning import PATIENCE_S, Beginnings
+from conveyor.messages import Committed
+from conveyor.node import Node
+from tests.conftest import wait_until
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.fixture
+def nodes(link: LinkConfig) -> Iterator[tuple[Node, Node]]:
+    config = LineConfig(link=link)
+    with (
+        Node("segmenter", "a", config=config, run="r1") as sender,
+        Node("aggregator", "b", config=config, run="r1") as receiver,
+    ):
+        yield sender, receiver
+
+
+@dataclass
+class Heard:
+    """What came through, and what did not."""
+
+    payloads: list[bytes] = field(default_factory=list)
+    lost: list[int] = field(default_factory=list)
+
+    def beginnings(self, node: Node, *, cache: int = 100, patience_s: float = PATIENCE_S) -> Beginnings:
+        return Beginnings(
+            node.session,
+            lambda sample: self.payloads.append(sample.payload.to_bytes()),
+            cache=cache,
+            lost=self.lost.append,
+            log=logging.getLogger("test"),
+            patience_s=patience_s,
+        )
+
+    def listen(self, node: Node, key: str, *, patience_s: float = PATIENCE_S) -> None:
+        beginnings = self.beginnings(node, patience_s=patience_s)
+        node.session.declare_subscriber(key, zenoh.handlers.Callback(beginnings.push, indirect=False))
+
+
+class Mute:
+    """A sender whose next message is number `sent` and whose cache says only that it cannot answer."""
+
+    def __init__(self, node: Node, key: str, *, sent: int) -> None:
+        self._publisher = node.session.declare_publisher(key)
+        self._sent = sent
+        self.asked: list[str] = []
+        source = self._publisher.id
+        node.session.declare_queryable(f"{key}/@adv/pub/{source.zid}/{source.eid}/_", self._on_query)
+
+    def put(self, payload: bytes) -> None:
+        self._publisher.put(payload, source_info=zenoh.SourceInfo(self._publisher.id, self._sent))
+        self._sent += 1
+
+    @property
+    def has_listener(self) -> bool:
+        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        with query:
+            self.asked.append(query.parameters["_sn"])
+            query.reply_err(b"busy")
+
+
+def test_the_beginning_comes_before_what_was_heard_first(nodes: tuple[Node, Node]) -> None:
+    sender, receiver = nodes
+    out = ReliablePublisher(sender, topics.COMMITTED, camera="front")
+    sent = [Committed("front", "r1", n) for n in range(5)]
+    for message in sent:
+        out.put(message)
+    heard = Heard()
+    heard.listen(receiver, topics.COMMITTED.key(receiver.line, camera="*"))
+
+    def one_more() -> list[bytes]:
+        sent.append(Committed("front", "r1", len(sent)))
+        out.put(sent[-1])
+        return heard.payloads
+
+    wait_until(one_more, what="the first message")
+    wait_until(lambda: len(heard.payloads) >= len(sent), what="all of them")
+    assert heard.payloads == [message.encode() for message in sent]
+    assert heard.lost == []
+
+
+SENDER = """
+import sys, time
+from conveyor import topics
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.delivery import ReliablePublisher
+from conveyor.messages import Committed
+from conveyor.node import Node
+
+with Node("segmenter", "frozen", config=LineConfig(link=LinkConfig(router=sys.argv[1])), run="r1") as node:
+    out = ReliablePublisher(node, topics.COMMITTED, camera="front")
+    for n in range(10**9):
+        out.put(Committed("front", "r1", n))
+        if n == 5:
+            print("begun", flush=True)
+        time.sleep(0.01)
+"""
+
+
+def test_a_frozen_sender_is_asked_again_and_what_came_meanwhile_waits(
+    nodes: tuple[Node, Node], link: LinkConfig, caplog: pytest.LogCaptureFixture
+) -> None:
+    receiver = nodes[1]
+    came: list[zenoh.Sample] = []
+    heard = Heard()
+    beginnings = heard.beginnings(receiver)
+    sender = subprocess.Popen([sys.executable, "-c", SENDER, link.router], stdout=subprocess.PIPE)
+    assert sender.stdout is not None
+    try:
+        assert sender.stdout.readline() == b"begun\n"
+        receiver.session.declare_subscriber(topics.COMMITTED.key(receiver.line, camera="front"), came.append)
+        wait_until(lambda: len(came) >= 6, what="six messages")
+        sender.send_signal(signal.SIGSTOP)
+        beginnings.push(came[3])
+        wait_until(lambda: "no answer to the question" in caplog.text, what="the first question to go unanswered")
+        beginnings.push(came[4])
+        beginnings.push(came[5])
+        assert heard.payloads == []
+        sender.send_signal(signal.SIGCONT)
+        newest = Committed.decode(came[5].payload.to_bytes()).n
+        wait_until(lambda: len(heard.payloads) == newest + 1, what="the beginning")
+    finally:
+        sender.kill()
+        sender.communicate()
+    assert [Committed.decode(payload).n for payload in heard.payloads] == list(range(newest + 1))
+    assert heard.lost == []
+
+
+def test_a_cache_that_never_answers_is_a_loss_with_a_count(
+    nodes: tuple[Node, Node], caplog: pytest.LogCaptureFixture
+) -> None:
+    out = Mute(nodes[0], "tests/numbers", sent=2)
+    heard = Heard()
+    heard.listen(nodes[1], "tests/*", patience_s=0.5)
+    wait_until(lambda: out.has_listener, what="the listener")
+    out.put(b"2")
+    wait_until(lambda: heard.payloads, what="what there is")
+    out.put(b"3")
+    wait_until(lambda: len(heard.payloads) == 2, what="the next one")
+    assert heard.payloads == [b"2", b"3"]
+    assert heard.lost == [2]
+    assert out.asked == ["0..2"] * 2
+    assert "no answer to the question for messages 0 to 1 of tests/numbers" in caplog.text
+
+
+def test_what_the_cache_no_longer_holds_is_no_loss(nodes: tuple[Node, Node]) -> None:
+    sender, receiver = nodes
+    key = topics.COMMITTED.key(receiver.line, camera="front")
+    out = ext.declare_advanced_publisher(
+        sender.session,
+        key,
+        cache=ext.CacheConfig(3),
+        sample_miss_detection=ext.MissDetectionConfig(heartbeat=0.3, sporadic_heartbeat=None),
+    )
+    came: list[zenoh.Sample] = []
+    receiver.session.declare_subscriber(key, came.append)
+    wait_until(lambda: out.put(f"{len(came)}") or len(came) >= 10, what="ten messages")
+    heard = Heard()
+    beginnings = heard.beginnings(receiver, cache=3)
+    for sample in came[5:10]:
+        beginnings.push(sample)
+    wait_until(lambda: len(heard.payloads) == 5, what="the answer, empty")
+    assert heard.payloads == [sample.payload.to_bytes() for sample in came[5:10]]
+    assert heard.lost == []
+
+
+def test_a_plain_put_needs_no_beginning(nodes: tuple[Node, Node]) -> None:
+    heard = Heard()
+    heard.listen(nodes[1], "tests/*")
+    publisher = nodes[0].session.declare_publisher("tests/plain")
+    wait_until(lambda: publisher.matching_status.matching, what="the listener")  # type: ignore[attr-defined]
+    publisher.put(b"plain")
+    wait_until(lambda: heard.payloads == [b"plain"], what="the put")
