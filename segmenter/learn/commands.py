@@ -26,12 +26,17 @@ def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
     """
     from segmenter.learn.pack import pack_origin
 
-    for folder in data:
-        origin = pack_origin(folder)
+    origins = {folder: pack_origin(folder) for folder in data}
+    paths: dict[Path, Path] = {}
+    for folder, origin in origins.items():
         path = out / f"portraits-{origin.get('seed', folder.name)}.npz"
+        if path in paths:
+            raise InputError(f"{paths[path]} and {folder} would both become {path}; give one --out each")
         if path.exists() and not force:
             raise InputError(f"{path} is there already; choose another folder or add --force")
-        _cut(folder, path, origin)
+        paths[path] = folder
+    for path, folder in paths.items():
+        _cut(folder, path, origins[folder])
 
 
 def _cut(folder: Path, path: Path, origin: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -165,6 +166,12 @@ def test_portraits_are_cut_once_and_train_the_same_judge(packs: Path, tmp_path: 
         cut_portraits(data=[packs / "train"], out=tmp_path / "cut")
     (tmp_path / "train").mkdir()
     files[0].rename(tmp_path / "train" / files[0].name)
+    with pytest.raises(InputError, match="--force"):
+        cut_portraits(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
+    assert sitter_files(tmp_path / "cut") == files[1:], "refused before anything was cut"
+    again = shutil.copytree(packs / "train", tmp_path / "again")
+    with pytest.raises(InputError, match="would both become"):
+        cut_portraits(data=[packs / "train", again], out=tmp_path / "elsewhere")
     answers = []
     for name, data in (("of-portraits", tmp_path / "train"), ("of-belts", packs / "train")):
         run = EyesRun((data,), tmp_path / "cut", tmp_path, name, "test")
