@@ -79,13 +79,13 @@ class Beginnings:
         answer: dict[int, zenoh.Sample] = {}
 
         def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
+            if reply.ok is not None and reply.ok.source_info is not None:
                 answer[_number(reply.ok)] = reply.ok
 
         def on_end() -> None:
             with self._lock:
                 newest = _number(self._waiting[sender][-1])
-            answered = first in answer or newest - first >= self._cache
+            answered = first in answer or newest - first >= self._cache  # so many since: the cache has let go of it
             if not answered and time.monotonic() < deadline:
                 self._log.warning("no answer to the question for messages 0 to %d of %s", first - 1, sender)
                 again = threading.Timer(PAUSE_S, self._ask, (sender, first, deadline))
