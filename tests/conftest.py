@@ -8,13 +8,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from conveyor.config import LinkConfig
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.node import Node
 from tests.belts import live_recording, recording, run_dir
 
 __all__ = ["live_recording", "recording", "run_dir"]
@@ -72,6 +74,17 @@ def start_router(endpoint: str) -> subprocess.Popen[bytes]:
 
     wait_until(listening, what=f"router at {endpoint}")
     return process
+
+
+@contextmanager
+def sender_and_receiver(link: LinkConfig) -> Iterator[tuple[Node, Node]]:
+    """Two nodes of one line."""
+    config = LineConfig(link=link)
+    with (
+        Node("segmenter", "a", config=config, run="r1") as sender,
+        Node("aggregator", "b", config=config, run="r1") as receiver,
+    ):
+        yield sender, receiver
 
 
 def wait_until(true: Callable[[], object], *, what: str, timeout_s: float = 60.0) -> None:

@@ -19,6 +19,8 @@ PATIENCE_S = 30.0
 """Seconds for which a sender that does not answer is asked again: longer than a router takes to come back."""
 PAUSE_S = 1.0
 """Seconds between two questions."""
+Sender = tuple[zenoh.ZenohId, int]
+"""A publisher: its session, and its number there."""
 
 
 class Beginnings:
@@ -54,75 +56,64 @@ class Beginnings:
         self._log = log
         self._patience_s = patience_s
         self._lock = threading.RLock()  # a cache of this very session answers within the question
-        self._begun: set[str] = set()
-        self._waiting: dict[str, list[zenoh.Sample]] = {}
+        self._begun: set[Sender] = set()
+        self._waiting: dict[Sender, dict[int, zenoh.Sample]] = {}
 
     def push(self, sample: zenoh.Sample) -> None:
         """The subscriber's callback."""
-        if sample.source_info is None:  # a plain put, not numbered
+        source = sample.source_info
+        if source is None:  # a plain put, not numbered
             self._deliver(sample)
             return
-        sender = _sender(sample)
+        sender, number = (source.source_id.zid, source.source_id.eid), source.source_sn
         with self._lock:
             if sender in self._waiting:
-                self._waiting[sender].append(sample)
+                self._waiting[sender][number] = sample
                 return
-            if sender in self._begun or _number(sample) == 0:
+            if sender in self._begun or number == 0:
                 self._begun.add(sender)
                 self._deliver(sample)
                 return
-            self._waiting[sender] = [sample]
-        self._ask(sender, _number(sample), time.monotonic() + self._patience_s)
+            self._waiting[sender] = {number: sample}
+        cache = f"{sample.key_expr}/@adv/*/{sender[0]}/{sender[1]}/**"
+        self._ask(sender, cache, number, time.monotonic() + self._patience_s)
 
-    def _ask(self, sender: str, first: int, deadline: float) -> None:
-        """Ask the cache of `sender` for everything up to `first`; again after a pause if it does not answer."""
+    def _ask(self, sender: Sender, cache: str, first: int, deadline: float) -> None:
+        """Ask the sender's cache for everything up to `first`; again after a pause if it does not answer."""
         answer: dict[int, zenoh.Sample] = {}
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None and reply.ok.source_info is not None:
-                answer[_number(reply.ok)] = reply.ok
+                answer[reply.ok.source_info.source_sn] = reply.ok
 
         def on_end() -> None:
             with self._lock:
-                newest = _number(self._waiting[sender][-1])
+                newest = max(self._waiting[sender])
             answered = first in answer or newest - first >= self._cache  # so many since: the cache has let go of it
             if not answered and time.monotonic() < deadline:
-                self._log.warning("no answer to the question for messages 0 to %d of %s", first - 1, sender)
-                again = threading.Timer(PAUSE_S, self._ask, (sender, first, deadline))
+                self._log.warning("no answer to the question for messages 0 to %d of %s", first - 1, cache)
+                again = threading.Timer(PAUSE_S, self._ask, (sender, cache, first, deadline))
                 again.daemon = True
                 again.start()
                 return
             if not answered:
                 self._lost(first - len(answer))
-            self._begin(sender, [answer[n] for n in sorted(answer) if n < first])
+            self._begin(sender, answer)
 
         try:
             self._session.get(
-                f"{sender}?_sn=0..{first}",
+                f"{cache}?_sn=0..{first}",
                 zenoh.handlers.Callback(on_reply, on_end, indirect=False),
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
             )
         except zenoh.ZError as error:
-            self._log.warning("did not ask for messages 0 to %d of %s: %s", first - 1, sender, error)
-            self._begin(sender, [])
+            self._log.warning("did not ask for messages 0 to %d of %s: %s", first - 1, cache, error)
+            self._begin(sender, {})
 
-    def _begin(self, sender: str, earlier: list[zenoh.Sample]) -> None:
-        """Deliver `earlier` and what waited for it."""
+    def _begin(self, sender: Sender, answer: dict[int, zenoh.Sample]) -> None:
+        """Deliver what came of it and what waited for that, in order."""
         with self._lock:
             self._begun.add(sender)
-            for sample in (*earlier, *self._waiting.pop(sender)):
+            for _, sample in sorted((answer | self._waiting.pop(sender)).items()):
                 self._deliver(sample)
-
-
-def _number(sample: zenoh.Sample) -> int:
-    """The number its sender gave it, from 0."""
-    assert sample.source_info is not None, "an advanced publisher numbers its messages"
-    return sample.source_info.source_sn
-
-
-def _sender(sample: zenoh.Sample) -> str:
-    """The publisher of the sample, as the key on which its cache answers."""
-    assert sample.source_info is not None
-    source = sample.source_info.source_id
-    return f"{sample.key_expr}/@adv/*/{source.zid}/{source.eid}/**"

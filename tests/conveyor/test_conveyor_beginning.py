@@ -18,24 +18,20 @@ import zenoh
 from zenoh import ext
 
 from conveyor import topics
-from conveyor.config import LineConfig, LinkConfig
+from conveyor.config import LinkConfig
 from conveyor.delivery import ReliablePublisher
 from conveyor.delivery.beginning import PATIENCE_S, Beginnings
 from conveyor.messages import Committed
 from conveyor.node import Node
-from tests.conftest import wait_until
+from tests.conftest import sender_and_receiver, wait_until
 
 pytestmark = pytest.mark.graph
 
 
 @pytest.fixture
 def nodes(link: LinkConfig) -> Iterator[tuple[Node, Node]]:
-    config = LineConfig(link=link)
-    with (
-        Node("segmenter", "a", config=config, run="r1") as sender,
-        Node("aggregator", "b", config=config, run="r1") as receiver,
-    ):
-        yield sender, receiver
+    with sender_and_receiver(link) as nodes:
+        yield nodes
 
 
 @dataclass

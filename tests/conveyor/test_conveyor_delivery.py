@@ -26,7 +26,7 @@ from conveyor.delivery.reliable import CACHE_MESSAGES
 from conveyor.errors import LinkError
 from conveyor.messages import Committed, FrameProgress, Travel
 from conveyor.node import Node
-from tests.conftest import start_router, wait_until
+from tests.conftest import sender_and_receiver, start_router, wait_until
 
 pytestmark = pytest.mark.graph
 
@@ -75,11 +75,7 @@ def test_kept_reaches_late_joiners(node: Node) -> None:
 def test_never_lost_survives_a_killed_router(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = start_router(endpoint)
-    config = LineConfig(link=LinkConfig(router=endpoint))
-    with (
-        Node("segmenter", "a", config=config, run="r1") as sender,
-        Node("aggregator", "b", config=config, run="r1") as receiver,
-    ):
+    with sender_and_receiver(LinkConfig(router=endpoint)) as (sender, receiver):
         out = ReliablePublisher(sender, topics.COMMITTED, camera="front")
         into = ReliableSubscriber(receiver, topics.COMMITTED, Committed, camera="*")
         got: list[int] = []
@@ -104,11 +100,7 @@ def test_never_lost_survives_a_killed_router(free_port: int) -> None:
 def test_what_outgrows_the_senders_cache_is_a_loss_with_a_count(free_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = start_router(endpoint)
-    config = LineConfig(link=LinkConfig(router=endpoint))
-    with (
-        Node("segmenter", "a", config=config, run="r1") as sender,
-        Node("aggregator", "b", config=config, run="r1") as receiver,
-    ):
+    with sender_and_receiver(LinkConfig(router=endpoint)) as (sender, receiver):
         out = ReliablePublisher(sender, topics.COMMITTED, camera="front")
         into = ReliableSubscriber(receiver, topics.COMMITTED, Committed, camera="*")
         out.put(Committed("front", "r1", 0))
