@@ -23,7 +23,7 @@ lint: $(STAMP)
 
 # Pages of docs/ that are made from the code.
 docs: $(STAMP)
-	$(BIN)/python -c 'from pathlib import Path; from conveyor.cli.reference import write_pages; write_pages(Path("docs"))'
+	$(BIN)/python -c 'from pathlib import Path; from tuberline.cli.reference import write_pages; write_pages(Path("docs"))'
 
 # The same pages as a site in site/, without network.
 docs-site: docs

@@ -8,9 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from aggregator.camera_log import Taken
-from aggregator.core import Aggregation, Batch
-from aggregator.ledger import Ledger
+from aggregator.core.camera_log import Taken
+from aggregator.core.machine import Aggregation, Batch
+from aggregator.ledger.writer import Ledger
 from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics

@@ -10,10 +10,10 @@ from typing import Any
 
 import zenoh
 
-from aggregator.loads import last_loads
-from aggregator.reader import reading
-from aggregator.rows import tuber_from
-from aggregator.schema import TUBER
+from aggregator.ledger.loads import last_loads
+from aggregator.ledger.reader import reading
+from aggregator.ledger.rows import tuber_from
+from aggregator.ledger.schema import TUBER
 from conveyor import topics
 from conveyor.errors import InputError, TuberlineError
 from conveyor.messages import Totals

@@ -6,14 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from aggregator.audit import audit_run
-from aggregator.core import Aggregation
-from aggregator.coverage import Looked, camera_shares, combined_coverage
-from aggregator.files import tubers_csv, write_whole
-from aggregator.ledger import Ledger
+from aggregator.calibration.tickets import read_tickets
+from aggregator.core.coverage import Looked, camera_shares, combined_coverage
+from aggregator.core.machine import Aggregation
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.audit import audit_run
+from aggregator.ledger.files import tubers_csv, write_whole
+from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise, tally
-from aggregator.tickets import read_tickets
-from aggregator.totals import LoadTotals
 from conveyor import __version__
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet

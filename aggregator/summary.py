@@ -6,8 +6,8 @@ import sqlite3
 from collections.abc import Mapping
 from typing import Any
 
-from aggregator.audit import Audit, sheet
-from aggregator.balance import Equation
+from aggregator.core.balance import Equation
+from aggregator.ledger.audit import Audit, sheet
 from conveyor.messages import Totals
 from conveyor.messages.base import plain
 

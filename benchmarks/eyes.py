@@ -23,10 +23,10 @@ from benchmarks.eyes_table import shortfalls, tables
 from benchmarks.eyes_time import stage_times
 from conveyor.config import parse_config
 from conveyor.errors import InputError, TuberlineError
-from regressor.weigher import Weigher
-from segmenter.evaluate import evaluate_recording
+from regressor.weigh.weigher import Weigher
 from segmenter.pipeline import Settings
 from segmenter.setup import core_settings
+from segmenter.studies.evaluate import evaluate_recording
 
 TIMED = (("crowded", "d405-848"), ("crowded", "d405-1280"))
 TIMED_TUBERS = 60
@@ -106,8 +106,8 @@ def _time(case: Case, out: Path, settings: Settings) -> dict[str, Any]:
 
 def _compare_graph(case: Case, out: Path) -> None:
     """The same recording through `tuberline replay`: real processes over Zenoh must count the same."""
-    from aggregator.score import score_run
-    from conveyor.cli.replay import replay_recording
+    from aggregator.scoring.score import score_run
+    from tuberline.replay import replay_recording
 
     recording = case.recording(out / "recordings")
     run = out / "graph" / case.name

@@ -11,15 +11,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aggregator.core import Aggregation, CommittedTuber
-from aggregator.coverage import Looked
-from aggregator.score import Score, score_tubers
-from aggregator.truth import read_truth
-from camera_sim.sources import camera_names, open_source
+from aggregator.core.coverage import Looked
+from aggregator.core.machine import Aggregation, CommittedTuber
+from aggregator.scoring.score import Score, score_tubers
+from aggregator.scoring.truth import read_truth
 from conveyor.config import LineConfig, parse_config
 from conveyor.errors import TuberlineError
+from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame, Tuber
-from regressor.weigher import Weigher, weigh_view
+from regressor.weigh.weigher import Weigher, weigh_view
 from segmenter.camera_run import CameraRun
 from segmenter.setup import run_settings
 from segmenter.warmup import warm_up

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from camera_sim.sources import camera_names, open_source
+from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame
-from segmenter.belt import BeltGeometry
-from segmenter.eyes import Eyes
-from segmenter.heights import height_map
+from segmenter.classify.patch import take_look
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import height_map
+from segmenter.frame.plane import fit_plane, given_or_fitted
+from segmenter.perception import Eyes
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.plane import fit_plane, given_or_fitted
-from segmenter.portrait import take_look
 from segmenter.warmup import warm_up
 
 STAGES = ("message", "heights", "instances", "classes", "rest", "step")

@@ -27,10 +27,10 @@ from benchmarks.site_net import TCP, Network
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
-from conveyor.cli.replay import fingerprint, prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
 from conveyor.errors import TuberlineError
-from conveyor.processes import line_processes
+from tuberline.processes import line_processes
+from tuberline.replay import fingerprint, prepare_out, recording_cameras, replay_config
 
 ROLES = {"camera": "field", "segmenter": "field", "regressor": "weigh", "aggregator": "yard", "router": "yard"}
 FAR_HOSTS = ("field", "weigh")
@@ -103,7 +103,7 @@ def line_on(network: Network, recording: Path, out: Path) -> Iterator[dict[str, 
     processes: dict[str, subprocess.Popen[bytes]] = {}
     try:
         for spec in line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}"):
-            command = network.command(ROLES[spec.args[0]], [sys.executable, "-m", "conveyor", *spec.args])
+            command = network.command(ROLES[spec.args[0]], [sys.executable, "-m", "tuberline", *spec.args])
             with (out / "logs" / f"{spec.name}.log").open("wb") as log:
                 processes[spec.name] = subprocess.Popen(
                     command, stdin=subprocess.DEVNULL, stderr=log, env={**os.environ, "OMP_NUM_THREADS": "1"}
@@ -166,7 +166,7 @@ def _cut(links: dict[str, EmulatedLink], trouble: Trouble) -> None:
 
 def canonical(out: Path) -> str:
     """The canonical export of a run's ledger."""
-    command = [sys.executable, "-m", "conveyor", "ledger", "export", str(out / "ledger.db"), "--canonical"]
+    command = [sys.executable, "-m", "tuberline", "ledger", "export", str(out / "ledger.db"), "--canonical"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
-from segmenter.belt import BeltGeometry
-from segmenter.heights import height_map
-from segmenter.instances import Instances, SplitSettings, full_resolution, split
-from segmenter.picture import picture
-from segmenter.plane import PlaneFit, fit_plane, plane_pose
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import height_map
+from segmenter.frame.instances import Instances, SplitSettings, full_resolution, split
+from segmenter.frame.picture import picture
+from segmenter.frame.plane import PlaneFit, fit_plane, plane_pose
 
 SR300_UNIT_M = 0.0001
 FLOOR_M = 0.020

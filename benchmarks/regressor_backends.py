@@ -15,13 +15,13 @@ import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import TuberlineError
-from regressor.checkpoint import load_checkpoint
-from regressor.export import export_onnx
-from regressor.fast import FastPointRaft, Form, fused_layer, groups_tensor
-from regressor.grouping import SharedGroups, group_prefix
-from regressor.labelled import read_labelled
-from regressor.pointraft import PointRaft
-from regressor.sampling import farthest_points
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.export import export_onnx
+from regressor.network.fast import FastPointRaft, Form, fused_layer, groups_tensor
+from regressor.network.grouping import SharedGroups, group_prefix
+from regressor.network.pointraft import PointRaft
+from regressor.network.sampling import farthest_points
+from regressor.training.labelled import read_labelled
 
 VIEWS = 64
 POINTS = 1024
@@ -57,7 +57,7 @@ class Clouds:
         if folder is None:
             folder = scratch / "views"
             options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
-            command = [sys.executable, "-m", "conveyor", "simulate-views", "--out", str(folder), *options]
+            command = [sys.executable, "-m", "tuberline", "simulate-views", "--out", str(folder), *options]
             subprocess.run(command, check=True, capture_output=True)
         highest_m = load_checkpoint(weights)[1].input.max_height_m
         kept = []

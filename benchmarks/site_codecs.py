@@ -14,7 +14,7 @@ from pathlib import Path
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
-from camera_sim.sources.detect import camera_names, open_source
+from conveyor.formats.detect import camera_names, open_source
 from conveyor.messages import Frame
 
 CODECS = ("raw", "zstd")

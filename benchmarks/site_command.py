@@ -17,7 +17,7 @@ def tuberline(*args: str | Path) -> str:
     Raises:
         TuberlineError: it failed; with its last words.
     """
-    command = [sys.executable, "-m", "conveyor", *map(str, args)]
+    command = [sys.executable, "-m", "tuberline", *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise TuberlineError(f"tuberline {args[0]} ended with {done.returncode}: {done.stderr.strip()}")

@@ -81,7 +81,7 @@ class SiteLine:
 
     def start(self, host: str, *args: str | Path, name: str) -> None:
         """One `tuberline` process on `host`."""
-        self._spawn(host, [sys.executable, "-m", "conveyor", *map(str, args)], name=name, stdout=subprocess.DEVNULL)
+        self._spawn(host, [sys.executable, "-m", "tuberline", *map(str, args)], name=name, stdout=subprocess.DEVNULL)
 
     def start_node(self, host: str, role: str, *args: str) -> None:
         """A node of this line on `host`."""

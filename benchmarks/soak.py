@@ -27,10 +27,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict
-from conveyor.cli.replay import prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
-from conveyor.processes import line_processes
-from conveyor.supervisor import ProcessSpec, Supervisor
+from tuberline.processes import line_processes
+from tuberline.replay import prepare_out, recording_cameras, replay_config
+from tuberline.supervisor import ProcessSpec, Supervisor
 
 SAMPLE_S = 5.0
 ROLES = ("camera", "segmenter", "regressor", "aggregator", "router")
@@ -237,7 +237,7 @@ def read_books(out: Path) -> dict[str, Any]:
 
 def tuberline(*arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
     """The command as a user runs it."""
-    command = [sys.executable, "-m", "conveyor", *arguments]
+    command = [sys.executable, "-m", "tuberline", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=check)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from camera_sim.sources import Source, camera_names, open_source
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
+from conveyor.formats import Source, camera_names, open_source
 
 
 def configured_source(config: LineConfig, camera: str) -> Source:
@@ -20,13 +20,13 @@ def configured_source(config: LineConfig, camera: str) -> Source:
             raise ConfigError(
                 f"cameras.{camera}: source 'realsense' takes no path ({settings.path}); remove one of both"
             )
-        from camera_sim.sources.realsense import RealSenseSource
+        from camera_sim.live.realsense import RealSenseSource
 
         return RealSenseSource.connect(camera, settings)
     if settings.source == "ros2":
         if settings.path is not None:
             raise ConfigError(f"cameras.{camera}: source 'ros2' takes no path ({settings.path}); remove one of both")
-        from camera_sim.sources.ros2_live import Ros2Source
+        from camera_sim.live.ros2 import Ros2Source
 
         return Ros2Source.connect(camera, settings, config.link)
     if settings.path is None:

@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Literal
 
 from camera_sim.flow import Pace, SendWindow
-from camera_sim.sources import PolledSource, Refused, Source
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestPublisher
 from conveyor.errors import TuberlineError
+from conveyor.formats import PolledSource, Refused, Source
 from conveyor.messages import CameraInfo, Frame, FrameProgress
 from conveyor.node import Node
 

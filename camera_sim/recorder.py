@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from camera_sim.sources.mcap_writer import SYNC_EVERY_S, McapFrameWriter
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber
+from conveyor.formats.mcap.writer import SYNC_EVERY_S, McapFrameWriter
 from conveyor.messages import CameraInfo, Frame
 from conveyor.node import Node
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from conveyor.errors import InputError
-from segmenter.folder import camera_folders, folder_frames
-from segmenter.plane import PlaneFit, fit_plane, plane_pose
+from conveyor.formats.folder.frames import camera_folders, folder_frames
+from segmenter.frame.plane import PlaneFit, fit_plane, plane_pose
 
 LEAST_FITS = 3
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Travel, View, Weight
 from segmenter.balance import FrameBalance
-from segmenter.dispatch import Dispatcher, DispatchSettings
+from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
+from segmenter.dispatch.thinning import Thinning
+from segmenter.dispatch.weighing import Weighing
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings, StepResult
 from segmenter.resume import Resume
-from segmenter.thinning import Thinning
 from segmenter.tracklog import TrackLog
-from segmenter.weighing import Weighing
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000

@@ -1,6 +1,6 @@
 """What the load is made of, cell by cell: belt, tuber or other (clod, stone, haulm), by a small network on heights.
 
-The network (`segmenter.learn`) is run by OpenCV from an ONNX file; torch is not needed here. It sees the height map at
+The network (`segmenter.training`) is run by OpenCV from an ONNX file; torch is not needed here. It sees the height map at
 2 mm per cell, whatever the camera, and answers on a grid of 4 mm. The method 'learned' finds instances with it.
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from segmenter.heights import HeightMap
-from segmenter.judge import read_network
+from segmenter.classify.classifier import read_network
+from segmenter.frame.heights import HeightMap
 
 SHIPPED = Path(__file__).parent / "weights" / "tuberline-cells.onnx"
 GRID_MM = 2.0

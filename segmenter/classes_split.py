@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from segmenter.belt import BeltGeometry
 from segmenter.classes import BELT, OTHER, REACH, TUBER, ClassMap
-from segmenter.flood import regrow
-from segmenter.heights import HeightMap
-from segmenter.instances import Instances, SplitSettings, described
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.flood import regrow
+from segmenter.frame.heights import HeightMap
+from segmenter.frame.instances import Instances, SplitSettings, described
 
 VOTE_SIGMA = 1.3
 APART = 5
@@ -23,7 +23,7 @@ REGROW_MM = 4.0
 
 
 def split_by_classes(classes: ClassMap, heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> Instances:
-    """The instances of one frame, as `segmenter.instances.split` gives them."""
+    """The instances of one frame, as `segmenter.frame.instances.split` gives them."""
     coarse, n = _voted(classes.answer)
     rows, columns = heights.height_mm.shape
     i = np.minimum(((np.arange(rows) + 0.5) * classes.scale[0]).astype(int), coarse.shape[0] - 1)

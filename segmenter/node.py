@@ -21,9 +21,9 @@ from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
+from segmenter.frame.watch import BeltWatch
 from segmenter.setup import log_path, run_settings
 from segmenter.warmup import warm_up
-from segmenter.watch import BeltWatch
 
 PROGRESS_EVERY_S = 0.2
 TRAVEL_EVERY_S = 0.1

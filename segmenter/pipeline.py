@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
-from segmenter.belt import BeltGeometry
-from segmenter.belt_keeper import BeltKeeper
-from segmenter.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
-from segmenter.coverage import Coverage
-from segmenter.eyes import Eyes, EyesSettings
-from segmenter.heights import HeightMap, height_map
-from segmenter.history import TravelHistory
-from segmenter.instances import Instances, SplitSettings, given
-from segmenter.plane import DRIFT_M, BeltCheck
-from segmenter.portrait import Portrait
+from segmenter.classify.patch import Portrait
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.belt_keeper import BeltKeeper
+from segmenter.frame.heights import HeightMap, height_map
+from segmenter.frame.instances import Instances, SplitSettings, given
+from segmenter.frame.plane import DRIFT_M, BeltCheck
+from segmenter.frame.sides import completed_centres
+from segmenter.perception import Eyes, EyesSettings
 from segmenter.resume import Resume
-from segmenter.sides import completed_centres
-from segmenter.track import State, TrackState
-from segmenter.tracker import Tracker, TrackSettings
-from segmenter.travel import TravelEstimator
-from segmenter.views import Candidate, cut_out, size_m, slot_offsets
+from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
+from segmenter.track.coverage import Coverage
+from segmenter.track.history import TravelHistory
+from segmenter.track.track import State, TrackState
+from segmenter.track.tracker import Tracker, TrackSettings
+from segmenter.track.travel import TravelEstimator
+from segmenter.track.views import Candidate, cut_out, size_m, slot_offsets
 
 LEAST_SEEN = 0.1
 FROZEN_M = 0.001

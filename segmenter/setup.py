@@ -6,12 +6,12 @@ from pathlib import Path
 
 from conveyor.config import LineConfig
 from segmenter.camera_run import RunSettings
-from segmenter.counting import CountSettings
-from segmenter.dispatch import DispatchSettings
-from segmenter.eyes import EyesSettings
-from segmenter.instances import SplitSettings
+from segmenter.dispatch.dispatcher import DispatchSettings
+from segmenter.frame.instances import SplitSettings
+from segmenter.perception import EyesSettings
 from segmenter.pipeline import Settings
-from segmenter.tracker import TrackSettings
+from segmenter.track.counting import CountSettings
+from segmenter.track.tracker import TrackSettings
 
 
 def core_settings(config: LineConfig) -> Settings:

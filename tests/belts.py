@@ -17,7 +17,7 @@ SEED = os.environ.get("TUBERLINE_SEED", "11")
 def tuberline(*args: str | Path, check: bool = True, timeout_s: float = 170) -> subprocess.CompletedProcess[str]:
     """Run the command as a user does; the whole output is shown when it fails."""
     done = subprocess.run(
-        [sys.executable, "-m", "conveyor", *map(str, args)],
+        [sys.executable, "-m", "tuberline", *map(str, args)],
         capture_output=True,
         text=True,
         check=False,

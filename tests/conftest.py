@@ -65,7 +65,7 @@ def link(free_port: int) -> Iterator[LinkConfig]:
 
 def start_router(endpoint: str) -> subprocess.Popen[bytes]:
     """`tuberline router` as its own process, listening when this returns."""
-    process = subprocess.Popen([sys.executable, "-m", "conveyor", "router", "--listen", endpoint])
+    process = subprocess.Popen([sys.executable, "-m", "tuberline", "router", "--listen", endpoint])
     host, port = endpoint.removeprefix("tcp/").rsplit(":", 1)
 
     def listening() -> bool:

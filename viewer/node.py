@@ -10,13 +10,13 @@ from pathlib import Path
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
 from conveyor.node import Node
-from viewer.file_sink import FileSink
-from viewer.hub_sink import HubSink, hub_address
-from viewer.inputs import Inputs
-from viewer.marks import Entry
-from viewer.profiles import Profile
-from viewer.show import Show
-from viewer.sink import Sink
+from viewer.rerun.file_sink import FileSink
+from viewer.rerun.hub_sink import HubSink, hub_address
+from viewer.rerun.inputs import Inputs
+from viewer.rerun.primitives import Entry
+from viewer.rerun.profiles import Profile
+from viewer.rerun.show import Show
+from viewer.rerun.sink import Sink
 
 IDLE_S = 0.02
 LEAVE_WITHIN_S = 0.9

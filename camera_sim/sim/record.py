@@ -10,10 +10,10 @@ from typing import Any
 from camera_sim.sim.scenes import Layout, SceneSettings, build_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
 from camera_sim.sim.worse import worsened
-from camera_sim.sources.folder_writer import FolderWriter, line_file
-from camera_sim.sources.mcap_writer import McapFrameWriter
-from camera_sim.sources.merged import in_time
-from camera_sim.sources.target import TargetFormat, target_format
+from conveyor.formats.folder.writer import FolderWriter, line_file
+from conveyor.formats.mcap.writer import McapFrameWriter
+from conveyor.formats.merged import in_time
+from conveyor.formats.target import TargetFormat, target_format
 from conveyor.messages import Frame
 
 OnFrame = Callable[[int, int], None]
@@ -84,7 +84,7 @@ def _write_mcap(out: Path, sources: list[SimulatedSource], texts: dict[str, str]
 
 
 def _write_ros2(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
-    from camera_sim.sources.ros2_writer import Ros2McapWriter
+    from conveyor.formats.ros2.writer import Ros2McapWriter
 
     with Ros2McapWriter(out) as writer:
         for source in sources:

@@ -14,7 +14,7 @@ from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
 from camera_sim.sim.stereo import NoiseBank, measure
 from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
-from camera_sim.sources.base import CameraDescription, Refused
+from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
 from conveyor.messages import Frame
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.optics import Optics
 from camera_sim.sim.views import SimulatedView, ViewPlan, ViewSimulator
-from camera_sim.sources.potatotwin import BELT_DISTANCES_M
 from conveyor.errors import InputError
+from conveyor.formats.potatotwin import BELT_DISTANCES_M
 from conveyor.geometry import deproject
 
 SPLITS = ("train", "train", "train", "val", "test")

@@ -13,7 +13,7 @@ import sys
 import time
 from pathlib import Path
 
-from aggregator.ledger import Ledger
+from aggregator.ledger.writer import Ledger
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator
 

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-import aggregator.camera_log
-import aggregator.core
-from aggregator.audit import audit_run
-from aggregator.balance import camera_equations
-from aggregator.camera_log import CameraLog, Taken
-from aggregator.export import full_lines
-from aggregator.files import tubers_csv, write_whole
-from aggregator.ledger import Ledger
-from aggregator.reader import read_runs, reading, the_run
+import aggregator.core.camera_log
+import aggregator.core.machine
+from aggregator.core.balance import camera_equations
+from aggregator.core.camera_log import CameraLog, Taken
+from aggregator.ledger.audit import audit_run
+from aggregator.ledger.export import full_lines
+from aggregator.ledger.files import tubers_csv, write_whole
+from aggregator.ledger.reader import read_runs, reading, the_run
+from aggregator.ledger.writer import Ledger
 from conveyor.errors import LedgerError
 from conveyor.messages import TrackEntry
 from tests.aggregator.belt_story import Story, tell
@@ -74,7 +74,7 @@ def test_what_cannot_be_taken_is_counted_with_its_reason(tmp_path: Path) -> None
 
 
 def test_entries_waiting_for_a_gap_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(aggregator.camera_log, "WAITING_ENTRIES", 3)
+    monkeypatch.setattr(aggregator.core.camera_log, "WAITING_ENTRIES", 3)
     log = CameraLog()
     entries = tell(2).logs["cam0"]
     taken = [log.take(entry)[0] for entry in entries[1:6]]
@@ -85,7 +85,7 @@ def test_entries_waiting_for_a_gap_are_bounded(monkeypatch: pytest.MonkeyPatch) 
 
 def test_tracks_waiting_for_a_camera_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A camera that lives but does not get on must not fill the memory."""
-    monkeypatch.setattr(aggregator.core, "MAX_PENDING", 4)
+    monkeypatch.setattr(aggregator.core.machine, "MAX_PENDING", 4)
     told = tell(4, cameras=3, n=12).in_run(fresh_run("bound"))
     with begun(tmp_path, told) as (_ledger, it):
         it.receive("cam1", 1)

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.check import check_file
-from aggregator.ledger import Ledger
-from aggregator.receipt import read_receipt, receipt_path
-from aggregator.repair import repair
-from aggregator.schema import SCHEMA_VERSION
+from aggregator.ledger.check import check_file
+from aggregator.ledger.receipt import read_receipt, receipt_path
+from aggregator.ledger.repair import repair
+from aggregator.ledger.schema import SCHEMA_VERSION
+from aggregator.ledger.writer import Ledger
 from conveyor.errors import LedgerError
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator
@@ -247,7 +247,7 @@ def test_a_read_only_file_is_refused_with_the_mend(tmp_path: Path) -> None:
 
 
 def test_the_receipt_survives_a_torn_write(tmp_path: Path) -> None:
-    from aggregator.receipt import Receipt
+    from aggregator.ledger.receipt import Receipt
 
     path = tmp_path / "ledger.ack"
     with Receipt(path) as receipt:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aggregator.fusion import SHARED_SHARE, VOLUME_G_PER_ML, Z90, fuse
+from aggregator.core.fusion import SHARED_SHARE, VOLUME_G_PER_ML, Z90, fuse
 from conveyor.messages import WeighedView
 
 

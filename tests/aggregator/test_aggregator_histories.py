@@ -23,7 +23,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from aggregator.ledger import Ledger
+from aggregator.ledger.writer import Ledger
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.check import check_file
-from aggregator.ledger import Ledger
+from aggregator.ledger.check import check_file
+from aggregator.ledger.writer import Ledger
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.cameras import STARTUP_GRACE_S
-from aggregator.ledger import Ledger
+from aggregator.core.cameras import STARTUP_GRACE_S
+from aggregator.ledger.writer import Ledger
 from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.virtual_line import STALL_S, Aggregator, fresh_run
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from aggregator.matching import one_to_one
-from aggregator.merge import Gate, PlacedTrack, blocks, merge
-from aggregator.travel import TravelCurve, common_travel_m
+from aggregator.core.matching import one_to_one
+from aggregator.core.merge import Gate, PlacedTrack, blocks, merge
+from aggregator.core.travel import TravelCurve, common_travel_m
 from conveyor.messages import Track
 from tests.aggregator.belt_story import tell
 

@@ -47,7 +47,7 @@ class Process:
     """`tuberline aggregator` as its own process, to be killed and started again."""
 
     def __init__(self, config: Path) -> None:
-        self._args = [sys.executable, "-m", "conveyor", "aggregator", "--config", str(config), "--run", "story"]
+        self._args = [sys.executable, "-m", "tuberline", "aggregator", "--config", str(config), "--run", "story"]
         self.start()
 
     def start(self) -> None:
@@ -168,7 +168,7 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
     assert summary["final"] is False
     assert summary["tracks"]["pending"] >= 0
     audited = subprocess.run(
-        [sys.executable, "-m", "conveyor", "audit", str(config.aggregator.out), "--json"],
+        [sys.executable, "-m", "tuberline", "audit", str(config.aggregator.out), "--json"],
         cwd=ROOT,
         capture_output=True,
         text=True,

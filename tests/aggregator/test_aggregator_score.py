@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aggregator.align import align
-from aggregator.score import Score, score_run, score_tubers
-from aggregator.truth import TrueTuber, read_truth
+from aggregator.scoring.align import align
+from aggregator.scoring.score import Score, score_run, score_tubers
+from aggregator.scoring.truth import TrueTuber, read_truth
 from conveyor.errors import InputError, LedgerError
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import scatter

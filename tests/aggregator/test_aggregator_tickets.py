@@ -9,9 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.calibration import ticket_of
-from aggregator.ledger import Ledger
-from aggregator.tickets import LOAD_SD, Ticket, check_ticket, load_factor, read_tickets, with_ticket, write_tickets
+from aggregator.calibration.load import ticket_of
+from aggregator.calibration.tickets import (
+    LOAD_SD,
+    Ticket,
+    check_ticket,
+    load_factor,
+    read_tickets,
+    with_ticket,
+    write_tickets,
+)
+from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import undisturbed

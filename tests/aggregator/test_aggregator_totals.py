@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from aggregator.coverage import Looked, camera_shares, combined_coverage
-from aggregator.tickets import Ticket
-from aggregator.totals import SHARED_BIAS, LoadTotals
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.coverage import Looked, camera_shares, combined_coverage
+from aggregator.core.totals import SHARED_BIAS, LoadTotals
 from conveyor.messages import Tuber
 
 TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))

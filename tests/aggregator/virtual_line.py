@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import count
 
-from aggregator.camera_log import Taken
-from aggregator.core import Aggregation
-from aggregator.export import canonical_lines
-from aggregator.ledger import Ledger
+from aggregator.core.camera_log import Taken
+from aggregator.core.machine import Aggregation
+from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.writer import Ledger
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import Story
 

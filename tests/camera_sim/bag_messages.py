@@ -13,7 +13,7 @@ import numpy as np
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from viewer.rvl import encode_rvl
+from conveyor.formats.rvl_encoder import encode_rvl
 
 WIDTH, HEIGHT = 32, 24
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 33_333_333

@@ -30,7 +30,7 @@ def process(config: LineConfig, folder: Path, *args: str) -> Iterator[subprocess
     """`tuberline <args> --config ... --run r1` while the block lasts; killed afterwards if it is still there."""
     path = folder / "line.toml"
     path.write_text(dump_toml(config))
-    command = [sys.executable, "-m", "conveyor", *args, "--config", str(path), "--run", RUN]
+    command = [sys.executable, "-m", "tuberline", *args, "--config", str(path), "--run", RUN]
     running = subprocess.Popen(
         command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
     )

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camera_sim.inspection import inspect_recording
-from camera_sim.sources import Refused, camera_names, open_source
-from camera_sim.sources.bag_reader import decode_ros
-from camera_sim.sources.foxglove import from_json, from_protobuf
-from camera_sim.sources.ros_messages import Kind
 from conveyor.errors import InputError, MessageError
+from conveyor.formats import Refused, camera_names, open_source
+from conveyor.formats.inspection import inspect_recording
+from conveyor.formats.rosbag.bags import decode_ros
+from conveyor.formats.rosbag.foxglove import from_json, from_protobuf
+from conveyor.formats.rosbag.messages import Kind
 from conveyor.messages import Frame
 
 pytest.importorskip("rosbags.typesys")

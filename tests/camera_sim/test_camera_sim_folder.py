@@ -14,8 +14,8 @@ import pytest
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
 from camera_sim.sim.source import simulated_sources
-from camera_sim.sources import Refused, describe_recording, open_source
 from conveyor.errors import InputError
+from conveyor.formats import Refused, describe_recording, open_source
 from conveyor.messages import Frame
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from camera_sim.configured import configured_source
-from camera_sim.sources import open_source
-from conveyor.cli.replay import replay_config
+from conveyor.formats import open_source
 from conveyor.messages import Frame
+from tuberline.replay import replay_config
 
 
 def test_masks_are_left_out_where_the_replay_says_so_and_nothing_else(small_recording: Path, tmp_path: Path) -> None:

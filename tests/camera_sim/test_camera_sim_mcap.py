@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_sim.commands import convert, info
-from camera_sim.conversion import convert_recording
-from camera_sim.inspection import inspect_recording
-from camera_sim.recovery import recover
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
-from camera_sim.sources import Refused, describe_recording, open_source
-from camera_sim.sources.mcap_writer import McapFrameWriter
-from camera_sim.sources.target import TargetFormat
 from conveyor.errors import InputError
+from conveyor.formats import Refused, describe_recording, open_source
+from conveyor.formats.conversion import convert_recording
+from conveyor.formats.inspection import inspect_recording
+from conveyor.formats.mcap.recovery import recover
+from conveyor.formats.mcap.writer import McapFrameWriter
+from conveyor.formats.target import TargetFormat
 from conveyor.messages import Frame
+from tuberline.cli.recordings import convert, info
 
 
 def _hashes(folder: Path) -> dict[str, str]:
@@ -61,7 +61,7 @@ def test_there_and_back_over_ros_2_topics_nothing_is_lost(
 def test_ros_2_topics_are_what_ros_expects(small_recording: Path, tmp_path: Path) -> None:
     """Read as a bag of somebody else's, by the topics alone, the depth is the same in metres."""
     pytest.importorskip("rosbags")
-    from camera_sim.sources.rosbag import RosBagSource
+    from conveyor.formats.rosbag.reader import RosBagSource
 
     convert_recording(small_recording, tmp_path / "ros.mcap", form="ros2")
     own, bag = open_source(small_recording), RosBagSource(tmp_path / "ros.mcap", "front")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.sources import describe_recording
 from conveyor.config import LinkConfig
+from conveyor.formats import describe_recording
 from tests.camera_sim.camera_process import line, other_side, process
 from tests.conftest import wait_until
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_sim.sources import Refused, describe_recording, open_source
 from conveyor.errors import InputError
+from conveyor.formats import Refused, describe_recording, open_source
 from conveyor.messages import Frame
 
 INTRINSICS = {

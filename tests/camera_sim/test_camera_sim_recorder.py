@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.recovery import recover
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
-from camera_sim.sources import describe_recording, open_source
 from conveyor.config import LinkConfig
+from conveyor.formats import describe_recording, open_source
+from conveyor.formats.mcap.recovery import recover
 from conveyor.messages import Frame
 from tests.camera_sim.camera_process import OtherSide, line, other_side, process
 from tests.conftest import wait_until

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_sim.sources.rmw_zenoh import Attachment, Numbering, key_of, published_topic, read_attachment
+from camera_sim.live.rmw_zenoh import Attachment, Numbering, key_of, published_topic, read_attachment
 from conveyor.config import CameraConfig, LinkConfig
 from conveyor.errors import ConfigError, InputError, MessageError
 from conveyor.messages import Frame
@@ -19,7 +19,7 @@ from tests.conftest import wait_until
 
 pytest.importorskip("rosbags.typesys")
 
-from camera_sim.sources import ros2_live
+from camera_sim.live import ros2 as ros2_live
 from tests.camera_sim.bag_messages import HEIGHT, compressed_depth, depth_mm, image, info, stamp_ns
 from tests.camera_sim.ros2_publisher import Ros2Camera, ros2_session
 

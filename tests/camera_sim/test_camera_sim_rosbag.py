@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from camera_sim.conversion import convert_recording
-from camera_sim.sources import Refused, describe_recording, open_source
 from conveyor.errors import InputError
+from conveyor.formats import Refused, describe_recording, open_source
+from conveyor.formats.conversion import convert_recording
 from conveyor.messages import Frame
 
 rosbags = pytest.importorskip("rosbags.typesys")

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from camera_sim.sources.png16 import Refusal
-from camera_sim.sources.rvl import decode_rvl
-from viewer.rvl import encode_rvl
+from conveyor.formats.png16 import Refusal
+from conveyor.formats.rvl import decode_rvl
+from conveyor.formats.rvl_encoder import encode_rvl
 
 TRANSPORT_BYTES = 12
 IMAGES = arrays(

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_sim.commands import simulate_views
 from camera_sim.sim.optics import D405_848
 from camera_sim.sim.twinfolder import write_twin_folder
 from camera_sim.sim.views import ViewPlan, ViewSimulator
-from camera_sim.sources import describe_recording, open_source
 from conveyor.errors import InputError
+from conveyor.formats import describe_recording, open_source
+from conveyor.formats.clouds import read_ply
+from conveyor.formats.twin import BELT_DISTANCE_M, is_twin, read_twin
 from conveyor.geometry import deproject
 from conveyor.messages import Frame
-from regressor.cloudfile import read_ply
-from regressor.twin import BELT_DISTANCE_M, is_twin, read_twin
+from tuberline.cli.recordings import simulate_views
 
 PLAN = ViewPlan(seed=5, views_per_tuber=2, preset="easy", optics=D405_848)
 TUBERS = 5

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_sim.commands import simulate_views
 from camera_sim.sim.optics import D405_1280
 from camera_sim.sim.views import ViewPlan, ViewSimulator
 from conveyor.errors import InputError
+from tuberline.cli.recordings import simulate_views
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
 from camera_sim.sim.world import World, crossing_travel_m, render
 from camera_sim.sim.worse import NOISE, WORLD, worsened
-from camera_sim.sources import open_source
 from conveyor.errors import InputError
+from conveyor.formats import open_source
 
 
 def _world(settings: SceneSettings, scene: str) -> tuple[World, list[SimulatedSource]]:

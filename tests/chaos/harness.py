@@ -16,12 +16,12 @@ from typing import Any
 
 import pytest
 
-from conveyor.cli.replay import fingerprint, prepare_out, recording_cameras, replay_config
 from conveyor.config import LineConfig, dump_toml
 from conveyor.observer import Observer
-from conveyor.processes import line_processes
-from conveyor.supervisor import ProcessSpec, Supervisor
 from tests.belts import tuberline
+from tuberline.processes import line_processes
+from tuberline.replay import fingerprint, prepare_out, recording_cameras, replay_config
+from tuberline.supervisor import ProcessSpec, Supervisor
 
 Disturbance = Callable[["DisturbedLine"], None]
 

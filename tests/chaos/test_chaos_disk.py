@@ -55,7 +55,7 @@ def test_a_full_disk_stops_the_count_and_loses_nothing(
         said = line.supervisor.log_tail("aggregator")
         ballast.unlink()
         (spec,) = line_site.parts("aggregator")
-        again = subprocess.Popen([sys.executable, "-m", "conveyor", *spec.args], stdin=subprocess.DEVNULL)
+        again = subprocess.Popen([sys.executable, "-m", "tuberline", *spec.args], stdin=subprocess.DEVNULL)
         line.wait(lambda: again.poll() is not None, what="the summary", timeout_s=150)
     assert again.returncode == 0
     assert "full" in said or "space" in said, said

@@ -22,7 +22,7 @@ def watching(line: DisturbedLine, config: Path, *watchers: tuple[str, ...]) -> I
     """Commands that watch the line of `config`."""
     processes = [
         subprocess.Popen(
-            [sys.executable, "-m", "conveyor", *watcher, "--config", str(config)],
+            [sys.executable, "-m", "tuberline", *watcher, "--config", str(config)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -72,7 +72,7 @@ def test_unknown_camera_lists_the_known() -> None:
 def test_the_command_exits_2_with_one_clear_text(tmp_path: Path) -> None:
     path = write(tmp_path, "[segmenter]\nview_per_tuber = 3")
     done = subprocess.run(
-        [sys.executable, "-m", "conveyor", "config", "check", str(path)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "tuberline", "config", "check", str(path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
     assert "did you mean 'views_per_tuber'" in done.stderr

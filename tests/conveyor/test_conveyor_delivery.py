@@ -141,7 +141,7 @@ def test_a_taken_port_is_one_clear_error(link: LinkConfig, tmp_path: Path) -> No
     import sys
 
     done = subprocess.run(
-        [sys.executable, "-m", "conveyor", "router", "--listen", link.router],
+        [sys.executable, "-m", "tuberline", "router", "--listen", link.router],
         capture_output=True,
         text=True,
         check=False,

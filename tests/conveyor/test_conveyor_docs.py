@@ -16,8 +16,8 @@ import pytest
 from cyclopts import App
 from cyclopts.exceptions import CycloptsError, MissingArgumentError
 
-from conveyor.cli import build_app
-from conveyor.cli.reference import pages
+from tuberline.cli import build_app
+from tuberline.cli.reference import pages
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

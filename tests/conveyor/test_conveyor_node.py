@@ -13,8 +13,8 @@ import pytest
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.messages import Counters
 from conveyor.observer import Observer
-from conveyor.supervisor import ProcessSpec, Supervisor
 from tests.conftest import wait_until
+from tuberline.supervisor import ProcessSpec, Supervisor
 
 pytestmark = pytest.mark.graph
 

@@ -15,7 +15,7 @@ from tests.conftest import ROOT, wait_until
 SUPERVISES = """
 import sys, time
 from pathlib import Path
-from conveyor.supervisor import ProcessSpec, Supervisor
+from tuberline.supervisor import ProcessSpec, Supervisor
 with Supervisor([ProcessSpec("router", ("router", "--listen", sys.argv[1]))], log_dir=Path(sys.argv[2])) as supervisor:
     print(supervisor.pid("router"), flush=True)
     time.sleep(60)
@@ -52,7 +52,7 @@ def test_a_node_ends_when_its_supervisor_was_killed(tmp_path: Path, free_port: i
 @pytest.mark.timeout(120)
 def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> None:
     recording, out = tmp_path / "recording", tmp_path / "out"
-    tuberline = [sys.executable, "-m", "conveyor"]
+    tuberline = [sys.executable, "-m", "tuberline"]
     subprocess.run([*tuberline, "simulate", "--out", recording, "--tubers", "20"], cwd=ROOT, check=True)
     logs = out / "logs"
     with subprocess.Popen([*tuberline, "replay", recording, "--out", out, "--speed", "real"], cwd=ROOT) as replay:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.cli.replay import fingerprint, parse_speed, prepare_out, replay_config
 from conveyor.config import LineConfig
 from conveyor.errors import InputError
-from conveyor.processes import line_processes
+from tuberline.processes import line_processes
+from tuberline.replay import fingerprint, parse_speed, prepare_out, replay_config
 
 
 @pytest.mark.parametrize(("text", "factor"), [("max", 0.0), ("real", 1.0), ("2.5", 2.5)])

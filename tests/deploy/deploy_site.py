@@ -11,11 +11,11 @@ from pathlib import Path
 import zenoh
 
 from conveyor.access import line_identities, router_access
-from conveyor.certs import issue, make_authority
 from conveyor.config import LineConfig, parse_config
 from conveyor.counters import CounterSet
 from conveyor.identity import Identity
 from conveyor.session import open_client, open_router
+from tuberline.certs import issue, make_authority
 
 
 @dataclass

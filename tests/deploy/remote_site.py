@@ -15,12 +15,12 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.certs import issue, make_authority
 from conveyor.identity import Identity
 from tests.conftest import ROOT, wait_until
-from viewer.launch import Ports, RerunProgram, free_port
+from tuberline.certs import issue, make_authority
 from viewer.page.board import Board
 from viewer.page.server import PageServer
+from viewer.rerun.launch import Ports, RerunProgram, free_port
 
 USER, PASSWORD = "office", "harvest-moon"
 READ = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"

@@ -15,7 +15,6 @@ import zenoh
 
 from conveyor import topics
 from conveyor.access import router_access
-from conveyor.certs import issue
 from conveyor.config import LinkConfig
 from conveyor.delivery import (
     KeptPublisher,
@@ -34,6 +33,7 @@ from conveyor.messages.base import Message
 from conveyor.session import open_client, open_router
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import Peer, Site, make_certs, running_site, site_config
+from tuberline.certs import issue
 
 pytestmark = pytest.mark.graph
 

@@ -13,14 +13,14 @@ import zenoh
 from conveyor.config import load_config
 from conveyor.errors import ConfigError, InputError
 from conveyor.identity import Identity
-from conveyor.zenohd import router_file, settings_text
 from tests.conftest import ROOT
 from tests.deploy.deploy_site import site_config
+from tuberline.zenohd import router_file, settings_text
 
 pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
 
-from conveyor.certs import issue, make_authority, read_certificate
-from conveyor.cli.certs import add, make, router_hosts, show
+from tuberline.certs import issue, make_authority, read_certificate
+from tuberline.cli.certs import add, make, router_hosts, show
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 LINE = """

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from conveyor.cli import build_app
 from conveyor.config import load_config
 from conveyor.identity import Identity
 from tests.conftest import ROOT
+from tuberline.cli import build_app
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed: compose files and manifests unchecked")
 
@@ -183,7 +183,7 @@ def test_every_pod_runs_a_command_tuberline_takes_unprivileged() -> None:
 
 
 def test_the_autoscaler_asks_for_a_metric_the_exporter_has() -> None:
-    exporter = pytest.importorskip("conveyor.exporter", reason="metrics need tuberline[deploy]")
+    exporter = pytest.importorskip("tuberline.metrics", reason="metrics need tuberline[deploy]")
     from conveyor.messages import Counters
 
     hpa = documents()["HorizontalPodAutoscaler/tuberline-regressor"]["spec"]

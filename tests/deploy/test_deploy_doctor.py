@@ -21,13 +21,8 @@ from pathlib import Path
 import pytest
 
 from conveyor import __version__, topics
-from conveyor.cli.doctor import Live, bundle, doctor, examine, health, look
 from conveyor.config import LineConfig, LinkConfig, load_config, parse_config
 from conveyor.delivery import KeptPublisher
-from conveyor.doctor import Finding, Level, worst
-from conveyor.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
-from conveyor.doctor.link import check_certificates, check_port
-from conveyor.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
 from conveyor.errors import LinkError
 from conveyor.identity import Identity
 from conveyor.messages import Counters, Totals
@@ -35,6 +30,11 @@ from conveyor.node import Node
 from conveyor.observer import Observer
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import site_config
+from tuberline.cli.doctor import Live, bundle, doctor, examine, health, look
+from tuberline.doctor import Finding, Level, worst
+from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
+from tuberline.doctor.link import check_certificates, check_port
+from tuberline.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
@@ -91,7 +91,7 @@ def test_usb_finds_missing_and_slow_cameras(tmp_path: Path) -> None:
 
 
 def test_certificates_are_watched_for_expiry_privacy_and_the_routers_name(tmp_path: Path) -> None:
-    certs = pytest.importorskip("conveyor.certs")
+    certs = pytest.importorskip("tuberline.certs")
     config = site_config(7447, tmp_path)
     missing = only(check_certificates(config, now=NOW))
     assert "ca.pem cannot be read" in missing.text
@@ -189,7 +189,7 @@ def test_health_is_a_yes_or_one_clear_no(line: Path, camera: Node, capsys: pytes
 
 @pytest.mark.graph
 def test_bundle_holds_what_helps_and_no_private_key(line: Path, camera: Node, tmp_path: Path) -> None:
-    certs = pytest.importorskip("conveyor.certs")
+    certs = pytest.importorskip("tuberline.certs")
     out = load_config(line).aggregator.out
     (out / "logs").mkdir(parents=True)
     (out / "logs" / "camera-front.log").write_text("no depth scale\n")
@@ -235,7 +235,7 @@ def test_prometheus_scrapes_counters_levels_and_totals(line: Path, camera: Node)
     totals = KeptPublisher(camera, topics.TOTALS)
     totals.put(Totals("r1", 3, 512.5, 480.0, 540.0, 0.75, 600.0, 550.0, 650.0, 1.5, 50.0, (0, 3), {}, final=False))
     address = f"127.0.0.1:{another_port()}"
-    command = [sys.executable, "-m", "conveyor", "metrics", "--config", str(line), "--listen", address]
+    command = [sys.executable, "-m", "tuberline", "metrics", "--config", str(line), "--listen", address]
     with subprocess.Popen(command) as exporter:
         try:
             page = scrape_until(f"http://{address}/metrics", "tuberline_load_tubers", "frames_published_total")
@@ -278,7 +278,7 @@ def scrape_until(url: str, *wanted: str) -> str:
 
 
 def test_a_name_that_is_both_counter_and_level_keeps_one_type() -> None:
-    exporter = pytest.importorskip("conveyor.exporter")
+    exporter = pytest.importorskip("tuberline.metrics")
     pair = [
         Counters("viewer", "a", "r1", 1, "h", "1", 1.0, {"queue": 4}, {}),
         Counters("regressor", "b", "r1", 1, "h", "1", 1.0, {}, {"queue": 2.0}),

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.commands import simulate
-from conveyor.cli.doctor import examine
 from conveyor.config import parse_config
-from conveyor.doctor import Level
-from conveyor.doctor.belt import check_belt_seen, check_running_belts
 from conveyor.messages import Counters
+from tuberline.cli.doctor import examine
+from tuberline.cli.recordings import simulate
+from tuberline.doctor import Level
+from tuberline.doctor.belt import check_belt_seen, check_running_belts
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.cli.replay import replay_recording
 from conveyor.config import parse_config
 from tests.deploy.deploy_site import make_certs
+from tuberline.replay import replay_recording
 
 pytestmark = pytest.mark.graph
 
@@ -21,7 +21,7 @@ def test_a_line_with_certificates_and_rules_counts_everything(tmp_path: Path, fr
     pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
     recording, certs, out = tmp_path / "recording", tmp_path / "certs", tmp_path / "out"
     belt = ["--seed", "3", "--tubers", "4", "--fps", "15", "--camera", "d405-848"]
-    subprocess.run([sys.executable, "-m", "conveyor", "simulate", "--out", recording, *belt], check=True, timeout=120)
+    subprocess.run([sys.executable, "-m", "tuberline", "simulate", "--out", recording, *belt], check=True, timeout=120)
     link = {"router": f"tls/127.0.0.1:{free_port}", "certs": str(certs)}
     config = parse_config({"name": "replay", "link": link, "cameras": {"front": {}}}, where="of this test")
     make_certs(config, certs)

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 import pytest
 
-from conveyor.cli.replay import prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
-from conveyor.processes import line_processes
-from conveyor.supervisor import Supervisor
 from tests.deploy.remote_browser import Browser, chromium
 from tests.deploy.remote_site import PASSWORD, USER, remote_proxy
+from tuberline.processes import line_processes
+from tuberline.replay import prepare_out, recording_cameras, replay_config
+from tuberline.supervisor import Supervisor
 
 pytestmark = [pytest.mark.slow, pytest.mark.graph]
 EMPTY_COLOURS = 100
@@ -37,7 +37,7 @@ def colours(png: bytes) -> int:
 def test_a_browser_shows_the_line_through_tls_and_the_password(tmp_path: Path) -> None:
     recording, out = tmp_path / "recording", tmp_path / "out"
     belt = ["--seed", "3", "--tubers", "24", "--fps", "10", "--camera", "d405-848"]
-    subprocess.run([sys.executable, "-m", "conveyor", "simulate", "--out", recording, *belt], check=True, timeout=120)
+    subprocess.run([sys.executable, "-m", "tuberline", "simulate", "--out", recording, *belt], check=True, timeout=120)
     prepare_out(out)
     with remote_proxy() as proxy:
         config = replay_config(

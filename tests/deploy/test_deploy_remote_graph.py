@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
-from conveyor.cli.address import LineAddress
-from conveyor.cli.graph import dot_text, graph, line_graph
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.messages import Counters
 from conveyor.node import Node
+from tuberline.cli.address import LineAddress
+from tuberline.cli.graph import dot_text, graph, line_graph
 
 NODES = (
     "camera/front",

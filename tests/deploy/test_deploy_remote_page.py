@@ -17,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.cli.replay import prepare_out, recording_cameras, replay_config
 from conveyor.config import dump_toml
-from conveyor.processes import line_processes
-from conveyor.supervisor import Supervisor
 from tests.deploy.remote_browser import Browser, chromium
 from tests.deploy.remote_site import PASSWORD, USER, remote_proxy
+from tuberline.processes import line_processes
+from tuberline.replay import prepare_out, recording_cameras, replay_config
+from tuberline.supervisor import Supervisor
 from viewer.page.snapshot import snapshot
 from viewer.page.watch import LineWatch
 
@@ -36,7 +36,7 @@ PATIENCE_S = 360.0
 def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path) -> None:
     recording, out = tmp_path / "recording", tmp_path / "out"
     belt = ["--scene", "two-cameras", "--seed", "21", "--tubers", "110", "--fps", "15"]
-    subprocess.run([sys.executable, "-m", "conveyor", "simulate", "--out", recording, *belt], check=True, timeout=400)
+    subprocess.run([sys.executable, "-m", "tuberline", "simulate", "--out", recording, *belt], check=True, timeout=400)
     prepare_out(out)
     config = replay_config(
         recording,

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.cli import build_app
 from tests.conftest import ROOT
+from tuberline.cli import build_app
 
 DEPLOY = ROOT / "deploy"
 TUBERLINE = Path(sys.executable).with_name("tuberline")
@@ -93,7 +93,7 @@ def test_an_installed_config_is_not_overwritten_unless_asked(tmp_path: Path) -> 
 
 def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
-    from conveyor.cli.certs import make
+    from tuberline.cli.certs import make
 
     make(DEPLOY / "examples" / "site.toml", out=tmp_path / "certs")
     root = tmp_path / "root"

@@ -13,13 +13,13 @@ import pytest
 from conveyor.errors import InputError
 from conveyor.observer import Observer
 from conveyor.session import open_client
-from conveyor.supervisor import ProcessSpec, Supervisor
-from regressor.checkpoint import SHIPPED, read_checkpoint
-from regressor.weights_client import all_states, use
-from regressor.weights_messages import WeightsState, read_parcel
+from regressor.network.checkpoint import SHIPPED, read_checkpoint
+from regressor.serve.client import all_states, use
+from regressor.serve.messages import WeightsState, read_parcel
 from tests.belts import simulate, tuberline
 from tests.chaos.harness import DisturbedLine, Site, site
 from tests.regressor.test_regressor_weights import scaled_weights
+from tuberline.supervisor import ProcessSpec, Supervisor
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
 

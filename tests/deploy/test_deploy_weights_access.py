@@ -7,9 +7,9 @@ import zenoh
 
 from conveyor.errors import LinkError
 from conveyor.topics import ORDER_MODEL, QUERY_MODEL
-from regressor import weights_link
-from regressor.weights_link import PIECE_BYTES, fetch, send, states
-from regressor.weights_messages import WeightsState, digest_of
+from regressor.serve import link as weights_link
+from regressor.serve.link import PIECE_BYTES, fetch, send, states
+from regressor.serve.messages import WeightsState, digest_of
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import Peer, Site
 

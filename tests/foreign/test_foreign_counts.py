@@ -11,7 +11,7 @@ import pytest
 from foreign_belt import Habits, View, posed, rows, straight_down, strew, write
 from scipy.optimize import linear_sum_assignment
 
-from camera_sim.sources import Refused, open_source
+from conveyor.formats import Refused, open_source
 from segmenter.pipeline import Segmenter, Settings
 
 SMALL = View(size=(424, 240), focal=240.0, fps=15)

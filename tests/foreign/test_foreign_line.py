@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from foreign_belt import Habits, View, strew, write
 
-from aggregator.travel import TravelCurve, head_start_m
-from camera_sim.sources import Refused, open_source
+from aggregator.core.travel import TravelCurve, head_start_m
 from conveyor.config import CameraConfig, LineConfig
+from conveyor.formats import Refused, open_source
 from segmenter.camera_run import CameraRun
 from segmenter.setup import run_settings
 

@@ -25,7 +25,7 @@ def messages(folder: Path) -> tuple[list[bytes], Read]:
 
 def folder(folder: Path) -> tuple[list[bytes], Read]:
     """A folder recording: tables, descriptions and pictures, one of them damaged at a time."""
-    from camera_sim.sources.folder_writer import FolderWriter
+    from conveyor.formats.folder.writer import FolderWriter
     from tests.fuzz.test_fuzz_files import DESCRIPTION, frame, read_all
 
     with FolderWriter(folder / "recording", DESCRIPTION) as writer:
@@ -47,7 +47,7 @@ def folder(folder: Path) -> tuple[list[bytes], Read]:
 
 def mcap(folder: Path) -> tuple[list[bytes], Read]:
     """Our own recordings in MCAP, and bags of ROS 2 and Foxglove messages in it."""
-    from camera_sim.sources.mcap_writer import McapFrameWriter
+    from conveyor.formats.mcap.writer import McapFrameWriter
     from tests.camera_sim import bag_messages as bags
     from tests.fuzz.test_fuzz_files import frame, read_all
 
@@ -79,11 +79,11 @@ def rosbag(folder: Path) -> tuple[list[bytes], Read]:
 
 def cdr(folder: Path) -> tuple[list[bytes], Read]:
     """Single messages of ROS and Foxglove, as they come from a bag or from a live ROS graph."""
-    from camera_sim.sources.bag_reader import decode_ros
-    from camera_sim.sources.foxglove import from_json, from_protobuf
-    from camera_sim.sources.rmw_zenoh import read_attachment
-    from camera_sim.sources.ros_depth import depth_pixels
-    from camera_sim.sources.ros_messages import RosCompressed, RosImage
+    from camera_sim.live.rmw_zenoh import read_attachment
+    from conveyor.formats.rosbag.bags import decode_ros
+    from conveyor.formats.rosbag.depth import depth_pixels
+    from conveyor.formats.rosbag.foxglove import from_json, from_protobuf
+    from conveyor.formats.rosbag.messages import RosCompressed, RosImage
     from tests.camera_sim import bag_messages as bags
 
     def pixels(message: object) -> object:
@@ -106,7 +106,7 @@ def cdr(folder: Path) -> tuple[list[bytes], Read]:
 
 def cloud(folder: Path) -> tuple[list[bytes], Read]:
     """Clouds in PLY, binary and ASCII, and in NumPy's .npy and .npz."""
-    from regressor.cloudfile import read_cloud
+    from conveyor.formats.clouds import read_cloud
     from tests.fuzz.test_fuzz_files import cloud_files
 
     good = cloud_files()
@@ -138,7 +138,7 @@ def checkpoint(folder: Path) -> tuple[list[bytes], Read]:
     import torch
     from safetensors.torch import save
 
-    from regressor.checkpoint import SHIPPED, load_checkpoint
+    from regressor.network.checkpoint import SHIPPED, load_checkpoint
 
     tensors = {"fc.weight": torch.arange(6.0).reshape(2, 3), "fc.bias": torch.zeros(2)}
     pth = io.BytesIO()
@@ -159,7 +159,7 @@ def checkpoint(folder: Path) -> tuple[list[bytes], Read]:
 
 def truth(folder: Path) -> tuple[list[bytes], Read]:
     """A recording's truth.json."""
-    from aggregator.truth import read_truth
+    from aggregator.scoring.truth import read_truth
 
     path = folder / "truth.json"
     seed = b'{"tubers": [{"id": 1, "place_x_m": -0.1, "place_y_m": 2e-2, "weight_g": 170.5, "length_mm": 80}]}'

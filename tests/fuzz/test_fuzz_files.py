@@ -13,16 +13,16 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aggregator.truth import read_truth
-from camera_sim.sources import CameraDescription, describe_recording, open_source
-from camera_sim.sources.folder_writer import FolderWriter
-from camera_sim.sources.foxglove import from_json
-from camera_sim.sources.mcap_writer import McapFrameWriter
+from aggregator.scoring.truth import read_truth
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
+from conveyor.formats import CameraDescription, describe_recording, open_source
+from conveyor.formats.clouds import read_cloud
+from conveyor.formats.folder.writer import FolderWriter
+from conveyor.formats.mcap.writer import McapFrameWriter
+from conveyor.formats.rosbag.foxglove import from_json
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Committed, Frame, TrackEntry
-from regressor.checkpoint import SHIPPED, load_checkpoint
-from regressor.cloudfile import read_cloud
+from regressor.network.checkpoint import SHIPPED, load_checkpoint
 from segmenter.tracklog import TrackLog
 from tests.fuzz.damage import ANY_JSON, bounded_memory, damaged, outcome, quick
 from tests.fuzz.test_fuzz_messages import MARK, TRACK

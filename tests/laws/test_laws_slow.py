@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from segmenter.dispatch import Dispatcher, DispatchSettings
+from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from tests.laws.test_laws_histories import calm, memory_folder
 from tests.laws.virtual_graph import REGRESSORS, SETTINGS, Graph, Regressor
 from tests.laws.virtual_overload import view as made_up_view

@@ -17,15 +17,15 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 
-from aggregator.audit import Audit, audit_run
-from aggregator.core import Aggregation
-from aggregator.export import canonical_lines
-from aggregator.ledger import Ledger
+from aggregator.core.machine import Aggregation
+from aggregator.ledger.audit import Audit, audit_run
+from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.writer import Ledger
 from camera_sim.flow import SendWindow
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import CameraInfo, Committed, Frame, FrameProgress, TrackEntry, View, Weight
 from segmenter.camera_run import CameraRun, RunSettings
-from segmenter.dispatch import DispatchSettings
+from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.pipeline import Segmenter, Settings, StepResult
 from tests.laws.faults import Died, Faults, Fuse, Link, TornFile
 from tests.segmenter.segmenter_scene import SMALL, Scene, scattered

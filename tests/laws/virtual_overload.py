@@ -14,7 +14,7 @@ import numpy as np
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame, Track, View, Weight
 from segmenter.camera_run import CameraRun, RunSettings
-from segmenter.dispatch import DispatchSettings
+from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.pipeline import ClosedTrack, Settings, StepResult
 from tests.segmenter.segmenter_scene import SMALL
 

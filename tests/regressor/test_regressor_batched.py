@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.batched import BatchedPointRaft
-from regressor.checkpoint import load_checkpoint
-from regressor.fast import FastPointRaft
-from regressor.grouping import GatheredGroups, group_prefix
+from regressor.network.batched import BatchedPointRaft
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.fast import FastPointRaft
+from regressor.network.grouping import GatheredGroups, group_prefix
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])

@@ -9,12 +9,12 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from regressor.checkpoint import load_checkpoint
-from regressor.edges import live_units
-from regressor.fast import FastPointRaft
-from regressor.grouping import GatheredGroups, group_given, group_prefix
-from regressor.pointraft import PointRaft
-from regressor.sampling import farthest_points, first_in_range
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.edges import live_units
+from regressor.network.fast import FastPointRaft
+from regressor.network.grouping import GatheredGroups, group_given, group_prefix
+from regressor.network.pointraft import PointRaft
+from regressor.network.sampling import farthest_points, first_in_range
 
 NAMES = [
     "c00_n80",

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from regressor.checkpoint import load_checkpoint
-from regressor.export import export_onnx
-from regressor.fast import FastPointRaft, groups_tensor
-from regressor.grouping import SharedGroups, group_prefix
-from regressor.prepare import prepare_view
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.export import export_onnx
+from regressor.network.fast import FastPointRaft, groups_tensor
+from regressor.network.grouping import SharedGroups, group_prefix
+from regressor.weigh.prepare import prepare_view
 from tests.regressor.ellipsoids import ellipsoid_view
 
 pytest.importorskip("onnx")

@@ -12,15 +12,15 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.checkpoint import Sidecar, load_checkpoint, save_checkpoint
-from regressor.cloudfile import read_cloud
-from regressor.commands import import_checkpoint
-from regressor.labelled import read_labelled
-from regressor.pointraft import PointRaft
-from regressor.twin import read_intrinsics, read_pair
-from regressor.weigher import Weigher
-from regressor.weighfiles import FileOptions, weigh_files
+from conveyor.formats.clouds import read_cloud
+from conveyor.formats.twin import read_intrinsics, read_pair
+from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.network.pointraft import PointRaft
+from regressor.training.labelled import read_labelled
+from regressor.weigh.files import FileOptions, weigh_files
+from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m
+from tuberline.cli.model import import_checkpoint
 
 POINTS = np.array([[0.0, 0.1, 0.3], [0.25, -0.5, 0.125], [1.5, 2.0, -3.0]])
 

@@ -19,8 +19,8 @@ from conveyor.delivery import KeptSubscriber, LatestPublisher, Presence, Reliabl
 from conveyor.errors import ConfigError
 from conveyor.messages import Counters, Weight
 from conveyor.node import Node
-from regressor.node import run_regressor
-from regressor.weigher import Weigher, weigh_view
+from regressor.serve.node import run_regressor
+from regressor.weigh.weigher import Weigher, weigh_view
 from tests.conftest import wait_until
 from tests.regressor.ellipsoids import ellipsoid_view
 
@@ -40,7 +40,7 @@ def worker(node: Node, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     path.write_text(dump_toml(node.config))
     presence = Presence(node, "regressor")
     arguments = ["regressor", "--config", str(path), "--name", "r1", "--run", "run"]
-    process = subprocess.Popen([sys.executable, "-m", "conveyor", *arguments])
+    process = subprocess.Popen([sys.executable, "-m", "tuberline", *arguments])
     wait_until(lambda: presence.names() == {"r1"}, what="the worker's token", timeout_s=60)
     yield process
     process.kill()

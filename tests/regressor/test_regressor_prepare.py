@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.prepare import RefusedCloud, clean_depth, prepare_cloud, prepare_view
+from regressor.weigh.prepare import RefusedCloud, clean_depth, prepare_cloud, prepare_view
 from tests.regressor.ellipsoids import ellipsoid_view
 
 

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from conveyor.errors import InputError
-from regressor import drift as drifting
-from regressor.ablate import RULES
-from regressor.cloudset import load_cloudset
-from regressor.drift import SHIFTS, drift, write_drift
-from regressor.evaluate import NETWORK, SHIPPED, evaluate
-from regressor.labelled import read_labelled
-from regressor.page import evaluation_page
-from regressor.recipe import TrainSettings
-from regressor.report import write_report
-from regressor.search import search
-from regressor.split import stratified_split, write_splits
-from regressor.weigher import Weigher
+from regressor.studies import drift as drifting
+from regressor.studies.ablate import RULES
+from regressor.studies.drift import SHIFTS, drift, write_drift
+from regressor.studies.evaluate import NETWORK, SHIPPED, evaluate
+from regressor.studies.page import evaluation_page
+from regressor.studies.report import write_report
+from regressor.studies.search import search
+from regressor.training.cloudset import load_cloudset
+from regressor.training.labelled import read_labelled
+from regressor.training.recipe import TrainSettings
+from regressor.training.split import stratified_split, write_splits
+from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 
 

@@ -12,23 +12,23 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.ablate import RULES, ablate, read_table
-from regressor.augment import Augmentation, augmented_batch
-from regressor.calibration import recalibrate
-from regressor.checkpoint import load_checkpoint
-from regressor.cloudset import CloudSet, load_cloudset
-from regressor.evaluate import LINEAR_BOX, evaluate
-from regressor.pointnet import PointNet
-from regressor.pointraft import PointRaft
-from regressor.recipe import TrainSettings
-from regressor.reduced import Resolution, reduced_forward
-from regressor.report import markdown, summary
-from regressor.sampling import farthest_points
-from regressor.train import Training, class_weights, predict
-from regressor.trainloop import load_state, save_state
-from regressor.trainrun import RunOptions, load_sets, train
-from regressor.volume import fit_volume_rule
-from regressor.weigher import Weigher
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.pointnet import PointNet
+from regressor.network.pointraft import PointRaft
+from regressor.network.reduced import Resolution, reduced_forward
+from regressor.network.sampling import farthest_points
+from regressor.studies.ablate import RULES, ablate, read_table
+from regressor.studies.evaluate import LINEAR_BOX, evaluate
+from regressor.studies.report import markdown, summary
+from regressor.training.augment import Augmentation, augmented_batch
+from regressor.training.calibration import recalibrate
+from regressor.training.cloudset import CloudSet, load_cloudset
+from regressor.training.loop import load_state, save_state
+from regressor.training.recipe import TrainSettings
+from regressor.training.run import RunOptions, load_sets, train
+from regressor.training.train import Training, class_weights, predict
+from regressor.weigh.volume import fit_volume_rule
+from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)

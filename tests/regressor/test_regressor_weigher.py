@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from regressor.calibration import fused_share
-from regressor.checkpoint import Range, Sidecar, load_checkpoint
-from regressor.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
-from regressor.evaluate import load_bias
-from regressor.fast import Form
-from regressor.interval import IntervalRule, calibrate
-from regressor.prepare import prepare_view
-from regressor.viewscale import view_terms
-from regressor.weigher import Weigher, weigh_view
+from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
+from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
+from regressor.network.fast import Form
+from regressor.studies.evaluate import load_bias
+from regressor.training.calibration import fused_share
+from regressor.weigh.interval import IntervalRule, calibrate
+from regressor.weigh.prepare import prepare_view
+from regressor.weigh.viewscale import view_terms
+from regressor.weigh.weigher import Weigher, weigh_view
 from tests.regressor.ellipsoids import DENSITY, ellipsoid_view
 
 AXES = (0.042, 0.033, 0.028)

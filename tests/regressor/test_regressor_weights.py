@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from conveyor.config import parse_config
 from conveyor.errors import InputError, MessageError
-from regressor.checkpoint import SHIPPED, load_checkpoint, save_checkpoint
-from regressor.weigher import Weigher
-from regressor.weights_check import check_weights, reference_clouds
-from regressor.weights_messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
-from regressor.weights_store import Order, WeightsStore
-from regressor.weights_upload import Upload
+from regressor.network.checkpoint import SHIPPED, load_checkpoint, save_checkpoint
+from regressor.serve.check import check_weights, reference_clouds
+from regressor.serve.messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
+from regressor.serve.store import Order, WeightsStore
+from regressor.serve.upload import Upload
+from regressor.weigh.weigher import Weigher
 from tests.fuzz.damage import damaged, outcome, quick
 
 LINE = parse_config({"cameras": {"left": {"belt_distance_m": 0.345}}}, where="test")

@@ -14,7 +14,7 @@ from conveyor.messages import CameraInfo, Frame, Mark, Track, TrackEntry, View, 
 from segmenter.age import FrameAge
 from segmenter.balance import FrameBalance
 from segmenter.camera_run import CameraRun, RunSettings
-from segmenter.dispatch import DispatchSettings
+from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.pipeline import Settings
 
 STEP_M = 0.0133

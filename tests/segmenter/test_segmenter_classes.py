@@ -16,19 +16,19 @@ from segmenter_scene import MEDIUM, Scene, scattered
 from conveyor.config import parse_config
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from segmenter.belt import BeltGeometry
 from segmenter.classes import BELT, REACH, TUBER, ClassMap
-from segmenter.classes_score import LoadScore, LoadTruth
 from segmenter.classes_split import split_by_classes
-from segmenter.counting import CountSettings, class_refusal
-from segmenter.eyes import Eyes, EyesSettings
-from segmenter.heights import HeightMap, height_map
-from segmenter.instances import SplitSettings, described, split
-from segmenter.judge import Judge
+from segmenter.classify.classifier import Judge
+from segmenter.classify.patch import LEAST_LOOKS, Look, Portrait, take_look
+from segmenter.classify.prior import Prior
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import HeightMap, height_map
+from segmenter.frame.instances import SplitSettings, described, split
+from segmenter.perception import Eyes, EyesSettings
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.portrait import LEAST_LOOKS, Look, Portrait, take_look
-from segmenter.prior import Prior
 from segmenter.setup import core_settings
+from segmenter.studies.distractors import LoadScore, LoadTruth
+from segmenter.track.counting import CountSettings, class_refusal
 
 ROOT = Path(__file__).resolve().parents[2]
 BELT_POSE = straight_down_belt_from_camera(0.46)
@@ -228,9 +228,9 @@ def test_what_runs_never_imports_torch() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            assert not [n for n in names if n.split(".")[0] == "torch" or n.startswith("segmenter.learn")], path
+            assert not [n for n in names if n.split(".")[0] == "torch" or n.startswith("segmenter.training")], path
     code = (
-        "import sys\nfrom segmenter.eyes import EyesSettings\nfrom segmenter.pipeline import Segmenter, Settings\n"
+        "import sys\nfrom segmenter.perception import EyesSettings\nfrom segmenter.pipeline import Segmenter, Settings\n"
         "import segmenter.node\nSegmenter(Settings(eyes=EyesSettings('classes')))\nsys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

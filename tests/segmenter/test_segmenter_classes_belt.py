@@ -17,24 +17,24 @@ from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor.errors import InputError
 from segmenter.classes import ClassNet, grid_of
-from segmenter.evaluate import evaluate_recording
-from segmenter.eyes import EyesSettings
-from segmenter.heights import HeightMap
-from segmenter.judge import Judge
-from segmenter.learn.blocks import export_net
-from segmenter.learn.cells_crops import draw_crop, towards_centres
-from segmenter.learn.cells_net import OPEN_AXES, BeltNet
-from segmenter.learn.cells_train import CellsRecipe
-from segmenter.learn.commands import cut_portraits
-from segmenter.learn.cut import cut_pack
-from segmenter.learn.judge_net import JudgeRecipe
-from segmenter.learn.pack import HEIGHT_STEP_MM, load_pack, pack_frames
-from segmenter.learn.portraits import draw_portraits, plain_portraits
-from segmenter.learn.run import EyesRun, make_cells, make_judge
-from segmenter.learn.sitters import INSIDE_BIT, Sitter, origin_of, read_sitters, sitter_files, sitter_of
-from segmenter.offline import segment_recording
+from segmenter.classify.classifier import Judge
+from segmenter.classify.patch import CHANNELS, Look, Portrait
+from segmenter.frame.heights import HeightMap
+from segmenter.perception import EyesSettings
 from segmenter.pipeline import Settings
-from segmenter.portrait import CHANNELS, Look, Portrait
+from segmenter.studies.evaluate import evaluate_recording
+from segmenter.studies.offline import segment_recording
+from segmenter.training.blocks import export_net
+from segmenter.training.cells_crops import draw_crop, towards_centres
+from segmenter.training.cells_net import OPEN_AXES, BeltNet
+from segmenter.training.cells_train import CellsRecipe
+from segmenter.training.classifier_net import JudgeRecipe
+from segmenter.training.cut import cut_pack
+from segmenter.training.pack import HEIGHT_STEP_MM, load_pack, pack_frames
+from segmenter.training.patches import draw_portraits, plain_portraits
+from segmenter.training.run import EyesRun, make_cells, make_judge
+from segmenter.training.samples import INSIDE_BIT, Sitter, origin_of, read_sitters, sitter_files, sitter_of
+from tuberline.cli.train_classifier import cut_portraits
 
 SEED = 4201
 

@@ -11,8 +11,8 @@ import pytest
 from segmenter_scene import SMALL, Scene, scattered
 
 from conveyor.errors import InputError
-from segmenter.commands import calibrate_belt, evaluate_segmentation, segment
-from segmenter.folder import camera_folders, folder_frames
+from conveyor.formats.folder.frames import camera_folders, folder_frames
+from tuberline.cli.segmentation import calibrate_belt, evaluate_segmentation, segment
 
 STEP_M = 0.0133
 BODIES = scattered(6, seed=8)

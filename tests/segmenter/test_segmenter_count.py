@@ -10,8 +10,8 @@ import pytest
 from segmenter_scene import SMALL, Body, Scene, scattered, tilted
 
 from conveyor.messages import Frame
-from segmenter.coverage import Coverage
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings
+from segmenter.track.coverage import Coverage
 
 STEP_M = 0.0133
 

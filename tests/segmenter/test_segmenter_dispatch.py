@@ -10,7 +10,7 @@ from segmenter_scene import SMALL
 
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
-from segmenter.dispatch import Dispatcher, DispatchSettings
+from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 
 
 def view(track: int, rank: int) -> View:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from segmenter.edges import cut_by_unseen
+from segmenter.frame.edges import cut_by_unseen
 
 
 def test_a_label_at_the_end_of_what_was_seen_is_cut_on_that_side_only() -> None:

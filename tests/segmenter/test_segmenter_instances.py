@@ -7,10 +7,10 @@ import pytest
 from segmenter_scene import MEDIUM, SMALL, Body, Scene, scattered, tilted
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from segmenter.belt import BeltGeometry
-from segmenter.evaluate import agreement
-from segmenter.heights import height_map
-from segmenter.instances import Instances, SplitSettings, full_resolution, given, split
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import height_map
+from segmenter.frame.instances import Instances, SplitSettings, full_resolution, given, split
+from segmenter.studies.evaluate import agreement
 
 WIDE = Intrinsics(1280, 720, 653.763, 652.116, 643.484, 366.065)
 ODD = Intrinsics(643, 481, 600.0, 590.0, 330.0, 236.0)

@@ -10,9 +10,9 @@ from segmenter_scene import MEDIUM, SMALL, Scene, scattered, tilted
 
 from conveyor.errors import InputError
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
-from segmenter.belt import BeltGeometry
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.plane import fit_plane, given_or_fitted, plane_pose
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.plane import fit_plane, given_or_fitted, plane_pose
 
 
 @pytest.mark.parametrize("pose", [straight_down_belt_from_camera(0.345), tilted(0.46, 6, -4), tilted(0.6, -10)])

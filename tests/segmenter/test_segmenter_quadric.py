@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from segmenter.portrait import CELL_MM, SIZE
-from segmenter.quadric import FEWEST, departures
+from segmenter.classify.patch import CELL_MM, SIZE
+from segmenter.classify.quadric import FEWEST, departures
 
 SEED = 5102
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from segmenter.age import FrameAge
-from segmenter.seams import SeamSettings, sew
+from segmenter.frame.seams import SeamSettings, sew
 
 
 def two_domes(*, valley_mm: float, step_mm: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -8,12 +8,12 @@ from segmenter_scene import MEDIUM, Body, Scene
 
 from benchmarks.eyes_table import counting_table, shortfalls
 from conveyor.geometry import straight_down_belt_from_camera
-from segmenter.belt import BeltGeometry
-from segmenter.counting import CountSettings, shape_refusal
-from segmenter.heights import height_map
-from segmenter.instances import SplitSettings, split
-from segmenter.track import Hit, TrackState
-from segmenter.views import ViewShelf
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import height_map
+from segmenter.frame.instances import SplitSettings, split
+from segmenter.track.counting import CountSettings, shape_refusal
+from segmenter.track.track import Hit, TrackState
+from segmenter.track.views import ViewShelf
 
 
 def track(*, frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float) -> TrackState:

@@ -12,9 +12,9 @@ from segmenter_scene import SMALL, Scene, scattered, tilted
 from conveyor.belt_findings import belt_findings
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame
+from segmenter.frame.plane import check_belt, fit_plane
+from segmenter.frame.watch import BeltWatch
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.plane import check_belt, fit_plane
-from segmenter.watch import BeltWatch
 
 STEP_M = 0.0133
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, Counters, Totals
-from viewer.page.look import Flow, Look, NodeLook, PastLoad
+from viewer.page.state import Flow, Look, NodeLook, PastLoad
 
 LENS = Intrinsics(848, 480, 430.0, 430.0, 423.5, 239.5)
 HISTOGRAM = (310, 2105, 3420, 2890, 1660, 720, 300, 120, 44, 15, 4, 2)

@@ -18,12 +18,12 @@ from conveyor.observer import Observer
 
 CALL_WATCH = """
 import sys
-from viewer.commands import watch
+from tuberline.cli.viewer import watch
 watch(sys.argv[1], profile="full", web=True, hub_port=int(sys.argv[2]), page_port=int(sys.argv[3]))
 """
 
 
-def refused(tmp_path: Path, *options: str, python: tuple[str, ...] = ("-m", "conveyor")) -> str:
+def refused(tmp_path: Path, *options: str, python: tuple[str, ...] = ("-m", "tuberline")) -> str:
     """What `tuberline viewer` says on stderr before it exits with 2."""
     config = tmp_path / "line.toml"
     config.write_text(f'[link]\nrouter = "tcp/127.0.0.1:{line.free_port()}"\nconnect_timeout_s = 0.2\n')
@@ -34,7 +34,7 @@ def refused(tmp_path: Path, *options: str, python: tuple[str, ...] = ("-m", "con
 
 
 def test_without_rerun_the_error_is_the_command_that_mends_it(tmp_path: Path) -> None:
-    hidden = "import sys; sys.modules['rerun'] = None; from conveyor.cli import main; main()"
+    hidden = "import sys; sys.modules['rerun'] = None; from tuberline.cli import main; main()"
     assert "pip install 'tuberline[viewer]'" in refused(tmp_path, "--rrd", "x.rrd", python=("-c", hidden))
 
 
@@ -68,7 +68,7 @@ def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 
 def test_watch_without_a_line_is_refused() -> None:
     from conveyor.errors import ConfigError
-    from viewer.commands import watch
+    from tuberline.cli.viewer import watch
 
     with pytest.raises(ConfigError, match="--config"):
         watch()
@@ -78,7 +78,7 @@ def test_watch_without_a_line_is_refused() -> None:
 def test_watch_serves_a_page_on_this_machine_and_feeds_its_hub(tmp_path: Path) -> None:
     """The page answers, and what the hub hands to a second reader is what the line said."""
     pytest.importorskip("rerun")
-    from viewer.launch import native_program
+    from viewer.rerun.launch import native_program
 
     tubers = line.potatoes(3, seed=31)
     hub, page = line.free_port(), line.free_port()

@@ -21,7 +21,7 @@ from conveyor.observer import Observer
 pytest.importorskip("rerun")
 pytestmark = pytest.mark.graph
 
-from viewer.launch import Ports, RerunProgram  # noqa: E402
+from viewer.rerun.launch import Ports, RerunProgram  # noqa: E402
 
 
 @contextlib.contextmanager

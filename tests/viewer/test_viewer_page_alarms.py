@@ -9,8 +9,8 @@ import pytest
 
 from tests.viewer.page_looks import camera_info, good_look, node, segmenter, totals, with_node
 from viewer.page.alarms import alarms
-from viewer.page.look import STALE_S, Look
 from viewer.page.snapshot import FORGET_GONE_S, MAX_NODES, snapshot
+from viewer.page.state import STALE_S, Look
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, span
 
 

@@ -16,7 +16,6 @@ import pytest
 
 from conveyor import topics
 from conveyor.access import line_identities
-from conveyor.cli import build_app
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.delivery import KeptPublisher, LatestPublisher
 from conveyor.errors import ConfigError
@@ -24,6 +23,7 @@ from conveyor.messages import Travel
 from conveyor.node import Node
 from tests.conftest import wait_until
 from tests.viewer.viewer_line import camera_info, free_port, potatoes, totals
+from tuberline.cli import build_app
 
 RUN = "load-7"
 PATIENCE_S = 60.0
@@ -51,7 +51,7 @@ class Page:
 @contextmanager
 def page(link: LinkConfig, port: int, *lines: str) -> Iterator[Page]:
     """The page of some lines at one router."""
-    command = [sys.executable, "-m", "conveyor", "page", "--connect", link.router, "--listen", f"127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "tuberline", "page", "--connect", link.router, "--listen", f"127.0.0.1:{port}"]
     process = subprocess.Popen([*command, *(word for line in lines for word in ("--line", line))])
     try:
         yield Page(process, port)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from viewer.rvl import encode_rvl
+from conveyor.formats.rvl_encoder import encode_rvl
 
 
 def decode_rvl(blob: bytes) -> NDArray[np.uint16]:

@@ -10,13 +10,27 @@ import viewer_line as line
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Counters, Travel
-from viewer.belt_scene import RIDE_ON_M, BeltScene
-from viewer.health_scene import HealthScene
-from viewer.load_scene import LoadScene, page
-from viewer.marks import Bars, Box, Cloud, DepthPicture, Entry, Gone, Lens, LogLine, Measured, Moment, Page, Pose, State
-from viewer.profiles import PROFILES
-from viewer.shapes import footprint_m
-from viewer.travel_log import TravelLog
+from viewer.rerun.belt_scene import RIDE_ON_M, BeltScene
+from viewer.rerun.health_scene import HealthScene
+from viewer.rerun.load_scene import LoadScene, page
+from viewer.rerun.primitives import (
+    Bars,
+    Box,
+    Cloud,
+    DepthPicture,
+    Entry,
+    Gone,
+    Lens,
+    LogLine,
+    Measured,
+    Moment,
+    Page,
+    Pose,
+    State,
+)
+from viewer.rerun.profiles import PROFILES
+from viewer.rerun.shapes import footprint_m
+from viewer.rerun.travel_log import TravelLog
 
 
 def one(entries: list[Entry], kind: type) -> Entry:

@@ -187,7 +187,7 @@ def within(seconds: float, condition: Callable[[], bool], what: str) -> None:
 def router() -> Iterator[LinkConfig]:
     """A router process, and the link to it."""
     link = LinkConfig(router=f"tcp/127.0.0.1:{free_port()}")
-    command = [sys.executable, "-m", "conveyor", "router", "--listen", link.router]
+    command = [sys.executable, "-m", "tuberline", "router", "--listen", link.router]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     try:
         yield link
@@ -231,7 +231,7 @@ def viewer(link: LinkConfig, tmp_path: Path, *options: str) -> Iterator[ViewerPr
     """A viewer process on line 'line' that has announced itself."""
     config = tmp_path / "line.toml"
     config.write_text(f'[link]\nrouter = "{link.router}"\n')
-    command = [sys.executable, "-m", "conveyor", "viewer", "--config", str(config), "--name", "test", *options]
+    command = [sys.executable, "-m", "tuberline", "viewer", "--config", str(config), "--name", "test", *options]
     with Observer(link, line="line") as observer:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
         try:

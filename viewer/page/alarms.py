@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from viewer.page.camera_alarms import camera_alarms
-from viewer.page.look import STALE_S, Look
+from viewer.page.state import STALE_S, Look
 from viewer.page.words import AGGREGATOR_MEND, AGGREGATOR_REFUSALS, span
 
 Level = Literal["trouble", "look", "note"]

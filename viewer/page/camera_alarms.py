@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from viewer.page.look import Look, NodeLook
+from viewer.page.state import Look, NodeLook
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, plain, span
 
 Found = tuple[str, bool, str, str]

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from conveyor.messages import Totals, Travel
-from viewer.page.look import Flow
+from viewer.page.state import Flow
 
 QUIET_S = 15.0
 """No tuber for so long: nothing comes. The totals' own rate stays what it was at the last tuber."""

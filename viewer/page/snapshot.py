@@ -8,7 +8,7 @@ from typing import Any
 
 from conveyor.messages import CameraInfo, Totals
 from viewer.page.alarms import Alarm, alarms
-from viewer.page.look import STALE_S, Look, NodeLook
+from viewer.page.state import STALE_S, Look, NodeLook
 from viewer.page.words import dropped, lost
 
 FORGET_GONE_S = 600.0

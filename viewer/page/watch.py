@@ -18,7 +18,7 @@ from conveyor.messages import CameraInfo, Counters, Totals, Travel
 from conveyor.observer import Observer
 from viewer.page.flow import BeltSpeed, LoadFlow, flow
 from viewer.page.growth import Growth
-from viewer.page.look import Look, NodeLook, PastLoad
+from viewer.page.state import Look, NodeLook, PastLoad
 
 LOOK_EVERY_S = 0.25
 TELL_EVERY_S = 1.0

@@ -1,0 +1,1 @@
+"""What a scale said of loads, and what follows for the loads to come."""

@@ -1,0 +1,1 @@
+"""The pure part: entries in, tubers out; merging, fusion, totals, coverage."""

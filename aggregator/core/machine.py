@@ -1,0 +1,309 @@
+"""The aggregator's state machine: entries in, tubers out, each once.
+
+Values and a clock in, values out. `receive` applies entries in the order of their log, `commit` says what has become
+certain since; the caller writes that batch to the ledger and only then acknowledges. Because a tuber becomes certain
+when the cameras' marks say so, and its block of the belt is resolved as a whole, the ledger does not depend on the
+order in which entries of different cameras arrive, nor on when `commit` is called.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
+from aggregator.core.cameras import LINE_SLACK_M, Cameras
+from aggregator.core.matching import one_to_one
+from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
+from aggregator.core.tubers import make_tuber
+from conveyor.messages import Mark, Track, TrackEntry, Tuber
+
+MAX_PENDING = 100_000
+"""Tracks (about 250 MB) that may wait for another camera's marks; beyond it nobody is waited for."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommittedTuber:
+    """What is needed of a committed tuber to recognise a late track of it: place, and (camera, first, last seq)."""
+
+    tuber_id: int
+    place_x_m: float
+    place_y_m: float
+    members: tuple[tuple[str, int, int], ...]
+
+
+class CommittedTubers(Protocol):
+    """What the ledger knows; asked only about late and repeated tracks."""
+
+    def near(self, low_x_m: float, high_x_m: float) -> Sequence[CommittedTuber]:
+        """Committed tubers of this run whose place lies between the two."""
+        ...
+
+    def knows_track(self, track_id: str) -> bool:
+        """A track of that id is in the ledger."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """Where a track's entry went: 'counted' with a tuber, 'late_duplicate' of one, 'repeat' of a known track."""
+
+    camera: str
+    n: int
+    track_id: str
+    role: str
+    tuber_id: int | None
+    place_x_m: float
+    place_y_m: float
+    first_seq: int
+    last_seq: int
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """An entry as applied. A track at `late_from_x_m` or further along came after its place was committed."""
+
+    logged: LoggedEntry
+    late_from_x_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class PendingTrack:
+    """A track that is in the ledger's entries, but not yet in a tuber."""
+
+    camera: str
+    n: int
+    track: Track
+    late_from_x_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Everything that one transaction makes durable."""
+
+    entries: tuple[Applied, ...]
+    tubers: tuple[Tuber, ...]
+    observations: tuple[Observation, ...]
+    line_x_m: float
+
+    @property
+    def empty(self) -> bool:
+        """Nothing new to write."""
+        return not (self.entries or self.tubers or self.observations)
+
+
+@dataclass(slots=True)
+class Restored:
+    """A run as the ledger holds it: what `Aggregation` needs to go on."""
+
+    logs: dict[str, CameraLog] = field(default_factory=dict)
+    marks: dict[str, list[Mark]] = field(default_factory=dict)
+    pending: list[PendingTrack] = field(default_factory=list)
+    tubers: int = 0
+    line_x_m: float = math.inf
+
+
+class Aggregation:
+    """One run of one line.
+
+    Args:
+        cameras: names of all cameras that are expected.
+        committed: what the ledger knows.
+        restored: the run's state from the ledger, or None for a new run.
+        count: called with the name of every countable event.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        *,
+        cameras: Sequence[str],
+        merge_gate_mm: float,
+        camera_stall_s: float,
+        committed: CommittedTubers,
+        now_s: float,
+        restored: Restored | None = None,
+        count: Callable[[str], None] = lambda name: None,
+    ) -> None:
+        state = restored or Restored()
+        self.run = run
+        self.cameras = Cameras(tuple(cameras), stall_s=camera_stall_s, now_s=now_s)
+        self._gate = Gate(merge_gate_mm)
+        self._committed = committed
+        self._count = count
+        self._logs = {name: state.logs.get(name, CameraLog()) for name in self.cameras.names}
+        self._unplaced = list(state.pending)
+        self._known = {pending.track.track_id for pending in state.pending}
+        self._placed: list[PlacedTrack] = []
+        self._entries: list[Applied] = []
+        self._observations: list[Observation] = []
+        self._tubers = state.tubers
+        self._line_x_m = state.line_x_m
+        for name, marks in state.marks.items():
+            for mark in marks:
+                self.cameras.marked(name, mark)
+
+    @property
+    def pending(self) -> int:
+        """Tracks that wait for marks of other cameras."""
+        return len(self._unplaced) + len(self._placed)
+
+    @property
+    def finished(self) -> bool:
+        """Every camera ended and every tuber is committed."""
+        return self.cameras.final and not self.pending
+
+    @property
+    def waiting(self) -> int:
+        """Entries that wait for an earlier one of their log."""
+        return sum(len(log.waiting) for log in self._logs.values())
+
+    def applied(self) -> dict[str, int]:
+        """How far each camera's log is applied; to be acknowledged once the batch is durable."""
+        return {name: log.applied for name, log in self._logs.items()}
+
+    def receive(self, entry: TrackEntry, *, now_s: float) -> Taken:
+        """Take one entry as it arrives: in any order, any number of times."""
+        taken, ready = self._take(entry)
+        if taken is not Taken.APPLIED:
+            self._count(taken)
+        if taken in (Taken.APPLIED, Taken.WAITING):
+            self.cameras.heard(entry.camera, entry, now_s)
+        for logged in ready:
+            self._count(Taken.APPLIED)
+            self._apply(logged)
+        return taken
+
+    def _take(self, entry: TrackEntry) -> tuple[Taken, list[LoggedEntry]]:
+        if entry.run != self.run:
+            return Taken.OTHER_RUN, []
+        if entry.camera not in self._logs:
+            return Taken.UNKNOWN_CAMERA, []
+        return self._logs[entry.camera].take(entry)
+
+    def _apply(self, logged: LoggedEntry) -> None:
+        entry = logged.entry
+        self._entries.append(Applied(logged, self._line_x_m))
+        if entry.mark is not None:
+            self.cameras.marked(entry.camera, entry.mark)
+        elif entry.track is not None:
+            self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._line_x_m))
+
+    def _add_track(self, pending: PendingTrack) -> None:
+        track = pending.track
+        if track.track_id in self._known or self._committed.knows_track(track.track_id):
+            self._count("tracks_repeated")
+            self._observe(PlacedTrack(pending.camera, pending.n, track, track.place_x_m, track.y_m), "repeat", None)
+        else:
+            self._known.add(track.track_id)
+            self._unplaced.append(pending)
+
+    def commit(self, *, now_s: float) -> Batch:
+        """What has become certain: the entries applied since the last call and the tubers that are complete now."""
+        crowded = self.pending > MAX_PENDING
+        if crowded:
+            self._count("pending_limit_reached")
+        watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
+        self._line_x_m = min(self._line_x_m, watermark_x_m + LINE_SLACK_M)
+        self._place()
+        tubers = self._complete_tubers()
+        batch = Batch(tuple(self._entries), tuple(tubers), tuple(self._observations), self._line_x_m)
+        self._entries, self._observations = [], []
+        return batch
+
+    def _place(self) -> None:
+        """Give tracks their place on the line's travel; sort out those whose tuber was committed before."""
+        placed: list[PlacedTrack] = []
+        unplaced, self._unplaced = self._unplaced, []
+        for pending in unplaced:
+            track = pending.track
+            x_m = self.cameras.place_x_m(
+                pending.camera,
+                track.place_x_m,
+                t_ns=track.crossed_ns,
+                own_travel_m=track.travel_m,
+                estimated=track.travel_estimated,
+            )
+            if x_m is None:
+                self._unplaced.append(pending)
+            else:
+                is_late = x_m >= pending.late_from_x_m
+                placed.append(PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=is_late))
+        late = sorted((track for track in placed if track.late), key=lambda track: track.order)
+        duplicates = self._late_duplicates(late)
+        for seen in placed:
+            if seen.late:
+                self._count("tracks_late")
+            if (tuber_id := duplicates.get(seen.track.track_id)) is not None:
+                self._count("tracks_late_duplicate")
+                self._observe(seen, "late_duplicate", tuber_id)
+            else:
+                self._placed.append(seen)
+
+    def _late_duplicates(self, late: Sequence[PlacedTrack]) -> dict[str, int]:
+        """Track id to tuber id for the late tracks whose tuber is committed; one to one for each camera."""
+        found: dict[str, int] = {}
+        for camera in sorted({track.camera for track in late}):
+            groups = rejoined([track for track in late if track.camera == camera], self._gate)
+            places = [track.place_x_m for group in groups for track in group.members]
+            reach_m = self._gate.widest_m
+            tubers = list(self._committed.near(min(places) - reach_m, max(places) + reach_m))
+            cost = np.array([[self._late_group_cost(group, tuber) for tuber in tubers] for group in groups])
+            for i, j in one_to_one(cost.reshape(len(groups), len(tubers))):
+                found.update({track.track.track_id: tubers[j].tuber_id for track in groups[i].members})
+        return found
+
+    def _late_group_cost(self, group: Group, tuber: CommittedTuber) -> float:
+        costs = [self._late_cost(track, tuber) for track in group.members]
+        return math.inf if math.inf in costs else min(costs)
+
+    def _late_cost(self, track: PlacedTrack, tuber: CommittedTuber) -> float:
+        seen = track.track
+        for camera, first_seq, last_seq in tuber.members:
+            if camera == track.camera and seen.first_seq <= last_seq and first_seq <= seen.last_seq:
+                return math.inf
+        dx_m, dy_m = track.place_x_m - tuber.place_x_m, track.place_y_m - tuber.place_y_m
+        return math.hypot(dx_m / self._gate.x_m(seen, seen), dy_m / self._gate.y_m(seen, seen))
+
+    def _complete_tubers(self) -> list[Tuber]:
+        """Tubers of the blocks that nothing can join any more, in order along the belt."""
+        certain = [track for track in self._placed if track.place_x_m >= self._line_x_m]
+        tubers: list[Tuber] = []
+        done: set[str] = set()
+        for block in blocks(certain, self._gate):
+            if min(track.place_x_m for track in block) - self._gate.widest_m < self._line_x_m:
+                break
+            for group in merge(block, self._gate):
+                self._tubers += 1
+                tuber = make_tuber(group, run=self.run, tuber_id=self._tubers)
+                tubers.append(tuber)
+                self._count("tubers_committed")
+                if len(group.members) > 1:
+                    self._count("tubers_merged")
+                for member in group.members:
+                    self._observe(member, "counted", tuber.tuber_id)
+            done.update(track.track.track_id for track in block)
+        self._placed = [track for track in self._placed if track.track.track_id not in done]
+        return tubers
+
+    def _observe(self, placed: PlacedTrack, role: str, tuber_id: int | None) -> None:
+        track = placed.track
+        if role != "repeat":
+            self._known.discard(track.track_id)
+        self._observations.append(
+            Observation(
+                camera=placed.camera,
+                n=placed.n,
+                track_id=track.track_id,
+                role=role,
+                tuber_id=tuber_id,
+                place_x_m=placed.place_x_m,
+                place_y_m=placed.place_y_m,
+                first_seq=track.first_seq,
+                last_seq=track.last_seq,
+            )
+        )

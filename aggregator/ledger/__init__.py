@@ -1,0 +1,1 @@
+"""The ledger on disk: written once, checked, read, repaired, exported."""

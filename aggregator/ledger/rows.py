@@ -1,0 +1,105 @@
+"""Messages as rows of the ledger, and back. Lists are kept as JSON text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from aggregator.core.machine import Applied, Observation
+from aggregator.ledger.schema import row
+from conveyor.messages import Mark, Tuber
+
+
+def entry_row(applied: Applied) -> tuple[Any, ...]:
+    """Row of table `entry`."""
+    entry = applied.logged.entry
+    kind = "mark" if entry.mark is not None else "track"
+    return row((entry.run, entry.camera, entry.n, kind, applied.late_from_x_m, applied.logged.payload))
+
+
+def tuber_row(tuber: Tuber) -> tuple[Any, ...]:
+    """Row of table `tuber`."""
+    return row(
+        (
+            tuber.run,
+            tuber.tuber_id,
+            tuber.crossed_ns,
+            float(tuber.place_x_m),
+            float(tuber.place_y_m),
+            float(tuber.weight_g),
+            float(tuber.low_g),
+            float(tuber.high_g),
+            float(tuber.length_mm),
+            float(tuber.width_mm),
+            float(tuber.height_mm),
+            tuber.views,
+            tuber.method,
+            tuber.model,
+            json.dumps(tuber.flags),
+            json.dumps(tuber.cameras),
+            json.dumps(tuber.tracks),
+        )
+    )
+
+
+def tuber_from(columns: Sequence[Any]) -> Tuber:
+    """The tuber of a row (columns in the table's order, `crc` left out)."""
+    run, tuber_id, crossed_ns, *numbers = columns[:11]
+    views, method, model, flags, cameras, tracks = columns[11:17]
+    x_m, y_m, weight_g, low_g, high_g, length_mm, width_mm, height_mm = numbers
+    return Tuber(
+        tuber_id=tuber_id,
+        run=run,
+        crossed_ns=crossed_ns,
+        place_x_m=x_m,
+        place_y_m=y_m,
+        weight_g=weight_g,
+        low_g=low_g,
+        high_g=high_g,
+        length_mm=length_mm,
+        width_mm=width_mm,
+        height_mm=height_mm,
+        views=views,
+        method=method,
+        model=model,
+        flags=tuple(json.loads(flags)),
+        cameras=tuple(json.loads(cameras)),
+        tracks=tuple(json.loads(tracks)),
+    )
+
+
+def observation_row(run: str, seen: Observation) -> tuple[Any, ...]:
+    """Row of table `observation`."""
+    return row(
+        (
+            run,
+            seen.camera,
+            seen.n,
+            seen.track_id,
+            seen.role,
+            seen.tuber_id,
+            float(seen.place_x_m),
+            float(seen.place_y_m),
+            seen.first_seq,
+            seen.last_seq,
+        )
+    )
+
+
+def coverage_row(run: str, camera: str, n: int, mark: Mark) -> tuple[Any, ...]:
+    """Row of table `coverage`."""
+    return row(
+        (
+            run,
+            camera,
+            n,
+            mark.captured_ns,
+            float(mark.travel_m),
+            int(mark.travel_estimated),
+            float(mark.complete_place_x_m),
+            int(mark.final),
+            float(mark.looked_at_m),
+            float(mark.travelled_m),
+        )
+    )

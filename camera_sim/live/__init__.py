@@ -1,0 +1,1 @@
+"""Live cameras: RealSense, and ROS 2 over Zenoh."""

@@ -1,5 +1,0 @@
-"""What is wrong with a line or the machine under it, and how to mend it."""
-
-from conveyor.doctor.finding import Finding, Level, worst
-
-__all__ = ["Finding", "Level", "worst"]

@@ -1,0 +1,122 @@
+"""From one recording format to another, losing nothing: depth, masks, colour, times, travel, truth."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from conveyor.errors import InputError
+from conveyor.formats import Refused, Source, camera_names, open_source
+from conveyor.formats.detect import recording_kind
+from conveyor.formats.folder.writer import FolderWriter, write_line_file
+from conveyor.formats.mcap.layout import ATTACHMENTS
+from conveyor.formats.merged import in_time
+from conveyor.formats.target import TargetFormat, target_format
+from conveyor.messages import Frame
+
+
+@dataclass(frozen=True, slots=True)
+class Converted:
+    """How many frames were written, and how many could not be read, by reason, with the first texts."""
+
+    frames: int
+    refused: dict[str, int]
+    texts: tuple[str, ...]
+
+
+def convert_recording(
+    source: Path,
+    target: Path,
+    *,
+    form: TargetFormat = "auto",
+    belt_distance_m: float | None = None,
+    depth_scale_m: float | None = None,
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Converted:
+    """Write the recording at `source` to `target` in the format `form`; 'auto' goes by the name of `target`.
+
+    Frames keep their numbers, times, travel and bytes; colour in PNG files becomes JPEG, the only loss.
+
+    Raises:
+        InputError: `source` unusable, `target` there already, or a depth scale that contradicts the belt distance
+            (give the right one).
+    """
+    if target.exists():
+        raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
+    sources = [
+        open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
+        for name in camera_names(source)
+    ]
+    total = sum(one.description.frames or 0 for one in sources)
+    refused: Counter[str] = Counter()
+    texts: list[str] = []
+    done = 0
+    chosen = target_format(target, form)
+    with ExitStack() as stack:
+        write = _WRITERS[chosen](stack, source, target, sources)
+        for item in in_time(sources, run="recorded"):
+            if isinstance(item, Refused):
+                refused[item.reason] += 1
+                texts.append(item.text)
+            else:
+                write(item)
+                done += 1
+            on_frame(done + refused.total(), total)
+    if chosen == "folder":
+        _write_files(source, target, [one.description.name for one in sources])
+    return Converted(done, dict(refused), tuple(texts[:10]))
+
+
+def _to_mcap(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+    from conveyor.formats.mcap.writer import McapFrameWriter
+
+    writer = stack.enter_context(McapFrameWriter(target))
+    for one in sources:
+        writer.add_camera(one.description.name, fps=one.description.fps)
+    for name, data in _files(source).items():
+        writer.attach(name, data)
+    return writer.write
+
+
+def _to_ros2(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+    from conveyor.formats.ros2.writer import Ros2McapWriter
+
+    writer = stack.enter_context(Ros2McapWriter(target))
+    for one in sources:
+        writer.add_camera(one.description)
+    for name, data in _files(source).items():
+        writer.attach(name, data)
+    return writer.write
+
+
+def _to_folder(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+    writers = {one.description.name: stack.enter_context(FolderWriter(target, one.description)) for one in sources}
+    return lambda frame: writers[frame.camera].write(frame)
+
+
+_WRITERS = {"folder": _to_folder, "mcap": _to_mcap, "ros2": _to_ros2}
+
+
+def _files(source: Path) -> dict[str, bytes]:
+    """truth.json and line.json, where the recording has them."""
+    if recording_kind(source) in ("mcap", "ros2-export"):
+        from conveyor.formats.mcap.reader import mcap_attachments
+
+        return mcap_attachments(source)
+    return {name: (source / name).read_bytes() for name in ATTACHMENTS if (source / name).is_file()}
+
+
+def _write_files(source: Path, target: Path, cameras: list[str]) -> None:
+    files = _files(source)
+    for name, data in files.items():
+        (target / name).write_bytes(data)
+    if "line.json" not in files:
+        write_line_file(target, cameras, belt_speed_mps=None)
+    else:
+        known = json.loads(files["line.json"]).get("cameras", [])
+        if sorted(known) != sorted(cameras):
+            write_line_file(target, cameras, belt_speed_mps=None)

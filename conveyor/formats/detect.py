@@ -1,0 +1,177 @@
+"""Which kind of recording a path is, and its cameras."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from conveyor.errors import InputError
+from conveyor.formats.source import CameraDescription, RecordedSource, Source
+
+Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
+LOOKED_FOR = (
+    "a folder recording (<camera>/camera.json and frames.csv, or such a camera folder itself)",
+    "an MCAP recording (*.mcap)",
+    "a 3DPotatoTwin folder (1_rgbd/1_image)",
+    "a ROS bag (*.bag, *.db3, *.mcap of ROS or Foxglove, or a bag's folder with metadata.yaml)",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a path holds: its kind and its cameras, in the recording's own order."""
+
+    path: Path
+    kind: Kind
+    cameras: tuple[CameraDescription, ...]
+
+
+def describe_recording(path: Path) -> Recording:
+    """Look at every camera of the recording at `path`; reads no more than the first frames.
+
+    Raises:
+        InputError: no recording of a known kind, or one that cannot be used; the text lists what was looked for.
+    """
+    kind = recording_kind(path)
+    return Recording(path, kind, tuple(open_unchecked(path, kind, name).description for name in camera_names(path)))
+
+
+def camera_names(path: Path) -> tuple[str, ...]:
+    """The cameras of the recording at `path`, in its own order."""
+    kind = recording_kind(path)
+    if kind == "folder":
+        return tuple(_folders(path))
+    if kind == "mcap":
+        from conveyor.formats.mcap.reader import mcap_channels
+
+        return tuple(channel.camera for channel in mcap_channels(path) if channel.messages)
+    if kind == "rosbag":
+        from conveyor.formats.rosbag.reader import bag_cameras
+
+        return bag_cameras(path)
+    if kind == "ros2-export":
+        from conveyor.formats.ros2.reader import exported_cameras
+
+        return tuple(sorted(exported_cameras(path)))
+    from conveyor.formats.potatotwin import seasons
+
+    return seasons(path)
+
+
+def open_source(
+    path: Path,
+    *,
+    camera: str | None = None,
+    name: str | None = None,
+    belt_distance_m: float | None = None,
+    depth_scale_m: float | None = None,
+    ignore_masks: bool = False,
+) -> Source:
+    """The frames of one camera of a recording, its depth scale checked against its belt distance.
+
+    Args:
+        camera: which one; may be left out where there is only one. Of a ROS bag also a depth topic ('/...').
+        name: what the line calls it; default: the recording's own name.
+        belt_distance_m, depth_scale_m: instead of what the recording says.
+        ignore_masks: leave out the recording's own masks.
+
+    Raises:
+        InputError: no recording of a known kind, no such camera, or one that cannot be used.
+    """
+    from conveyor.formats.prepared import PreparedSource
+
+    kind = recording_kind(path)
+    by_topic = kind == "rosbag" and camera is not None and camera.startswith("/")
+    chosen = camera if by_topic and camera else _choose(path, list(camera_names(path)), camera)
+    inner = open_unchecked(path, kind, chosen)
+    return PreparedSource(
+        inner,
+        where=str(path),
+        name=name,
+        belt_distance_m=belt_distance_m,
+        depth_scale_m=depth_scale_m,
+        ignore_masks=ignore_masks,
+    )
+
+
+def recording_kind(path: Path) -> Kind:
+    """Which kind of recording is at `path`."""
+    if not path.exists():
+        raise InputError(f"{path} does not exist")
+    if path.is_file():
+        if path.suffix in (".bag", ".db3"):
+            return "rosbag"
+        with path.open("rb") as file:
+            if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
+                return _mcap_kind(path)
+    elif (path / "1_rgbd" / "1_image").is_dir():
+        return "3dpotatotwin"
+    elif (path / "metadata.yaml").is_file():
+        return "rosbag"
+    elif _folders(path):
+        return "folder"
+    raise InputError(f"{path} is no recording Tuberline knows; looked for: " + "; ".join(LOOKED_FOR))
+
+
+def _mcap_kind(path: Path) -> Kind:
+    """Ours where it has a channel of ours; a bag where it has others."""
+    from conveyor.formats.mcap.reader import foreign_channels, mcap_channels
+    from conveyor.formats.ros2.reader import exported_cameras
+
+    if mcap_channels(path) or not foreign_channels(path):
+        return "mcap"
+    return "ros2-export" if exported_cameras(path) else "rosbag"
+
+
+def _choose(path: Path, known: list[str], camera: str | None) -> str:
+    if not known:
+        raise InputError(f"{path} holds no frames of any camera")
+    if camera is None and len(known) == 1:
+        return known[0]
+    if camera is None:
+        raise InputError(f"{path} has several cameras: name one of {', '.join(known)}")
+    if camera not in known:
+        raise InputError(f"{path} has no camera '{camera}'; known: {', '.join(known)}")
+    return camera
+
+
+def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
+    """The source as it is recorded: for those who look for faults."""
+    if kind == "folder":
+        from conveyor.formats.folder.reader import FolderSource
+
+        return FolderSource(_folders(path)[camera])
+    if kind == "mcap":
+        from conveyor.formats.mcap.reader import McapSource
+
+        return McapSource(path, camera)
+    if kind == "rosbag":
+        from conveyor.formats.rosbag.reader import RosBagSource
+
+        return RosBagSource(path, camera)
+    if kind == "ros2-export":
+        from conveyor.formats.ros2.reader import Ros2ExportSource
+
+        return Ros2ExportSource(path, camera)
+    from conveyor.formats.potatotwin import PotatoTwinSource
+
+    return PotatoTwinSource(path, camera)
+
+
+def _folders(path: Path) -> dict[str, Path]:
+    """Camera folders by camera name."""
+    if (path / "camera.json").is_file():
+        return {path.name: path}
+    line = path / "line.json"
+    if not line.is_file():
+        return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
+    try:
+        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8"))["cameras"]]
+    except (ValueError, RecursionError, KeyError, TypeError) as error:
+        raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
+    for name in names:
+        if not (path / name / "camera.json").is_file():
+            raise InputError(f"{line} names camera '{name}', but {path / name / 'camera.json'} does not exist")
+    return {name: path / name for name in names}

@@ -1,0 +1,174 @@
+"""The plain folder recording: its files and the checks on them (docs: FORMATS, section 1)."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from conveyor.errors import InputError
+from conveyor.formats.source import CameraDescription
+from conveyor.geometry import Intrinsics
+
+COLUMNS = ["seq", "captured_ns", "travel_m"]
+
+
+class CameraFile(BaseModel):
+    """camera.json."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    name: str
+    width: int = Field(gt=0, le=16384)
+    height: int = Field(gt=0, le=16384)
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+    depth_scale_m: float = Field(gt=0, le=0.01)
+    belt_distance_m: float | None = Field(None, gt=0, le=10)
+    belt_from_camera: list[list[float]] | None = None
+    fps: float = Field(30.0, gt=0, le=1000)
+
+    @field_validator("belt_from_camera", mode="before")
+    @classmethod
+    def _rows(cls, value: Any) -> Any:
+        """16 numbers in one list are the rows of the matrix one after the other."""
+        flat = isinstance(value, list) and len(value) == 16 and not any(isinstance(item, list) for item in value)
+        return [value[at : at + 4] for at in range(0, 16, 4)] if flat else value
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRow:
+    """One line of frames.csv."""
+
+    seq: int
+    captured_ns: int
+    travel_m: float | None
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """camera.json at `path`.
+
+    Raises:
+        InputError: missing, not JSON, or without what it takes to read depth; names every fault.
+    """
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON: {error}") from error
+    try:
+        camera = CameraFile.model_validate(raw)
+    except ValidationError as error:
+        raise InputError(f"{path} cannot be used:\n{_faults(error)}") from error
+    if camera.belt_from_camera is not None:
+        _check_transform(path, camera.belt_from_camera)
+    return camera
+
+
+_NEEDED = [name for name, field in CameraFile.model_fields.items() if field.is_required()]
+
+
+def _faults(error: ValidationError) -> str:
+    lines = []
+    for fault in error.errors():
+        where = ".".join(str(part) for part in fault["loc"]) or "the file"
+        if fault["type"] == "missing":
+            lines.append(f"  {where}: missing; needed are {', '.join(_NEEDED)} (pixels, from the camera's calibration)")
+        else:
+            lines.append(f"  {where}: {fault['msg']} (got {fault.get('input')!r})")
+    return "\n".join(lines)
+
+
+def _check_transform(path: Path, rows: list[list[float]]) -> None:
+    matrix = np.asarray(rows, dtype=object)
+    if matrix.shape != (4, 4):
+        raise InputError(f"{path}: belt_from_camera must be 4 rows of 4 numbers, got {matrix.shape}")
+    transform = np.asarray(rows, float)
+    rigid = np.allclose(transform[:3, :3] @ transform[:3, :3].T, np.eye(3), atol=1e-3)
+    if not rigid or np.linalg.det(transform[:3, :3]) < 0 or not np.allclose(transform[3], [0, 0, 0, 1]):
+        raise InputError(
+            f"{path}: belt_from_camera is no rigid transform (rotation rows must be orthonormal and right-handed, the "
+            f"last row 0 0 0 1), got {rows}"
+        )
+
+
+def describe(camera: CameraFile, *, origin: str, frames: int | None) -> CameraDescription:
+    """The description of a recorded camera."""
+    return CameraDescription(
+        name=camera.name,
+        origin=origin,
+        intrinsics=Intrinsics(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy),
+        depth_scale_m=camera.depth_scale_m,
+        belt_distance_m=camera.belt_distance_m,
+        belt_from_camera=None if camera.belt_from_camera is None else np.asarray(camera.belt_from_camera, float),
+        fps=camera.fps,
+        frames=frames,
+    )
+
+
+def camera_json(description: CameraDescription) -> dict[str, Any]:
+    """camera.json of a description."""
+    k = description.intrinsics
+    matrix = description.belt_from_camera
+    return {
+        "name": description.name,
+        "width": k.width,
+        "height": k.height,
+        "fx": k.fx,
+        "fy": k.fy,
+        "cx": k.cx,
+        "cy": k.cy,
+        "depth_scale_m": description.depth_scale_m,
+        "belt_distance_m": description.belt_distance_m,
+        "belt_from_camera": None if matrix is None else matrix.tolist(),
+        "fps": description.fps,
+    }
+
+
+def read_frame_rows(path: Path) -> list[FrameRow]:
+    """All rows of frames.csv.
+
+    Raises:
+        InputError: missing, or a line that cannot be used; the text has its number.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.reader(file))
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} is not CSV text: {error}") from error
+    if not lines or [cell.strip() for cell in lines[0]] != COLUMNS:
+        raise InputError(f"{path} line 1: the header must be '{','.join(COLUMNS)}', got {lines[0] if lines else ''}")
+    rows: list[FrameRow] = []
+    for number, cells in enumerate(lines[1:], start=2):
+        if not any(cell.strip() for cell in cells):
+            continue
+        row = _row(path, number, cells)
+        if rows and row.seq <= rows[-1].seq:
+            raise InputError(f"{path} line {number}: seq {row.seq} after {rows[-1].seq}; numbers must rise")
+        rows.append(row)
+    if not rows:
+        raise InputError(f"{path} names no frames")
+    return rows
+
+
+def _row(path: Path, number: int, cells: list[str]) -> FrameRow:
+    if len(cells) != len(COLUMNS):
+        raise InputError(f"{path} line {number}: {len(COLUMNS)} values ({','.join(COLUMNS)}) are needed, got {cells}")
+    try:
+        seq, captured_ns = int(cells[0]), int(cells[1])
+        travel_m = float(cells[2]) if cells[2].strip() else None
+    except ValueError as error:
+        raise InputError(f"{path} line {number}: {error}; seq and captured_ns are integers, travel_m metres") from error
+    if seq < 0 or (travel_m is not None and not np.isfinite(travel_m)):
+        raise InputError(f"{path} line {number}: seq must be 0 or more and travel_m finite or empty, got {cells}")
+    return FrameRow(seq, captured_ns, travel_m)

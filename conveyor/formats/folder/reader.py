@@ -1,0 +1,87 @@
+"""Reading a camera of a plain folder recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.folder.layout import FrameRow, describe, read_camera_file, read_frame_rows
+from conveyor.formats.png16 import Refusal, read_png16
+from conveyor.formats.source import CameraDescription, FrameKey, Refused
+from conveyor.messages import Frame
+
+
+class FolderSource:
+    """Frames of one camera folder. Only depth is needed; masks and colour come along where they are."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._rows = read_frame_rows(folder / "frames.csv")
+        self._description = describe(
+            read_camera_file(folder / "camera.json"), origin=f"folder {folder}", frames=len(self._rows)
+        )
+        if not (folder / "depth").is_dir():
+            raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
+
+    @property
+    def description(self) -> CameraDescription:
+        """From camera.json."""
+        return self._description
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """Frames in order; a file that is missing or broken is refused by name and the rest goes on."""
+        for row in self._rows:
+            if row.seq > after:
+                yield self._frame(row, run)
+
+    def keys(self) -> list[FrameKey]:
+        """From frames.csv."""
+        return [FrameKey(row.seq, row.captured_ns) for row in self._rows]
+
+    def _frame(self, row: FrameRow, run: str) -> Frame | Refused:
+        path = self._folder / "depth" / f"{row.seq:06d}.png"
+        depth = read_png16(path)
+        if isinstance(depth, Refusal):
+            return Refused(row.seq, depth.reason, f"frame {row.seq}: {path} {depth.text}")
+        k = self._description.intrinsics
+        if depth.shape != (k.height, k.width):
+            return Refused(
+                row.seq,
+                "wrong_size",
+                f"frame {row.seq}: {path} is {depth.shape[1]}x{depth.shape[0]}, camera.json says {k.width}x{k.height}",
+            )
+        mask_path = self._folder / "mask" / f"{row.seq:06d}.png"
+        mask = read_png16(mask_path) if mask_path.is_file() else None
+        if isinstance(mask, Refusal) or (mask is not None and mask.shape != depth.shape):
+            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} is broken or of another size than depth")
+        d = self._description
+        return Frame(
+            camera=d.name,
+            run=run,
+            seq=row.seq,
+            captured_ns=row.captured_ns,
+            travel_m=row.travel_m,
+            depth_scale_m=d.depth_scale_m,
+            intrinsics=k,
+            belt_distance_m=d.belt_distance_m,
+            depth=depth,
+            belt_from_camera=d.belt_from_camera,
+            mask=mask,
+            color_jpeg=self._color(row.seq),
+        )
+
+    def _color(self, seq: int) -> NDArray[np.uint8] | None:
+        """The frame's colour as a JPEG file; a PNG is encoded anew; broken colour is left out, as it is optional."""
+        jpeg = self._folder / "color" / f"{seq:06d}.jpg"
+        if jpeg.is_file():
+            return np.fromfile(jpeg, np.uint8)
+        png = self._folder / "color" / f"{seq:06d}.png"
+        image = cv2.imread(str(png), cv2.IMREAD_COLOR) if png.is_file() else None
+        if image is None:
+            return None
+        return np.asarray(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1], np.uint8).ravel()

@@ -1,0 +1,82 @@
+"""Writing a plain folder recording, frame by frame."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.folder.layout import COLUMNS, camera_json
+from conveyor.formats.source import CameraDescription
+from conveyor.messages import Frame
+
+_FAST_PNG = [
+    cv2.IMWRITE_PNG_COMPRESSION,
+    1,
+    cv2.IMWRITE_PNG_STRATEGY,
+    cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+    cv2.IMWRITE_PNG_FILTER,
+    cv2.IMWRITE_PNG_FILTER_UP,
+]
+"""Twice as fast as the default at level 1, and smaller on depth images."""
+
+
+class FolderWriter:
+    """One camera's folder under `recording`; use it in a `with`."""
+
+    def __init__(self, recording: Path, description: CameraDescription) -> None:
+        self._folder = recording / description.name
+        self._description = description
+        self._rows: Any = None
+        self.frames = 0
+
+    def __enter__(self) -> Self:
+        (self._folder / "depth").mkdir(parents=True, exist_ok=True)
+        (self._folder / "camera.json").write_text(
+            json.dumps(camera_json(self._description), indent=1) + "\n", encoding="utf-8"
+        )
+        self._rows = (self._folder / "frames.csv").open("w", encoding="utf-8")
+        self._rows.write(",".join(COLUMNS) + "\n")
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._rows.close()
+
+    def write(self, frame: Frame) -> None:
+        """Append `frame`; its numbers must rise."""
+        name = f"{frame.seq:06d}"
+        write_png16(self._folder / "depth" / f"{name}.png", frame.depth)
+        if frame.mask is not None:
+            (self._folder / "mask").mkdir(exist_ok=True)
+            write_png16(self._folder / "mask" / f"{name}.png", frame.mask)
+        if frame.color_jpeg is not None:
+            (self._folder / "color").mkdir(exist_ok=True)
+            frame.color_jpeg.tofile(self._folder / "color" / f"{name}.jpg")
+        travel = "" if frame.travel_m is None else repr(float(frame.travel_m))
+        self._rows.write(f"{frame.seq},{frame.captured_ns},{travel}\n")
+        self.frames += 1
+
+
+def write_png16(path: Path, image: NDArray[np.uint16]) -> None:
+    """A 16-bit PNG, written fast rather than small."""
+    if not cv2.imwrite(str(path), image, _FAST_PNG):
+        raise InputError(f"{path} cannot be written; is the disk full?")
+
+
+def write_line_file(recording: Path, cameras: list[str], *, belt_speed_mps: float | None) -> None:
+    """line.json of a recording of several cameras."""
+    text = json.dumps(line_file(cameras, belt_speed_mps=belt_speed_mps), indent=1)
+    (recording / "line.json").write_text(text + "\n", encoding="utf-8")
+
+
+def line_file(cameras: list[str], *, belt_speed_mps: float | None) -> dict[str, Any]:
+    """What line.json says."""
+    return {"cameras": cameras, "belt_speed_mps": belt_speed_mps}

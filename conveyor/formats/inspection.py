@@ -1,0 +1,139 @@
+"""What a recording holds and what is suspicious about it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
+from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
+from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
+from conveyor.messages import Frame
+
+SAMPLES = 8
+BELT_QUANTILE = 0.75
+"""Of a frame's depths: the belt is the farthest thing, and most frames show more of it than of tubers."""
+BELT_DIFFERS_M = 0.015
+
+
+@dataclass(frozen=True, slots=True)
+class CameraReport:
+    """One camera of a recording.
+
+    Attributes:
+        frames: named by the recording; gaps: numbers missing between the first and the last; refused: frames among the
+            samples that cannot be read, by reason.
+        fps_seen: from the median step of capture times; clock_faults: steps backwards or longer than 2 s.
+        belt_seen_m: median over samples of each frame's 75 % quantile of depth; belt_given_m: what the recording says.
+    """
+
+    name: str
+    width: int
+    height: int
+    frames: int
+    gaps: int
+    refused: dict[str, int]
+    fps_given: float
+    fps_seen: float | None
+    duration_s: float
+    clock_faults: int
+    depth_scale_m: float
+    belt_given_m: float | None
+    belt_seen_m: float | None
+    travel: bool
+    masks: bool
+    color: bool
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingReport:
+    """A recording of one or more cameras."""
+
+    path: str
+    kind: str
+    cameras: tuple[CameraReport, ...]
+
+
+def inspect_recording(path: Path) -> RecordingReport:
+    """Look at every camera of the recording: all numbers and times, eight frames spread over it.
+
+    Raises:
+        InputError: no recording, or one that cannot be opened at all.
+    """
+    kind = recording_kind(path)
+    cameras = tuple(_inspect(open_unchecked(path, kind, name)) for name in camera_names(path))
+    return RecordingReport(str(path), kind, cameras)
+
+
+def _inspect(source: RecordedSource) -> CameraReport:
+    d, keys = source.description, source.keys()
+    refused: Counter[str] = Counter()
+    texts: list[str] = []
+    frames: list[Frame] = []
+    for key in _samples(keys):
+        item = next(source.frames(run="inspected", after=key.seq - 1))
+        if isinstance(item, Refused):
+            refused[item.reason] += 1
+            texts.append(item.text)
+        else:
+            frames.append(item)
+    steps_s = np.diff([key.captured_ns for key in keys]) / 1e9
+    seen = [float(np.quantile(f.depth[f.depth > 0], BELT_QUANTILE)) * f.depth_scale_m for f in frames if f.depth.any()]
+    belt_seen_m = float(np.median(seen)) if seen else None
+    clock_faults = int(((steps_s <= 0) | (steps_s > 2.0)).sum())
+    gaps = keys[-1].seq - keys[0].seq + 1 - len(keys)
+    return CameraReport(
+        name=d.name,
+        width=d.intrinsics.width,
+        height=d.intrinsics.height,
+        frames=len(keys),
+        gaps=gaps,
+        refused=dict(refused),
+        fps_given=d.fps,
+        fps_seen=round(1 / float(np.median(steps_s)), 3) if len(steps_s) and np.median(steps_s) > 0 else None,
+        duration_s=round(float(keys[-1].captured_ns - keys[0].captured_ns) / 1e9, 3),
+        clock_faults=clock_faults,
+        depth_scale_m=d.depth_scale_m,
+        belt_given_m=expected_distance_m(frames[0]) if frames else d.belt_distance_m,
+        belt_seen_m=None if belt_seen_m is None else round(belt_seen_m, 4),
+        travel=any(frame.travel_m is not None for frame in frames),
+        masks=any(frame.mask is not None for frame in frames),
+        color=any(frame.color_jpeg is not None for frame in frames),
+        warnings=(*texts, *d.notes, *_scale_warnings(frames, belt_seen_m, d), *_time_warnings(gaps, clock_faults)),
+    )
+
+
+def _samples(keys: list[FrameKey]) -> list[FrameKey]:
+    at = np.unique(np.linspace(0, len(keys) - 1, min(SAMPLES, len(keys))).astype(int))
+    return [keys[i] for i in at]
+
+
+def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDescription) -> list[str]:
+    given = expected_distance_m(frames[0]) if frames else None
+    if given is None:
+        return ["the belt distance is not given: it has to be fitted, or set belt_distance_m in the line's config"]
+    medians = [seen for seen in (median_depth_m(frame) for frame in frames) if seen is not None]
+    if not medians or belt_seen_m is None:
+        return ["no depth in the sampled frames"]
+    fault = scale_fault(float(np.median(medians)), given, d.depth_scale_m)
+    if fault:
+        return [fault]
+    masked_only = all(float(np.mean(frame.depth > 0)) < 0.25 for frame in frames)
+    if not masked_only and abs(belt_seen_m - given) > BELT_DIFFERS_M:
+        return [
+            f"the belt seems {belt_seen_m:.3f} m away but {given:.3f} m are given: 10 mm cost about 10 % of each weight"
+        ]
+    return []
+
+
+def _time_warnings(gaps: int, clock_faults: int) -> list[str]:
+    warnings = []
+    if gaps:
+        warnings.append(f"{gaps} frame numbers are missing: they count as gaps")
+    if clock_faults:
+        warnings.append(f"{clock_faults} capture times step backwards or by more than 2 s")
+    return warnings

@@ -1,0 +1,151 @@
+"""Reading a camera of our MCAP recordings, in the order in which it was written."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+from mcap.stream_reader import CRCValidationError
+
+from conveyor.errors import InputError, MessageError
+from conveyor.formats.mcap.layout import ATTACHMENTS, ENCODING, camera_of, topic_of
+from conveyor.formats.source import CameraDescription, FrameKey, Refused
+from conveyor.messages import Frame
+
+DAMAGE = (
+    McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError, MemoryError, OverflowError
+)  # fmt: skip
+"""What the MCAP library raises on files that are cut or damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class McapChannel:
+    """A camera's channel: its name, its frame rate where it was written down, and its number of messages."""
+
+    camera: str
+    fps: float | None
+    messages: int
+
+
+def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
+    """The cameras of the file at `path` by name; empty where it holds none of ours.
+
+    Raises:
+        InputError: no MCAP file, or one whose writer was killed.
+    """
+    with open_mcap(path) as reader:
+        summary = reader.get_summary()
+    if summary is None:
+        raise InputError(f"{path} was not closed: its writer was killed. Mend it with `tuberline recover {path}`")
+    counts = summary.statistics.channel_message_counts if summary.statistics else {}
+    found = []
+    for number, channel in summary.channels.items():
+        camera = camera_of(channel.topic)
+        if camera is not None and channel.message_encoding == ENCODING:
+            fps = channel.metadata.get("fps")
+            found.append(McapChannel(camera, float(fps) if fps else None, int(counts.get(number, 0))))
+    return tuple(sorted(found, key=lambda channel: channel.camera))
+
+
+def foreign_channels(path: Path) -> bool:
+    """The file has channels that are not ours."""
+    with open_mcap(path) as reader:
+        summary = reader.get_summary()
+    return any(channel.message_encoding != ENCODING for channel in summary.channels.values())
+
+
+def mcap_attachments(path: Path) -> dict[str, bytes]:
+    """The recording's own JSON files by name."""
+    with open_mcap(path) as reader:
+        return {a.name: bytes(a.data) for a in reader.iter_attachments() if a.name in ATTACHMENTS}
+
+
+class McapSource:
+    """Frames of one camera in file order: a jump of the camera's clock does not reorder them."""
+
+    def __init__(self, path: Path, camera: str) -> None:
+        self._path = path
+        self._camera = camera
+        channel = next((c for c in mcap_channels(path) if c.camera == camera), None)
+        if channel is None or channel.messages == 0:
+            raise InputError(f"{path} has no frames of camera '{camera}'")
+        self._description = self._describe(channel)
+
+    @property
+    def description(self) -> CameraDescription:
+        """From the first frame."""
+        return self._description
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """Frames in file order; one that does not decode is refused by its number and the rest goes on.
+
+        Raises:
+            InputError: a chunk is damaged.
+        """
+        with open_mcap(self._path) as reader:
+            for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
+                if message.sequence <= after:
+                    continue
+                try:
+                    # Whom it followed on the link it was recorded from says nothing of its way from here.
+                    yield replace(Frame.decode(message.data), run=run, after_seq=None)
+                except MessageError as error:
+                    text = f"frame {message.sequence} of camera '{self._camera}' in {self._path}: {error}"
+                    yield Refused(message.sequence, "undecodable", text)
+
+    def keys(self) -> list[FrameKey]:
+        """From the messages' sequence numbers and log times."""
+        with open_mcap(self._path) as reader:
+            messages = reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False)
+            return [FrameKey(message.sequence, message.log_time) for _, _, message in messages]
+
+    def _describe(self, channel: McapChannel) -> CameraDescription:
+        first, times = None, []
+        for frame in self.frames(run="described"):
+            if isinstance(frame, Frame):
+                first = first or frame
+                times.append(frame.captured_ns)
+            if len(times) >= (2 if channel.fps else 20):
+                break
+        if first is None:
+            raise InputError(f"{self._path} has no readable frame of camera '{self._camera}'")
+        return CameraDescription(
+            name=self._camera,
+            origin=f"MCAP {self._path}",
+            intrinsics=first.intrinsics,
+            depth_scale_m=first.depth_scale_m,
+            belt_distance_m=first.belt_distance_m,
+            belt_from_camera=first.belt_from_camera,
+            fps=channel.fps or rate_of(times),
+            frames=channel.messages,
+        )
+
+
+def rate_of(times_ns: list[int]) -> float:
+    """Frames per second from capture times: the median step; 30 where there are fewer than two."""
+    steps = np.diff(np.asarray(times_ns, np.int64))
+    steps = steps[steps > 0]
+    return float(round(1e9 / float(np.median(steps)), 3)) if len(steps) else 30.0
+
+
+@contextmanager
+def open_mcap(path: Path) -> Iterator[Any]:
+    """The library's reader of the file at `path`, its errors as ours."""
+    try:
+        with path.open("rb") as file:
+            yield SeekingReader(file, validate_crcs=True, record_size_limit=1 << 30)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
+    except DAMAGE as error:
+        raise InputError(
+            f"{path} is cut or damaged ({type(error).__name__}: {error}); "
+            f"`tuberline recover {path}` saves what is whole"
+        ) from error

@@ -1,0 +1,119 @@
+"""Mending an MCAP file whose writer was killed: everything up to the cut goes into a new, closed file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.exceptions import InvalidMagic
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from conveyor import __version__
+from conveyor.errors import InputError
+from conveyor.formats.mcap.reader import DAMAGE
+from conveyor.formats.mcap.writer import CHUNK_BYTES
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What was saved.
+
+    Attributes:
+        messages: by topic.
+        lost_bytes: of the file's end (or of a damaged chunk and what follows) that no whole record could be read from.
+        whole: the file was closed properly; nothing needed mending.
+        damage: what stopped the reading, in the library's words.
+    """
+
+    messages: dict[str, int]
+    lost_bytes: int
+    whole: bool
+    damage: str
+
+
+def recover(path: Path, out: Path) -> Recovered:
+    """Copy every whole message of `path` to the new file `out`.
+
+    Raises:
+        InputError: `path` is no MCAP file, or `out` exists.
+    """
+    if out.exists():
+        raise InputError(f"{out} exists; recover to another name with --out")
+    try:
+        with path.open("rb") as source, out.open("xb") as target:
+            result = _copy(source, target, size=path.stat().st_size)
+            target.flush()
+            os.fsync(target.fileno())
+    except InvalidMagic as error:
+        out.unlink(missing_ok=True)
+        raise InputError(f"{path} is no MCAP file: it does not begin with MCAP's magic bytes") from error
+    except OSError as error:
+        raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
+    return result
+
+
+class _Records:
+    """Records up to the damage; then `damage` says what it was and `good_bytes` where the last whole record ended."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.good_bytes = 0
+        self.damage = ""
+        self.closed = False
+
+    def __iter__(self) -> Iterator[Any]:
+        records = StreamReader(self._stream, emit_chunks=True, record_size_limit=1 << 30).records
+        while True:
+            try:
+                record = next(records)
+                parts = breakup_chunk(record, validate_crc=True) if isinstance(record, Chunk) else [record]
+            except StopIteration:
+                return
+            except InvalidMagic as error:
+                if self.good_bytes == 0:
+                    raise
+                self.damage = f"{type(error).__name__}: {error}"
+                return
+            except DAMAGE as error:
+                self.damage = f"{type(error).__name__}: {error}"
+                return
+            self.good_bytes = self._stream.tell()
+            self.closed = isinstance(record, Footer)
+            yield from parts
+
+
+def _copy(source: Any, target: Any, *, size: int) -> Recovered:
+    writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, tuple[int, str]] = {}
+    counts: dict[str, int] = {}
+    started = False
+    records = _Records(source)
+    for record in records:
+        if isinstance(record, Header) and not started:
+            writer.start(profile=record.profile, library=f"tuberline {__version__} recover")
+            started = True
+        elif isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel) and record.id not in channels:
+            schema = schemas.get(record.schema_id, 0)
+            number = writer.register_channel(record.topic, record.message_encoding, schema, dict(record.metadata))
+            channels[record.id] = (number, record.topic)
+        elif isinstance(record, Message):
+            number, topic = channels[record.channel_id]
+            writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
+            counts[topic] = counts.get(topic, 0) + 1
+        elif isinstance(record, Attachment):
+            writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, dict(record.metadata))
+    if not started:
+        writer.start(library=f"tuberline {__version__} recover")
+    writer.finish()  # type: ignore[no-untyped-call]
+    whole = records.closed and not records.damage
+    return Recovered(counts, 0 if whole else size - records.good_bytes, whole, records.damage)

@@ -1,0 +1,87 @@
+"""A source as a line uses it: named by the line, with the config's overrides, its depth scale checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.formats.scale_check import check_depth_scale
+from conveyor.formats.source import CameraDescription, Refused, Source
+from conveyor.formats.turned import quarter_turn
+from conveyor.geometry import belt_distance_m as distance_along_axis_m
+from conveyor.messages import Frame
+
+CHECKED_FRAMES = 3
+
+
+class PreparedSource:
+    """Wraps a source. Overrides are applied before the check, so a wrong scale is mended by giving the right one."""
+
+    def __init__(
+        self,
+        inner: Source,
+        *,
+        where: str,
+        name: str | None = None,
+        belt_distance_m: float | None = None,
+        depth_scale_m: float | None = None,
+        ignore_masks: bool = False,
+    ) -> None:
+        self._inner = inner
+        self._where = where
+        self._ignore_masks = ignore_masks
+        d = inner.description
+        matrix = d.belt_from_camera
+        if belt_distance_m is not None and matrix is not None:
+            matrix = _at_distance(matrix, belt_distance_m)
+        self._description = replace(
+            d,
+            name=name or d.name,
+            belt_distance_m=d.belt_distance_m if belt_distance_m is None else belt_distance_m,
+            depth_scale_m=d.depth_scale_m if depth_scale_m is None else depth_scale_m,
+            belt_from_camera=matrix,
+        )
+        self._as_is = name in (None, d.name) and belt_distance_m is None and depth_scale_m is None
+
+    @property
+    def description(self) -> CameraDescription:
+        """With name and overrides applied, and turned where the belt runs along the image's columns."""
+        turn = quarter_turn(self._description.belt_from_camera)
+        return turn.description(self._description) if turn else self._description
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """The source's frames, with name and overrides, turned where the belt runs along the image's columns.
+
+        Raises:
+            InputError: the depth scale contradicts the belt distance in one of the first frames.
+        """
+        d, checked = self._description, 0
+        turn = quarter_turn(d.belt_from_camera)
+        for frame in self._inner.frames(run=run, after=after):
+            if isinstance(frame, Refused):
+                yield frame
+                continue
+            if not self._as_is:
+                frame = replace(
+                    frame,
+                    camera=d.name,
+                    depth_scale_m=d.depth_scale_m,
+                    belt_distance_m=d.belt_distance_m,
+                    belt_from_camera=d.belt_from_camera,
+                )
+            if self._ignore_masks and frame.mask is not None:
+                frame = replace(frame, mask=None)
+            if checked < CHECKED_FRAMES:
+                checked += 1
+                check_depth_scale(frame, where=self._where)
+            yield turn.frame(frame) if turn else frame
+
+
+def _at_distance(belt_from_camera: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:
+    """(4, 4) the same direction and the same point on the belt, seen from another distance."""
+    moved = belt_from_camera.copy()
+    moved[:3, 3] += belt_from_camera[:3, 2] * (distance_along_axis_m(belt_from_camera) - distance_m)
+    return moved

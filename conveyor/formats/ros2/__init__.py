@@ -1,0 +1,1 @@
+"""Our recordings as ROS 2 topics in MCAP."""

@@ -1,0 +1,1 @@
+"""PointRAFT: the readable network, its sampling, its fast forms, its checkpoints."""

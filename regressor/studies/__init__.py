@@ -1,0 +1,1 @@
+"""Evaluation, baselines, ablations, searches. No node imports them."""

@@ -1,0 +1,74 @@
+"""Any trained network behind the weigher's interface, for evaluations that compare networks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from conveyor.geometry import TYPICAL_BELT_SD_M
+from regressor.network.checkpoint import Sidecar, check_architecture, read_checkpoint
+from regressor.network.networks import POINTNET_POINTS
+from regressor.network.pointnet import PointNet
+from regressor.network.sampling import farthest_points
+from regressor.weigh.prepare import PreparedCloud
+from regressor.weigh.volume import TYPICAL_RULE
+from regressor.weigh.weigher import Weighed, Weigher
+
+
+class Scale(Protocol):
+    """What an evaluation needs: something that weighs clouds, and what is known about its weights."""
+
+    @property
+    def sidecar(self) -> Sidecar:
+        """Of the weights."""
+
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+        """The weight of one prepared cloud."""
+
+
+class PointNetScale:
+    """PointNet alone: a weight without a calibrated interval, and the volume rule's beside it."""
+
+    def __init__(self, model: PointNet, sidecar: Sidecar) -> None:
+        self._model = model.eval()
+        self._sidecar = sidecar
+        self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+
+    @property
+    def sidecar(self) -> Sidecar:
+        """Of the weights."""
+        return self._sidecar
+
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+        """The network's grams for the cloud's first 1024 farthest points; `belt_sd_m` changes nothing."""
+        points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
+        with torch.inference_mode():
+            weight_g = float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])
+        return Weighed(
+            weight_g=weight_g,
+            low_g=weight_g,
+            high_g=weight_g,
+            network_g=weight_g,
+            volume_g=self._volume.weight_g(cloud.surface),
+            method="pointraft",
+            model=self._sidecar.model_id,
+            flags=cloud.flags,
+        )
+
+
+def load_scale(path: Path) -> Scale:
+    """The weigher of a checkpoint of any network.
+
+    Raises:
+        InputError: weights that cannot be used.
+    """
+    state, sidecar = read_checkpoint(path)
+    if sidecar.network != "pointnet":
+        return Weigher.load(path)
+    model = PointNet()
+    check_architecture(state, model.state_dict(), where=str(path), network="PointNet")
+    model.load_state_dict(state)
+    return PointNetScale(model, sidecar)

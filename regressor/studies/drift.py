@@ -1,0 +1,140 @@
+"""Domain drift: the same weights on views that differ from what they were trained on, by named shifts.
+
+Some shifts change the views of one pack (noise, belt height, kinds of tuber); others need a pack of their own (another
+belt distance), which is given by name. What counts on a belt is the bias of a load's total as much as the error of a
+view: weights that drift keep a fair error and lose the total.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from scipy.ndimage import gaussian_filter
+
+from conveyor.errors import InputError
+from regressor.studies.alone import Scale
+from regressor.studies.evaluate import NETWORK, SHIPPED, VOLUME_RULE, coverage, evaluate_views, method_scores
+from regressor.training.labelled import LabelledView, read_labelled
+
+BASELINE_M = 0.018
+SMOOTH_NOISE_PX, SMOOTH_OVER_PX = 0.06, 2.5
+"""Sd of the D405's correlated disparity noise as the simulator has it, and over how many pixels it is alike."""
+
+MIN_TUBERS = 10
+METHODS = (SHIPPED, NETWORK, VOLUME_RULE)
+Change = Callable[[LabelledView, Generator], LabelledView | None]
+
+
+def believe_belt(view: LabelledView, rng: Generator, *, error_m: float) -> LabelledView:
+    """The belt is `error_m` nearer to the camera than the system believes."""
+    return replace(view, belt_distance_m=view.belt_distance_m + error_m)
+
+
+def add_noise(view: LabelledView, rng: Generator, *, times: float) -> LabelledView:
+    """Correlated stereo noise added, until its sd is `times` the simulator's own."""
+    if view.depth is None:
+        raise InputError("the noise shifts need depth images; this set holds clouds")
+    smooth = gaussian_filter(rng.standard_normal(view.depth.shape), SMOOTH_OVER_PX)
+    smooth *= np.sqrt(times**2 - 1) * SMOOTH_NOISE_PX / smooth.std()
+    z_m = view.depth * view.depth_scale_m
+    noisy = np.where(view.depth > 0, z_m + smooth * z_m**2 / (view.fx * BASELINE_M), 0.0)
+    return replace(view, depth=np.round(noisy / view.depth_scale_m).astype(np.uint16))
+
+
+def only_season(view: LabelledView, rng: Generator, *, season: str) -> LabelledView | None:
+    """Tubers of one season alone; 2025 has the knobby ones."""
+    return view if view.season == season else None
+
+
+def only_cultivar(view: LabelledView, rng: Generator, *, cultivar: str) -> LabelledView | None:
+    """Tubers of one cultivar alone."""
+    return view if view.cultivar == cultivar else None
+
+
+SHIFTS: dict[str, Change] = {
+    "as it is": lambda view, rng: view,
+    "belt 3 mm nearer than believed": partial(believe_belt, error_m=0.003),
+    "belt 3 mm farther than believed": partial(believe_belt, error_m=-0.003),
+    "belt 6 mm nearer than believed": partial(believe_belt, error_m=0.006),
+    "belt 6 mm farther than believed": partial(believe_belt, error_m=-0.006),
+    "noise x2": partial(add_noise, times=2.0),
+    "noise x3": partial(add_noise, times=3.0),
+    "only 2025 (knobby)": partial(only_season, season="2025"),
+    "only Sayaka": partial(only_cultivar, cultivar="Sayaka"),
+    "only Corolle (long)": partial(only_cultivar, cultivar="Corolle"),
+}
+
+
+def drift(
+    data: Path,
+    others: Mapping[str, Path],
+    scale: Scale,
+    *,
+    max_views: int | None,
+    seed: int = 0,
+    on_shift: Callable[[str], None] = lambda name: None,
+) -> dict[str, Any]:
+    """Figures of every shift of `data` and of every pack in `others`, by name, but those of fewer than 10 tubers.
+
+    Raises:
+        InputError: a pack that cannot be read.
+    """
+    table: dict[str, Any] = {}
+    cases: list[tuple[str, Path, Change]] = [(name, data, change) for name, change in SHIFTS.items()]
+    cases += [(name, folder, SHIFTS["as it is"]) for name, folder in others.items()]
+    for name, folder, change in cases:
+        on_shift(name)
+        views = list(_shifted(folder, change, np.random.default_rng(seed), max_views))
+        if len({view.tuber for view in views}) < MIN_TUBERS:
+            continue
+        result = evaluate_views(views, scale, where=f"{folder}, {name}")
+        scores = method_scores(result)
+        table[name] = {"methods": {method: scores[method] for method in METHODS}, "coverage": coverage(result)}
+    return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table}
+
+
+def _shifted(folder: Path, change: Change, rng: Generator, max_views: int | None) -> Iterator[LabelledView]:
+    made = 0
+    for view in read_labelled(folder):
+        shifted = change(view, rng)
+        if shifted is None:
+            continue
+        made += 1
+        yield shifted
+        if max_views is not None and made >= max_views:
+            return
+
+
+def write_drift(measured: dict[str, Any], out: Path) -> str:
+    """Write drift.json and drift.md to `out`; the table."""
+    out.mkdir(parents=True, exist_ok=True)
+    text = markdown(measured)
+    (out / "drift.json").write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    (out / "drift.md").write_text(text, encoding="utf-8")
+    return text
+
+
+def markdown(measured: dict[str, Any]) -> str:
+    """The table for people."""
+    lines = [
+        "| shift | views | MAE g: as weighed, network, volume rule | bias of the total %: the same three | "
+        "90 % intervals hold of views, tubers % |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, row in measured["shifts"].items():
+        of = [row["methods"][method] for method in METHODS]
+        errors = ", ".join(f"{figures['mae_g']:.1f}" for figures in of)
+        biases = ", ".join(f"{figures['total_bias_percent']:+.1f}" for figures in of)
+        held = row["coverage"]
+        lines.append(
+            f"| {name} | {of[0]['views']:.0f} | {errors} | {biases} | "
+            f"{100 * held['views']:.1f}, {100 * held['tubers']:.1f} |"
+        )
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,1 @@
+"""Training of PointRAFT and calibration of its intervals. No node imports it."""

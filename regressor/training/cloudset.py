@@ -1,0 +1,192 @@
+"""Labelled views as arrays: prepared once, cached, and ready for training and evaluation.
+
+Each cloud is kept as its first `KEEP` farthest points, which hold the network's 128 exactly and enough more to draw a
+fresh sample from for every epoch (PointNet reads 1024). The cache carries a hash of the input files and of the code
+that prepares them, so it is made anew when either changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from regressor.network import sampling
+from regressor.network.sampling import farthest_points
+from regressor.training import labelled
+from regressor.training.labelled import LabelledView, labelled_files, read_labelled
+from regressor.weigh import prepare, volume
+from regressor.weigh.prepare import RefusedCloud
+
+KEEP = 384
+
+Target = Literal["weight_g", "volume_ml", "length_mm"]
+TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
+"""What a network may learn, and the power of a tuber's scale that it grows with."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudSet:
+    """n prepared clouds with their labels.
+
+    Attributes:
+        points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
+            repeat their points.
+        height_m: (n,) float64, above the belt, not clamped. features: (n, 5) as in `volume.NAMES`.
+        weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
+        tuber, cultivar, season: (n,) str. points_in_cloud: (n,) how many points the whole cloud had.
+        refused: how many views could not be prepared, by reason.
+    """
+
+    points: NDArray[np.float32]
+    height_m: NDArray[np.float64]
+    features: NDArray[np.float64]
+    weight_g: NDArray[np.float64]
+    volume_ml: NDArray[np.float64]
+    length_mm: NDArray[np.float64]
+    belt_distance_m: NDArray[np.float64]
+    belt_sd_m: NDArray[np.float64]
+    row_share: NDArray[np.float64]
+    tuber: NDArray[np.str_]
+    cultivar: NDArray[np.str_]
+    season: NDArray[np.str_]
+    points_in_cloud: NDArray[np.int64]
+    refused: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.weight_g)
+
+    def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
+        """The chosen rows."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return CloudSet(**{k: v if k == "refused" else v[rows] for k, v in parts.items()})
+
+    def with_target(self, target: Target) -> CloudSet:
+        """The set with `target` in the place of the weight; views where it is not known are refused.
+
+        Raises:
+            InputError: it is known for no view.
+        """
+        if target == "weight_g":
+            return self
+        known = np.isfinite(getattr(self, target)) & (getattr(self, target) > 0)
+        if not known.any():
+            raise InputError(f"no view of this set has a known {target}: it cannot be the target")
+        chosen = self.subset(known)
+        refused = {**self.refused, f"no_{target}": int((~known).sum())} if not known.all() else self.refused
+        return replace(chosen, weight_g=getattr(chosen, target), refused=refused)
+
+
+def load_cloudset(
+    folder: Path,
+    *,
+    split: str | None = None,
+    cache: Path | None = None,
+    max_views: int | None = None,
+    keep: int = KEEP,
+    progress: Callable[[int], None] | None = None,
+) -> CloudSet:
+    """All labelled views of `folder`, prepared.
+
+    Args:
+        folder: view pack or 3DPotatoTwin folder. split: as in its splits.csv.
+        cache: folder for the cache file; None prepares without one.
+        max_views: take this many at most, evenly over the set.
+        keep: points to keep of each cloud, in sampling order.
+        progress: called with the number of views done so far.
+
+    Raises:
+        InputError: nothing usable in the folder.
+    """
+    key = _fingerprint(folder, split, keep)
+    file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
+    if file is not None and file.is_file():
+        data = _read_cache(file)
+    else:
+        data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
+        if file is not None:
+            _write_cache(file, data)
+    if max_views is not None and max_views < len(data):
+        data = data.subset(np.linspace(0, len(data) - 1, max_views).astype(np.int64))
+    return data
+
+
+def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
+    """Changes with the input files (name, size, time) and with the code that prepares them."""
+    digest = hashlib.sha256(json.dumps([keep, split]).encode())
+    for path in labelled_files(folder):
+        stat = path.stat()
+        digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
+    for module in (labelled, prepare, sampling, volume):
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _prepare_all(
+    views: Iterable[LabelledView], folder: Path, keep: int, progress: Callable[[int], None] | None
+) -> CloudSet:
+    kept: list[tuple[LabelledView, NDArray[np.float32], float, NDArray[np.float64], int]] = []
+    refused: Counter[str] = Counter()
+    for done, view in enumerate(views, start=1):
+        try:
+            cloud = view.prepare()
+        except RefusedCloud as error:
+            refused[error.reason] += 1
+            continue
+        kept.append(
+            (view, _first_points(cloud.points, keep), cloud.height_m, cloud.surface.as_array(), len(cloud.points))
+        )
+        if progress is not None and done % 200 == 0:
+            progress(done)
+    if not kept:
+        raise InputError(f"{folder} holds no usable view; refused: {dict(refused)}")
+    labels = [view for view, *_ in kept]
+    return CloudSet(
+        points=np.stack([points for _, points, *_ in kept]),
+        height_m=np.array([height for _, _, height, *_ in kept]),
+        features=np.stack([features for *_, features, _ in kept]),
+        points_in_cloud=np.array([count for *_, count in kept]),
+        refused=dict(refused),
+        **{
+            name: np.array([getattr(view, name) for view in labels])
+            for name in (
+                "weight_g",
+                "volume_ml",
+                "length_mm",
+                "belt_distance_m",
+                "belt_sd_m",
+                "row_share",
+                "tuber",
+                "cultivar",
+                "season",
+            )
+        },
+    )
+
+
+def _first_points(points: NDArray[np.float32], keep: int) -> NDArray[np.float32]:
+    order = farthest_points(points, min(keep, len(points)))
+    return points[np.resize(order, keep)]
+
+
+def _write_cache(file: Path, data: CloudSet) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "refused"}
+    partial = file.with_suffix(".partial.npz")
+    np.savez(partial, refused=json.dumps(data.refused), **arrays)
+    partial.replace(file)
+
+
+def _read_cache(file: Path) -> CloudSet:
+    with np.load(file, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    arrays["refused"] = json.loads(str(arrays["refused"]))
+    return CloudSet(**arrays)

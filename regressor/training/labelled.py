@@ -1,0 +1,175 @@
+"""Views with known weights, from wherever they lie: view packs of the simulator, or a 3DPotatoTwin folder.
+
+A *view pack* is a folder of `views-*.npz` shards (depth crops end to end, with their offsets, crops, intrinsics, scale,
+belt distance and labels) and `meta.json`; several packs may lie side by side in one folder. `read_labelled` tells the
+layouts apart and yields `LabelledView`s of either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.twin import TwinView, is_twin, read_twin
+from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
+from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
+
+PACK_KEYS = (
+    "depth",
+    "depth_offset",
+    "crop",
+    "depth_scale_m",
+    "intrinsics",
+    "image_size",
+    "belt_distance_m",
+    "weight_g",
+    "tuber",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledView:
+    """One view with its truth. `depth` is a crop (uint16, zero outside the tuber); cx, cy count from its first pixel.
+
+    `belt_sd_m` is how well the belt distance is known, standard deviation; a typical value where nothing says it.
+    `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
+    ((N, 3), camera frame, metres) is given.
+    """
+
+    depth: NDArray[np.uint16] | None
+    cloud: NDArray[np.float64] | None
+    depth_scale_m: float
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    belt_distance_m: float
+    belt_sd_m: float
+    weight_g: float
+    volume_ml: float
+    length_mm: float
+    tuber: str
+    cultivar: str
+    season: str
+    row_share: float
+
+    def prepare(self) -> PreparedCloud:
+        """The cleaned, level, centred cloud.
+
+        Raises:
+            RefusedCloud: the view cannot be weighed.
+        """
+        if self.cloud is not None:
+            return prepare_cloud(self.cloud, belt_distance_m=self.belt_distance_m)
+        if self.depth is None:
+            raise ValueError("a labelled view needs a depth crop or a cloud")
+        return prepare_depth(
+            self.depth,
+            depth_scale_m=self.depth_scale_m,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            belt_from_camera=straight_down_belt_from_camera(self.belt_distance_m),
+        )
+
+
+def labelled_files(folder: Path) -> list[Path]:
+    """The files that `read_labelled` would read, sorted: what a cache depends on.
+
+    Raises:
+        InputError: neither a view pack nor a 3DPotatoTwin folder.
+    """
+    shards = sorted(folder.glob("views-*.npz")) or sorted(folder.glob("*/views-*.npz"))
+    if shards:
+        return shards
+    if is_twin(folder):
+        return [folder / "ground_truth.csv", *sorted((folder / "1_rgbd").rglob("*.p[nl][gy]"))]
+    raise InputError(
+        f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
+        "(a 3DPotatoTwin folder)"
+    )
+
+
+def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[LabelledView]:
+    """All labelled views of `folder`, in a fixed order. `split` selects by splits.csv (3DPotatoTwin only).
+
+    Raises:
+        InputError: unknown layout, unreadable shard, missing key.
+    """
+    files = labelled_files(folder)
+    if files[0].suffix == ".npz":
+        for shard in files:
+            yield from _read_shard(shard)
+    else:
+        for view in read_twin(folder, split=split):
+            yield _from_twin(view)
+
+
+def _read_shard(path: Path) -> Iterator[LabelledView]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {key: file[key] for key in file.files}
+    except (OSError, ValueError) as error:
+        raise InputError(f"shard {path} cannot be read: {error}") from error
+    missing = [key for key in PACK_KEYS if key not in data]
+    if missing:
+        raise InputError(f"shard {path} lacks {missing}; it has {sorted(data)}")
+    count = len(data["weight_g"])
+    nothing = np.full(count, np.nan)
+    belt_sd_m = data.get("belt_sd_m", np.full(count, TYPICAL_BELT_SD_M))
+    names = np.full(count, "unknown")
+    volume, length = data.get("volume_ml", nothing), data.get("length_mm", nothing)
+    cultivar, season = data.get("cultivar", names), data.get("season", names)
+    centre = data.get("v_centre", nothing)
+    for i in range(count):
+        u0, v0, height, width = (int(value) for value in data["crop"][i])
+        fx, fy, cx, cy = (float(value) for value in data["intrinsics"][i])
+        begin, end = int(data["depth_offset"][i]), int(data["depth_offset"][i + 1])
+        if end - begin != height * width:
+            raise InputError(f"shard {path}, view {i}: {end - begin} depths for a crop of {height}x{width}")
+        rows = float(min(data["image_size"][i]))
+        yield LabelledView(
+            depth=data["depth"][begin:end].reshape(height, width),
+            cloud=None,
+            depth_scale_m=float(np.broadcast_to(data["depth_scale_m"], count)[i]),
+            fx=fx,
+            fy=fy,
+            cx=cx - u0,
+            cy=cy - v0,
+            belt_distance_m=float(data["belt_distance_m"][i]),
+            belt_sd_m=float(belt_sd_m[i]),
+            weight_g=float(data["weight_g"][i]),
+            volume_ml=float(volume[i]),
+            length_mm=float(length[i]),
+            tuber=f"{path.parent.name}/{data['tuber'][i]}",
+            cultivar=str(cultivar[i]),
+            season=str(season[i]),
+            row_share=float(centre[i]) / rows,
+        )
+
+
+def _from_twin(view: TwinView) -> LabelledView:
+    return LabelledView(
+        depth=view.depth,
+        cloud=view.cloud,
+        depth_scale_m=view.depth_scale_m,
+        fx=view.intrinsics.fx if view.intrinsics else 1.0,
+        fy=view.intrinsics.fy if view.intrinsics else 1.0,
+        cx=view.intrinsics.cx if view.intrinsics else 0.0,
+        cy=view.intrinsics.cy if view.intrinsics else 0.0,
+        belt_distance_m=view.belt_distance_m,
+        belt_sd_m=TYPICAL_BELT_SD_M,
+        weight_g=view.weight_g,
+        volume_ml=view.volume_ml,
+        length_mm=view.length_mm,
+        tuber=view.label,
+        cultivar=view.cultivar,
+        season=view.season,
+        row_share=view.row_share,
+    )

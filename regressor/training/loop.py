@@ -1,0 +1,112 @@
+"""The loop around a training: steps to the end, validation and log on the way, the state written atomically."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from conveyor.errors import InputError
+from regressor.network.networks import Network
+from regressor.training.train import Training, predict
+
+LOG_FIELDS = ("minutes", "step", "epoch", "share", "neighbours", "centroids", "lr", "loss", "val_loss", "val_mae_g")
+
+
+def run_training(
+    training: Training,
+    *,
+    out: Path,
+    save_minutes: float,
+    validate_minutes: float,
+    on_validated: Callable[[Network, NDArray[np.float64], bool], None],
+    on_step: Callable[[Training], None],
+) -> Network:
+    """Train to the end; the finished model.
+
+    Args:
+        out: folder of `state.pt` and `log.csv`.
+        on_validated: called with the model, its validation predictions and whether it is the best so far.
+        on_step: called after every step.
+    """
+    next_save = time.monotonic() + 60 * save_minutes
+    next_validation = time.monotonic() + 60 * validate_minutes
+    while training.share < 1.0:
+        training.step()
+        on_step(training)
+        if time.monotonic() >= next_validation:
+            _validate(training, out, on_validated, final=False)
+            next_validation = time.monotonic() + 60 * validate_minutes
+        if time.monotonic() >= next_save:
+            save_state(training, out / "state.pt")
+            next_save = time.monotonic() + 60 * save_minutes
+    save_state(training, out / "state.pt")
+    return _validate(training, out, on_validated, final=True)
+
+
+def _validate(
+    training: Training,
+    out: Path,
+    on_validated: Callable[[Network, NDArray[np.float64], bool], None],
+    *,
+    final: bool,
+) -> Network:
+    model = training.finished_model()
+    predicted = predict(
+        model,
+        training.validation,
+        highest_m=training.settings.max_height_m,
+        resolution=training.settings.full,
+        compute=None if final else training.compute,
+    )
+    residual = torch.from_numpy(predicted - training.validation.weight_g)
+    loss = float(nn.functional.smooth_l1_loss(residual, torch.zeros_like(residual), beta=training.settings.beta_g))
+    mae = float(residual.abs().mean())
+    best = mae < training.progress.best_mae_g
+    training.progress.best_mae_g = min(mae, training.progress.best_mae_g)
+    _log(training, out / "log.csv", loss, mae)
+    on_validated(model, predicted, best)
+    return model
+
+
+def _log(training: Training, path: Path, val_loss: float, val_mae_g: float) -> None:
+    progress, share = training.progress, training.share
+    resolution = training.settings.resolution(share)
+    fresh = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        if fresh:
+            writer.writerow(LOG_FIELDS)
+        epoch = progress.step * training.settings.batch / len(training.data)
+        rate = training.settings.learning_rate(share)
+        figures = (share, resolution.neighbours, resolution.centroids, rate, progress.loss, val_loss, val_mae_g)
+        writer.writerow(
+            [f"{progress.seconds / 60:.2f}", progress.step, f"{epoch:.3f}", *(f"{value:.5g}" for value in figures)]
+        )
+
+
+def save_state(training: Training, path: Path) -> None:
+    """Write the state atomically: a crash leaves the former one."""
+    partial = path.with_suffix(".partial")
+    torch.save(training.state(), partial)
+    partial.replace(path)
+
+
+def load_state(path: Path) -> dict[str, Any]:
+    """A state written by `save_state`.
+
+    Raises:
+        InputError: missing or unreadable.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises a wide, undocumented set for broken files
+        raise InputError(f"training state {path} cannot be read: {error}; start without --resume") from error
+    return state

@@ -1,0 +1,185 @@
+"""A whole training from folders to a checkpoint: data, resume, calibration, sidecar."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from regressor.network.checkpoint import InputSpec, Range, Sidecar, read_checkpoint, save_checkpoint
+from regressor.network.grouping import stage_counts
+from regressor.network.networks import Network
+from regressor.studies.metrics import scores
+from regressor.training.calibration import calibration
+from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
+from regressor.training.loop import load_state, run_training
+from regressor.training.recipe import TrainSettings
+from regressor.training.train import Training
+from regressor.weigh.volume import VolumeRule, best_share, blend, fit_volume_rule
+
+M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """Where a training reads and writes. `command` goes into the sidecar as it was typed.
+
+    `cache` holds prepared clouds and may be shared by several trainings; None is a folder in `out`. `start`: weights to
+    begin with; None begins with random ones.
+    """
+
+    data: Path
+    validation: Path
+    out: Path
+    name: str
+    resume: bool
+    save_minutes: float
+    validate_minutes: float
+    max_validation_views: int
+    command: str
+    cache: Path | None = None
+    start: Path | None = None
+
+
+def keep_memory() -> None:
+    """Tell glibc to keep freed memory: a step's large buffers otherwise fault in anew each time (2-3x the time)."""
+    if sys.platform != "linux":
+        return
+    try:
+        libc = ctypes.CDLL("libc.so.6")
+    except OSError:
+        return
+    libc.mallopt(M_MMAP_MAX, 0)
+    libc.mallopt(M_TRIM_THRESHOLD, 2**31 - 1)
+    libc.mallopt(M_TOP_PAD, 256 << 20)
+
+
+def train(
+    options: RunOptions,
+    settings: TrainSettings,
+    *,
+    on_prepared: Callable[[str, int], None],
+    on_step: Callable[[Training], None],
+    on_validated: Callable[[Training, dict[str, Any]], None],
+) -> Sidecar:
+    """Train, calibrate, write `weights.safetensors` with its sidecar; the sidecar.
+
+    Raises:
+        InputError: data that cannot be used, a state to resume that is not there.
+    """
+    keep_memory()
+    data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
+    data, validation = (views.with_target(settings.target) for views in (data, validation))
+    rule = fit_volume_rule(data.features, data.weight_g)
+    training = Training(data, validation, settings)
+    if options.start is not None:
+        training.start_from(read_checkpoint(options.start)[0])
+    state = options.out / "state.pt"
+    if options.resume:
+        training.restore(load_state(state))
+    elif state.is_file():
+        raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
+    options.out.mkdir(parents=True, exist_ok=True)
+    result: list[Sidecar] = []
+
+    def write(model: Network, predicted: NDArray[np.float64], best: bool) -> None:
+        sidecar = make_sidecar(training, predicted, rule, options)
+        on_validated(training, sidecar.metrics)
+        name = "weights.safetensors" if best or training.share >= 1.0 else "latest.safetensors"
+        result.append(save_checkpoint(options.out / name, model.state_dict(), sidecar))
+
+    run_training(
+        training,
+        out=options.out,
+        save_minutes=options.save_minutes,
+        validate_minutes=options.validate_minutes,
+        on_validated=write,
+        on_step=on_step,
+    )
+    return result[-1]
+
+
+def load_sets(
+    options: RunOptions, on_prepared: Callable[[str, int], None], *, keep: int = KEEP
+) -> tuple[CloudSet, CloudSet]:
+    """(training, validation) sets without a tuber in both: shared ones are left out of the training."""
+    cache = options.cache or options.out / "cache"
+    validation = load_cloudset(
+        options.validation,
+        cache=cache,
+        split="val" if options.validation == options.data else None,
+        max_views=options.max_validation_views,
+        keep=keep,
+        progress=lambda done: on_prepared("validation", done),
+    )
+    data = load_cloudset(
+        options.data,
+        cache=cache,
+        split="train" if options.validation == options.data else None,
+        keep=keep,
+        progress=lambda done: on_prepared("training", done),
+    )
+    shared = np.isin(_identity(data), _identity(validation))
+    if shared.all():
+        raise InputError(f"every tuber of {options.data} is also in {options.validation}: nothing is left to train on")
+    return data.subset(~shared) if shared.any() else data, validation
+
+
+def _identity(data: CloudSet) -> NDArray[np.str_]:
+    """Tubers by their truth: packs number their tubers anew, and the same name need not be the same tuber."""
+    rows = zip(data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
+    return np.array([f"{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for w, v, length, cultivar in rows])
+
+
+def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: VolumeRule, options: RunOptions) -> Sidecar:
+    """What the weights take, were made from and are worth on the validation set.
+
+    Validation figures are a little kind: the volume rule's share and the intervals were chosen on the same views.
+    """
+    data, validation, progress = training.data, training.validation, training.progress
+    by_volume = rule.weights_g(validation.features)
+    share = best_share(predicted, by_volume, validation.weight_g)
+    blended = blend(predicted, by_volume, share)
+    return Sidecar(
+        name=options.name,
+        target=training.settings.target,
+        network=training.settings.network,
+        input=InputSpec(
+            points=training.settings.points,
+            centroids=stage_counts(training.settings.points),
+            height_embedding=training.settings.height_embedding,
+            max_height_m=training.settings.max_height_m,
+        ),
+        belt_distance_m=_range(data.belt_distance_m, 0.02),
+        weight_g=_range(data.weight_g, 0.0),
+        length_mm=_range(data.features[:, 2], 0.0),
+        volume_share=share,
+        **calibration(predicted, by_volume, validation, volume_share=share).sidecar_keys(),
+        volume_rule=rule.to_json(),
+        training={
+            "command": options.command,
+            "views": len(data),
+            "tubers": len(np.unique(data.tuber)),
+            "refused_views": data.refused,
+            "hours": round(progress.seconds / 3600, 3),
+            "steps": progress.step,
+            "settings": asdict(training.settings),
+            "numbers": {"share_done": round(training.share, 4), "train_loss": round(progress.loss, 4)},
+        },
+        metrics={
+            "validation": scores(blended, validation.weight_g, validation.tuber),
+            "validation_network": scores(predicted, validation.weight_g, validation.tuber),
+            "validation_volume": scores(by_volume, validation.weight_g, validation.tuber),
+        },
+    )
+
+
+def _range(values: NDArray[np.float64], margin: float) -> Range:
+    return Range(low=round(float(values.min()) - margin, 4), high=round(float(values.max()) + margin, 4))

@@ -1,0 +1,237 @@
+"""Training on prepared clouds: resumable, by epochs or by the clock, by a recipe (`regressor.training.recipe`).
+
+The reduced graph (`regressor.network.reduced`) makes an epoch affordable on a CPU, and a training may start at a low
+resolution (32 neighbours, 32 centroids) and end at the network's own. A state holds everything: a resumed training
+takes the steps an unbroken one would take from there.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from conveyor.errors import InputError
+from regressor.network.device import usable_device
+from regressor.network.networks import POINTNET_POINTS, Network, new_network, run_network
+from regressor.network.pointnet import PointNet
+from regressor.network.pointraft import NEIGHBOURS
+from regressor.network.reduced import FULL, Resolution
+from regressor.training.augment import augmented_batch
+from regressor.training.cloudset import TARGET_POWER, CloudSet
+from regressor.training.recipe import TrainSettings
+
+CLASS_G = 50.0
+CLASSES = 10
+
+
+@dataclass(slots=True)
+class Progress:
+    """Where a training stands. `seconds` counts time spent training over all its sessions; `frozen`: see `_freeze`."""
+
+    step: int = 0
+    seconds: float = 0.0
+    loss: float = float("nan")
+    best_mae_g: float = float("inf")
+    frozen: bool = False
+
+
+class Training:
+    """One training: model, its moving average, optimiser, draws and log."""
+
+    def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
+        if len(data) < settings.batch:
+            raise InputError(f"{len(data)} training views are fewer than one batch of {settings.batch}")
+        self.device = usable_device(settings.device)
+        torch.manual_seed(settings.seed)
+        self.settings = settings
+        self.data = data
+        self.validation = validation
+        self.rng = np.random.default_rng(settings.seed)
+        self.model = self._new_network()
+        start_at_mean(self.model, data.weight_g)
+        self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
+        self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.lr, weight_decay=settings.weight_decay)
+        self.progress = Progress()
+        self._weights = class_weights(data.weight_g)
+
+    @property
+    def share(self) -> float:
+        """How much of the training is done, 0..1."""
+        if self.settings.minutes is not None:
+            return min(1.0, self.progress.seconds / (60 * self.settings.minutes))
+        return min(1.0, self.progress.step / max(1, self.total_steps))
+
+    @property
+    def total_steps(self) -> int:
+        """Steps of a training by epochs."""
+        return round(self.settings.epochs * len(self.data) / self.settings.batch)
+
+    def step(self) -> float:
+        """One batch, forward and backward; its loss."""
+        begun = time.perf_counter()
+        share = self.share
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.settings.learning_rate(share)
+        points, heights, weights = self._batch(self.rng)
+        self.model.train()
+        if share >= 1 - self.settings.frozen_share:
+            self._freeze()
+            for module in self.model.modules():
+                if isinstance(module, nn.BatchNorm1d):
+                    module.eval()
+        self.optimiser.zero_grad(set_to_none=True)
+        predicted = run_network(
+            self.model, points, heights, resolution=self.settings.resolution(share), compute=self.compute
+        )
+        loss = nn.functional.smooth_l1_loss(predicted, weights, beta=self.settings.beta_g)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimiser.step()
+        self._update_average()
+        self.progress.step += 1
+        self.progress.seconds += time.perf_counter() - begun
+        value = float(loss.detach())
+        old = self.progress.loss
+        self.progress.loss = value if not np.isfinite(old) else 0.99 * old + 0.01 * value
+        return value
+
+    @property
+    def compute(self) -> torch.dtype | None:
+        """Dtype of the wide products; None is the model's own."""
+        return torch.bfloat16 if self.settings.compute == "bfloat16" else None
+
+    @property
+    def natural(self) -> bool:
+        """The last part of the training: clouds drawn as they come, and sampled as a prediction samples them."""
+        return not self.settings.balanced or self.share >= 1 - self.settings.natural_share
+
+    def _batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        natural = self.natural
+        rows = rng.choice(len(self.data), self.settings.batch, p=None if natural else self._weights)
+        arrays = augmented_batch(
+            self.data.points[rows],
+            self.data.height_m[rows],
+            self.data.weight_g[rows],
+            rng,
+            self.settings.augmentation,
+            highest_m=self.settings.max_height_m,
+            count=self.settings.read_points,
+            resample=not (natural and self.settings.natural_share > 0),
+            power=TARGET_POWER[self.settings.target],
+        )
+        points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)).to(self.device) for array in arrays)
+        return points, heights, weights
+
+    def _update_average(self) -> None:
+        # The average starts short, so that it forgets the first steps' weights.
+        decay = min(self.settings.average, (1 + self.progress.step) / (10 + self.progress.step))
+        with torch.no_grad():
+            for name, value in self.model.state_dict().items():
+                if value.is_floating_point():
+                    self.average[name].lerp_(value, 1 - decay)
+                else:
+                    self.average[name].copy_(value)
+
+    def _new_network(self) -> Network:
+        settings = self.settings
+        network = new_network(settings.network, height_embedding=settings.height_embedding, dropout=settings.dropout)
+        return network.to(self.device)
+
+    def finished_model(self) -> Network:
+        """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights."""
+        model = self._new_network()
+        model.load_state_dict(self.average if self.settings.average else self.model.state_dict())
+        return model.eval()
+
+    def _freeze(self) -> None:
+        """Go on from the average, with its batch-norm statistics fixed.
+
+        A batch of 32 tubers has a mean weight of its own, which batch norm lets the network see: noise in training that
+        a prediction does not have.
+        """
+        if self.settings.average and not self.progress.frozen:
+            self.model.load_state_dict(self.average)
+        self.progress.frozen = True
+
+    def start_from(self, weights: dict[str, Tensor]) -> None:
+        """Begin with the weights and batch-norm statistics of a trained network instead of random ones.
+
+        Raises:
+            InputError: they are of another network.
+        """
+        try:
+            self.model.load_state_dict(weights)
+        except RuntimeError as error:
+            raise InputError(f"the weights to start from are of another network: {error}") from error
+        self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on."""
+        return {
+            "settings": asdict(self.settings),
+            "model": self.model.state_dict(),
+            "average": self.average,
+            "optimiser": self.optimiser.state_dict(),
+            "rng": self.rng.bit_generator.state,
+            "torch_rng": torch.get_rng_state(),
+            "cuda_rng": torch.cuda.get_rng_state(self.device) if self.device.type == "cuda" else None,
+            "progress": asdict(self.progress),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from `state()`."""
+        self.model.load_state_dict(state["model"])
+        self.average = {name: value.to(self.device) for name, value in state["average"].items()}
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.rng.bit_generator.state = state["rng"]
+        torch.set_rng_state(state["torch_rng"])
+        if self.device.type == "cuda" and state.get("cuda_rng") is not None:
+            torch.cuda.set_rng_state(state["cuda_rng"], self.device)
+        self.progress = Progress(**state["progress"])
+
+
+def start_at_mean(model: Network, weight_g: NDArray[np.float64]) -> None:
+    """Let the last layer start at the mean weight and with a spread of grams: Adam would take thousands of steps."""
+    last: nn.Linear = model.regression_head.lins[-1]  # type: ignore[assignment]
+    with torch.no_grad():
+        last.weight.mul_(float(np.std(weight_g)) / 2)
+        last.bias.fill_(float(np.mean(weight_g)))
+
+
+def class_weights(weight_g: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) chance of each view so that the 10 weight classes of 50 g are drawn equally often (the last is open)."""
+    owner = np.minimum(weight_g // CLASS_G, CLASSES - 1).astype(np.int64)
+    weights = 1.0 / np.bincount(owner, minlength=CLASSES)[owner]
+    chances: NDArray[np.float64] = weights / weights.sum()
+    return chances
+
+
+def predict(
+    model: Network,
+    data: CloudSet,
+    *,
+    highest_m: float,
+    resolution: Resolution = FULL,
+    batch: int = 32,
+    compute: torch.dtype | None = None,
+) -> NDArray[np.float64]:
+    """(n,) grams, PointRAFT's on the reduced graph."""
+    model.eval()
+    device = next(model.parameters()).device
+    used = POINTNET_POINTS if isinstance(model, PointNet) else max(NEIGHBOURS, resolution.centroids)
+    out = []
+    with torch.inference_mode():
+        for begin in range(0, len(data), batch):
+            rows = slice(begin, begin + batch)
+            heights = np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)
+            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, :used]))
+            weights = run_network(
+                model, points.to(device), torch.from_numpy(heights).to(device), resolution=resolution, compute=compute
+            )
+            out.append(weights.cpu().numpy())
+    return np.concatenate(out).astype(np.float64)

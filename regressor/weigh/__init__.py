@@ -1,0 +1,1 @@
+"""From a view to grams: preparation, visible volume, interval, weigher."""

@@ -1,0 +1,113 @@
+"""Single clouds and depth/mask pairs from files to weights, without any network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from conveyor.errors import InputError
+from conveyor.formats.clouds import read_cloud
+from conveyor.formats.twin import MAX_DEPTH_M, find_intrinsics, pair_of, read_intrinsics, read_pair
+from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
+from regressor.weigh.weigher import Weighed, Weigher
+
+
+@dataclass(frozen=True, slots=True)
+class FileOptions:
+    """How files are read. `depth_scale_m` None takes what the intrinsics file says (1 mm where it says nothing)."""
+
+    belt_distance_m: float
+    belt_sd_m: float = TYPICAL_BELT_SD_M
+    depth_scale_m: float | None = None
+    intrinsics: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FileResult:
+    """What came of one file: a weight or an error."""
+
+    path: Path
+    points: int
+    height_mm: float | None
+    weighed: Weighed | None
+    error: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        answer = asdict(self.weighed) if self.weighed else {}
+        return {
+            "path": str(self.path),
+            "points": self.points,
+            "height_mm": self.height_mm,
+            **answer,
+            "error": self.error or None,
+        }
+
+
+def weigh_files(paths: Sequence[Path], options: FileOptions, weigher: Weigher) -> list[FileResult]:
+    """One result per file, in order; a depth image and its mask given both are one."""
+    return [_weigh_file(path, options, weigher) for path in _once_per_pair(paths)]
+
+
+def _once_per_pair(paths: Sequence[Path]) -> list[Path]:
+    kept: list[Path] = []
+    for path in paths:
+        try:
+            entry = pair_of(path)[0] if path.suffix.lower() == ".png" else path
+        except InputError:
+            entry = path
+        if entry not in kept:
+            kept.append(entry)
+    return kept
+
+
+def _weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResult:
+    try:
+        cloud = prepare_file(path, options)
+    except RefusedCloud as refusal:
+        return FileResult(path, 0, None, None, error=f"{path}: {refusal}")
+    except InputError as error:
+        return FileResult(path, 0, None, None, error=str(error))
+    fault = _distance_fault(path, cloud)
+    if fault:
+        return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=fault)
+    weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m)
+    return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), weighed)
+
+
+def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
+    """The prepared cloud of a cloud file or of a depth/mask pair.
+
+    Raises:
+        InputError: unreadable or unusable.
+    """
+    if path.suffix.lower() != ".png":
+        return prepare_cloud(read_cloud(path), belt_distance_m=options.belt_distance_m)
+    intrinsics, stored_scale_m = read_intrinsics(options.intrinsics or find_intrinsics(path))
+    scale_m = options.depth_scale_m or stored_scale_m
+    far_m = max(MAX_DEPTH_M, options.belt_distance_m + 0.05)
+    masked = read_pair(path, intrinsics=intrinsics, depth_scale_m=scale_m, max_depth_m=far_m)
+    return prepare_depth(
+        masked.depth,
+        depth_scale_m=scale_m,
+        fx=masked.intrinsics.fx,
+        fy=masked.intrinsics.fy,
+        cx=masked.intrinsics.cx,
+        cy=masked.intrinsics.cy,
+        belt_from_camera=straight_down_belt_from_camera(options.belt_distance_m),
+    )
+
+
+def _distance_fault(path: Path, cloud: PreparedCloud) -> str:
+    """A cloud that floats high above the belt, or lies wholly below it, was read with a wrong scale or distance."""
+    lowest_m = cloud.height_m - float(cloud.points[:, 2].max() - cloud.points[:, 2].min())
+    nearest_m = cloud.belt_distance_m - cloud.height_m
+    if cloud.height_m > 0.003 and lowest_m < 0.12:
+        return ""
+    return (
+        f"{path}: its nearest point is {nearest_m:.3f} m from the camera and the belt {cloud.belt_distance_m:.3f} m: "
+        "check --belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
+    )

@@ -1,0 +1,120 @@
+"""How far off a weight may be, from what its view shows: the scale of an interval.
+
+A gamma regression with a log link of |truth - weight| on five things a view tells of itself: the weight, its square,
+how far network and volume rule disagree, how elongated the outline is, and how high the tuber stands for its width
+(upright and tumbling tubers hide more). Few and smooth, clipped to what the calibration saw, so that a strange view
+gets a wide interval and never an absurd one. What no view shows is how well the belt's height is known: the line says
+so (`segmenter.belt_sd_mm`), and the sixth term is how much of the visible volume that makes uncertain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from regressor.weigh.volume import NAMES
+
+TERMS = ("ln_weight", "ln_weight_squared", "disagreement", "elongation", "steepness", "belt")
+TYPICAL_G = 150.0
+OWN_ERROR = 0.05
+"""Of the weight: about what a view is off by over a belt whose height is known exactly."""
+BELT, MOST_BELT = TERMS.index("belt"), 3.0
+RIDGE = 1.0
+ROUNDS = 50
+CLIP_SHARE = 0.005
+MAX_RATIO = 100.0
+
+
+def view_terms(
+    weight_g: NDArray[np.float64],
+    network_g: NDArray[np.float64],
+    volume_g: NDArray[np.float64],
+    features: NDArray[np.float64],
+    height_m: NDArray[np.float64],
+    belt_sd_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(n, 6) what n views show and the line knows, in the order of `TERMS`.
+
+    Args:
+        weight_g, network_g, volume_g: (n,) the blended weight and its two parts.
+        features: (n, 5) of the visible surface as in `volume.NAMES`. height_m: (n,) above the belt, not clamped.
+        belt_sd_m: (n,) how well the belt's height is known, standard deviation.
+    """
+    length_mm, width_mm = (np.maximum(features[:, NAMES.index(name)], 1.0) for name in ("length_mm", "width_mm"))
+    ln_weight = np.log(np.maximum(weight_g, 1.0) / TYPICAL_G)
+    disagreement = np.abs(np.log(np.maximum(network_g, 1.0) / np.maximum(volume_g, 1.0)))
+    steepness = np.log(np.maximum(1e3 * height_m, 5.0) / width_mm)
+    volume_ml, area_cm2 = (np.maximum(features[:, NAMES.index(name)], 1.0) for name in ("volume_ml", "area_cm2"))
+    # A belt that lies d higher takes d * area from the visible volume.
+    belt = np.log(np.hypot(1.0, 100 * belt_sd_m * area_cm2 / volume_ml / OWN_ERROR))
+    return np.column_stack([ln_weight, ln_weight**2, disagreement, np.log(length_mm / width_mm), steepness, belt])
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleRule:
+    """ln scale = intercept + sum(slopes * (terms clipped to low..high)); scales are in grams."""
+
+    intercept: float
+    slopes: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    def scale_g(self, terms: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) grams of (n, 6) `view_terms`."""
+        scale: NDArray[np.float64] = np.exp(
+            self.intercept + np.clip(terms, self.low, self.high) @ np.array(self.slopes)
+        )
+        return scale
+
+    def to_json(self) -> dict[str, Any]:
+        """For the sidecar of a checkpoint."""
+        return {"terms": TERMS, **asdict(self)}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> ScaleRule:
+        """From the sidecar of a checkpoint.
+
+        Raises:
+            ValueError: made from other terms than this code knows.
+        """
+        terms = tuple(data["terms"])
+        if terms not in (TERMS, TERMS[:BELT]):
+            raise ValueError(f"an interval's scale is made from {data['terms']}; known: {TERMS}")
+        # Sidecars from before the belt was a term: it has no say there.
+        rest = (0.0,) * (len(TERMS) - len(terms))
+        low, high, slopes = (tuple(float(value) for value in data[name]) + rest for name in ("low", "high", "slopes"))
+        return cls(float(data["intercept"]), slopes, low, high)
+
+
+def fit_scale(terms: NDArray[np.float64], residual_g: NDArray[np.float64]) -> ScaleRule:
+    """The scale that (n, 6) `terms` say of (n,) residuals: gamma likelihood, log link, by Newton steps."""
+    low, high = np.quantile(terms, [CLIP_SHARE, 1 - CLIP_SHARE], axis=0)
+    # The weight itself is not clipped: the largest tubers are few, and their errors are the largest. Nor is the belt:
+    # one that is known worse than any calibration saw makes intervals wider still.
+    low[:2], high[:2] = terms[:, :2].min(0), terms[:, :2].max(0)
+    low[BELT], high[BELT] = 0.0, MOST_BELT
+    clipped = np.clip(terms, low, high)
+    centre, spread = clipped.mean(0), np.maximum(clipped.std(0), 1e-6)
+    design = np.column_stack([np.ones(len(terms)), (clipped - centre) / spread])
+    size = np.abs(residual_g)
+    beta = np.zeros(design.shape[1])
+    beta[0] = np.log(max(float(size.mean()), 1e-3))
+    penalty = RIDGE * np.diag([0.0] + [1.0] * len(TERMS))
+    for _ in range(ROUNDS):
+        ratio = np.minimum(size / np.exp(design @ beta), MAX_RATIO)
+        gradient = design.T @ (ratio - 1) - penalty @ beta
+        step = np.linalg.solve((design * ratio[:, None]).T @ design + penalty, gradient)
+        # A whole Newton step may overshoot far from the optimum; half a unit in ln is plenty.
+        beta += np.clip(step, -0.5, 0.5)
+        if float(np.abs(step).max()) < 1e-9:
+            break
+    slopes = beta[1:] / spread
+    return ScaleRule(
+        intercept=float(beta[0] - centre @ slopes),
+        slopes=tuple(float(value) for value in slopes),
+        low=tuple(float(value) for value in low),
+        high=tuple(float(value) for value in high),
+    )

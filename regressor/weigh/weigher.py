@@ -1,0 +1,180 @@
+"""From a prepared cloud to a weight with its interval and flags: what the node and the command line share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.geometry import TYPICAL_BELT_SD_M
+from conveyor.messages import View, Weight
+from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network.fast import EXACT, FastPointRaft, Form
+from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
+from regressor.network.pointraft import PointRaft
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
+from regressor.weigh.viewscale import view_terms
+from regressor.weigh.volume import TYPICAL_RULE, blend
+
+VOLUME_MODEL = "volume"
+INTERVAL_Z = 1.645
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual.
+
+    `network_g` and `volume_g` are what it is made of: the network's answer (None without one) and the volume rule's.
+    """
+
+    weight_g: float
+    low_g: float
+    high_g: float
+    network_g: float | None
+    volume_g: float
+    method: Literal["pointraft", "volume"]
+    model: str
+    flags: tuple[str, ...]
+
+
+class Weigher:
+    """One set of weights, ready to weigh; without a network it weighs by volume. One instance per worker.
+
+    Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
+    weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
+    visible volume says otherwise), 'bfloat16' and 'centroids_64' (not computed in the exact form).
+    """
+
+    def __init__(self, model: PointRaft | None, sidecar: Sidecar, form: Form = EXACT) -> None:
+        self.sidecar = sidecar
+        self.form = form
+        self._model = model
+        self._network = FastPointRaft(model, form) if model is not None else None
+        self._interval = sidecar.interval_rule
+        self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+        self._group = _grouping(sidecar)
+
+    @classmethod
+    def load(cls, path: Path | None = None, form: Form = EXACT, *, any_target: bool = False) -> Weigher:
+        """With the weights at `path`, or the shipped ones, computed in `form`; only `any_target` admits a volume.
+
+        Raises:
+            InputError: weights that cannot be used.
+        """
+        return cls(*load_checkpoint(path, any_target=any_target), form)
+
+    def in_form(self, form: Form) -> Weigher:
+        """The same weights, computed in `form`."""
+        return self if form == self.form else Weigher(self._model, self.sidecar, form)
+
+    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+        """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it.
+
+        Args:
+            belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
+        """
+        by_volume_g = self._volume.weight_g(cloud.surface)
+        if self._network is None:
+            return self._by_volume(by_volume_g, cloud.flags)
+        height_m = cloud.clamped_height_m(self.sidecar.input.max_height_m)
+        network_g = self._network.weigh(self._group(cloud.points), height_m)
+        if not np.isfinite(network_g) or network_g <= 0:
+            return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
+        weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
+        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, belt_sd_m)
+        return Weighed(
+            weight_g=round(weight_g, 3),
+            low_g=round(low, 3),
+            high_g=round(high, 3),
+            network_g=round(network_g, 3),
+            volume_g=round(by_volume_g, 3),
+            method="pointraft",
+            model=self.sidecar.model_id,
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *self.form.flags),
+        )
+
+    def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
+        factor = float(np.exp(INTERVAL_Z * max(self._volume.residual_ln_sd, 0.05)))
+        return Weighed(
+            weight_g=round(weight_g, 3),
+            low_g=round(weight_g / factor, 3),
+            high_g=round(weight_g * factor, 3),
+            network_g=None,
+            volume_g=round(weight_g, 3),
+            method="volume",
+            model=VOLUME_MODEL,
+            flags=flags,
+        )
+
+    def _bounds(
+        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, belt_sd_m: float
+    ) -> tuple[float, float]:
+        if self._interval is None:
+            # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
+            return 0.7 * weight_g, 1.3 * weight_g
+        weight, network, by_volume, height, belt_sd = (
+            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, belt_sd_m)
+        )
+        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, belt_sd)
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms)
+        return float(low[0]), float(high[0])
+
+    def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
+        sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
+        checks = {
+            "height_clamped": 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
+            "belt_distance": sidecar.belt_distance_m.holds(cloud.belt_distance_m),
+            "size": sidecar.length_mm.holds(cloud.surface.length_mm),
+            "weight": sidecar.weight_g.holds(network_g),
+            "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
+        }
+        return tuple(name for name, fine in checks.items() if not fine)
+
+
+def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
+    points, start = sidecar.input.points, sidecar.start
+    if start.kind == "prefix":
+        return lambda cloud: group_prefix(cloud, points=points)
+    return lambda cloud: group_random(cloud, seed=start.seed, points=points)
+
+
+def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
+    """The answer to `view`: a weight, or a refusal with its reason."""
+    try:
+        weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m)
+    except RefusedCloud as refusal:
+        return Weight(
+            view_id=view.view_id,
+            track_id=view.track_id,
+            camera=view.camera,
+            run=view.run,
+            seq=view.seq,
+            status="refused",
+            weight_g=None,
+            low_g=None,
+            high_g=None,
+            method="pointraft",
+            model=weigher.sidecar.model_id,
+            flags=(),
+            regressor=regressor,
+            reason=refusal.reason,
+        )
+    return Weight(
+        view_id=view.view_id,
+        track_id=view.track_id,
+        camera=view.camera,
+        run=view.run,
+        seq=view.seq,
+        status="weighed",
+        weight_g=weighed.weight_g,
+        low_g=weighed.low_g,
+        high_g=weighed.high_g,
+        method=weighed.method,
+        model=weighed.model,
+        flags=weighed.flags,
+        regressor=regressor,
+    )

@@ -1,0 +1,1 @@
+"""Tuber or not: averaged top views of tracks, the classifier, and what the load itself teaches."""

@@ -1,0 +1,71 @@
+"""Tuber or not, from a track's portrait, by a small network that OpenCV runs from an ONNX file: no torch here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from segmenter.classify.patch import CHANNELS, SIZE, Portrait
+
+CLEAR_OTHER, CLEAR_TUBER = -7.0, 3.0
+"""Log-odds below and above which a second look changes nothing, on a clean belt as on a cloddy one."""
+SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-eyes.onnx"
+
+
+class Judge:
+    """The network, read once. Not for several threads.
+
+    Raises:
+        InputError: the file is missing, or no network that takes portraits.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path = path or SHIPPED
+        self._net = read_network(self.path)
+        odds = self._answer(np.zeros((CHANNELS, SIZE, SIZE), np.float32))
+        if odds.size != 1:
+            raise InputError(f"{self.path} answers {odds.shape} to a portrait; one number is needed")
+
+    def log_odds(self, portrait: Portrait) -> float:
+        """Log of how much likelier a portrait of at least one look is for a tuber than for a clod or a stone.
+
+        One that is not clear at first sight is turned and mirrored: the mean of all eight answers errs less.
+        """
+        channels = portrait.channels()
+        first = self._answer(channels).ravel()[0]
+        if not CLEAR_OTHER < first < CLEAR_TUBER:
+            return float(first)
+        turned = [np.rot90(side, turns, (1, 2)) for side in (channels, channels[:, :, ::-1]) for turns in range(4)]
+        others = [self._answer(np.ascontiguousarray(one)).ravel()[0] for one in turned[1:]]
+        return float(np.mean([first, *others]))
+
+    def _answer(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
+        self._net.setInput(channels[None])
+        try:
+            return np.asarray(self._net.forward(), np.float32)
+        except cv2.error as error:
+            raise InputError(
+                f"{self.path} does not take portraits {channels.shape}: train it anew with this version's "
+                f"`tuberline train-eyes` ({error})"
+            ) from error
+
+
+def read_network(path: Path) -> cv2.dnn.Net:
+    """A network of `tuberline train-eyes`.
+
+    Raises:
+        InputError: the file is missing, or no network that OpenCV reads.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"the segmenter's weights {path} do not exist: give segmenter.weights an .onnx file made by `tuberline "
+            'train-eyes`, or set segmenter.method to "classical"'
+        )
+    try:
+        return cv2.dnn.readNetFromONNX(str(path))
+    except cv2.error as error:
+        raise InputError(f"{path} is no network that OpenCV {cv2.__version__} can read: {error}") from error

@@ -1,0 +1,314 @@
+"""Which view goes to which regressor, so that none is lost, none is waited for in vain, and every tuber gets its turn.
+
+Credits bound what a regressor holds; what it holds stands in a table until answered, and goes back into the queue
+when it leaves or lets the deadline pass. First views of all tubers go before second views. Pure: time comes in as a
+number.
+
+Where the camera waits for nobody, more tubers may come than can be weighed (`shed_over`). Then second and third views
+go first, and early: those beyond what the regressors, at the pace they are measured at, get done in `spare_wait_s`.
+One of them stands aside until its tuber's first view is weighed, and takes its place where that one is refused or
+lost. Only where the regressors cannot weigh even one view of each tuber, the newest tubers are given up at once
+('overload') instead of letting all of them wait for `first_wait_s` and longer.
+
+Where the camera waits (a replay), a slow machine must not decide what is weighed: that a regressor did not answer in
+time counts as an attempt only where it never answered again and left.
+
+The law, at every moment: sent = weighed + lost + outstanding, where outstanding is queued, aside or held by a
+regressor.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+
+from conveyor.messages import View
+from segmenter.dispatch.throughput import Throughput
+
+FIRSTS_PER_SPARE = 8
+"""First views that may wait, whatever the pace, in units of `shed_over`: a bound on memory."""
+TURNS_IN_HAND = 2.0
+"""A regressor gets what it weighs in this many of our turns, so that it never waits for us."""
+
+
+@dataclass(frozen=True, slots=True)
+class DispatchSettings:
+    """Seconds. `shed_over`: spare views waiting beyond which they are shed; None where the camera waits instead.
+
+    `credits` views are in flight per regressor, up to `most_credits` for one that answers faster than we come round.
+    """
+
+    credits: int = 2
+    most_credits: int = 16
+    deadline_s: float = 5.0
+    max_attempts: int = 5
+    shed_over: int | None = None
+    first_wait_s: float = 30.0
+    spare_wait_s: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class LostView:
+    """A view that will not be weighed, and why."""
+
+    view_id: str
+    track_id: str
+    reason: str
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    view: View
+    order: int
+    offered_s: float
+    attempts: int = 0
+    regressor: str | None = None
+    deadline_s: float = 0.0
+    first: bool = False
+    """It is the one its tuber hopes for: no view of it is weighed yet, and no better one is on its way."""
+    aside: bool = False
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Order of service, and against the order of shedding."""
+        return (0 if self.first else max(1, self.view.rank), self.order)
+
+
+@dataclass(slots=True, eq=False)
+class _Tuber:
+    weighed: bool = False
+    jobs: list[_Job] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Dispatcher:
+    """The queue, the table of what is outstanding, and the balance."""
+
+    settings: DispatchSettings
+    sent: int = 0
+    weighed: int = 0
+    duplicates: int = 0
+    requeued: Counter[str] = field(default_factory=Counter)
+    lost: Counter[str] = field(default_factory=Counter)
+    pace: Throughput = field(default_factory=Throughput)
+    pressed: bool = False
+    """So many tubers wait for their first view that it takes too long, though no spare view is weighed any more."""
+    _jobs: dict[str, _Job] = field(default_factory=dict)
+    _tubers: dict[str, _Tuber] = field(default_factory=dict)
+    _queue: list[tuple[tuple[int, int], str]] = field(default_factory=list)
+    _held: dict[str, set[str]] = field(default_factory=dict)
+    _suspects: dict[str, set[str]] = field(default_factory=dict)
+    """Who missed a deadline and did not answer since, with the view that counts as an attempt once it leaves."""
+    _fresh_losses: list[LostView] = field(default_factory=list)
+
+    @property
+    def outstanding(self) -> int:
+        """Views neither weighed nor lost."""
+        return len(self._jobs)
+
+    @property
+    def waiting(self) -> int:
+        """Views with no regressor."""
+        return len(self._jobs) - sum(len(held) for held in self._held.values())
+
+    @property
+    def rate_per_s(self) -> float | None:
+        """Views a second that the regressors get done, as measured; None where that is not known (yet, or any more)."""
+        return self.pace.total_per_s(name for name in self._held if name not in self._suspects)
+
+    def regressors(self) -> set[str]:
+        """Names of those who take work."""
+        return set(self._held)
+
+    def balance(self) -> dict[str, int]:
+        """sent = weighed + lost by reason + outstanding."""
+        losses = {f"lost_{reason}": n for reason, n in sorted(self.lost.items())}
+        return {"sent": self.sent, "weighed": self.weighed, "outstanding": self.outstanding, **losses}
+
+    def offer(self, view: View, *, now_s: float = 0.0) -> None:
+        """Take a view to be weighed; a tuber's best one comes first. One that is offered twice counts once."""
+        if view.view_id in self._jobs:
+            return
+        tuber = self._tubers.setdefault(view.track_id, _Tuber())
+        job = _Job(view, self.sent, now_s, first=not tuber.weighed and not tuber.jobs)
+        tuber.jobs.append(job)
+        self._jobs[view.view_id] = job
+        self.sent += 1
+        self._enqueue(job)
+
+    def present(self, names: set[str]) -> None:
+        """Take note of who is alive: newcomers get work, what the missing ones held goes back into the queue."""
+        if names == self._held.keys():
+            return
+        for name in sorted(set(self._held) - names):
+            held = self._held.pop(name)
+            for view_id in sorted(held):
+                self._give_back(self._jobs[view_id], "regressor_left")
+            for view_id in sorted(self._suspects.pop(name, set()) - held):
+                self._blame(view_id)
+            self.pace.gone(name)
+        for name in sorted(names - set(self._held)):
+            self._held[name] = set()
+
+    def assign(self, now_s: float) -> list[tuple[str, View]]:
+        """Views to send now, each to the regressor with the fewest in hand. Call after `expire`."""
+        sending = []
+        while self._queue:
+            name = self._freest()
+            if name is None:
+                break
+            key, view_id = heapq.heappop(self._queue)
+            job = self._jobs.get(view_id)
+            if job is None or job.key != key or job.regressor is not None or job.aside:
+                continue
+            job.regressor, job.deadline_s = name, now_s + self.settings.deadline_s
+            job.attempts += 1
+            self._held[name].add(view_id)
+            sending.append((name, job.view))
+        return sending
+
+    def answer(self, view_id: str, *, regressor: str, usable: bool, reason: str = "") -> bool:
+        """Take an answer; False where the view is not waited for (a duplicate, or answered after it was given up)."""
+        self._suspects.pop(regressor, None)
+        if regressor in self._held:
+            self.pace.answered(regressor)
+        job = self._jobs.get(view_id)
+        if job is None:
+            self.duplicates += 1
+            return False
+        if not usable:
+            self._lose(job, f"refused_{reason}" if reason else "refused")
+            return True
+        self.weighed += 1
+        tuber = self._tubers[job.view.track_id]
+        tuber.weighed = True
+        self._forget(job)
+        for other in [j for j in tuber.jobs if j.aside]:
+            self._lose(other, "shed")
+        return True
+
+    def expire(self, now_s: float) -> None:
+        """Take back what was not answered in time, and shed what would wait in vain.
+
+        Who missed a deadline gets one view at a time until it answers.
+        """
+        self.pace.step(now_s, [name for name, held in self._held.items() if held and name not in self._suspects])
+        for name, held in self._held.items():
+            late = [view_id for view_id in held if now_s >= self._jobs[view_id].deadline_s]
+            for view_id in sorted(late):
+                job = self._jobs[view_id]
+                # What a regressor that is known to stand still does not answer says nothing of the view.
+                job.attempts -= self.settings.shed_over is None or name in self._suspects
+                blamed = self._suspects.setdefault(name, set())
+                if self.settings.shed_over is None and not blamed:
+                    blamed.add(view_id)
+                held.discard(view_id)
+                self._give_back(job, "deadline")
+        if self.settings.shed_over is not None:
+            self._shed(now_s, self.settings.shed_over)
+
+    def cancel(self, track_id: str, reason: str) -> None:
+        """Give up all views of a track."""
+        tuber = self._tubers.get(track_id)
+        for job in sorted(tuber.jobs, key=lambda j: -j.view.rank) if tuber else []:
+            self._lose(job, reason)
+
+    def take_losses(self) -> list[LostView]:
+        """Views lost since the last call."""
+        losses, self._fresh_losses = self._fresh_losses, []
+        return losses
+
+    def _shed(self, now_s: float, limit: int) -> None:
+        """Give up what would wait too long: spare views from the highest rank down and newest first, then tubers."""
+        waiting = [job for job in self._jobs.values() if job.regressor is None and not job.aside]
+        spare = sorted((job for job in waiting if not job.first), key=lambda job: job.key)
+        excess = len(waiting) - min(limit, self._done_in(self.settings.spare_wait_s))
+        kept = len(spare) - max(0, excess)
+        for at, job in enumerate(spare):
+            if at >= kept or now_s - job.offered_s >= self.settings.spare_wait_s:
+                self._set_aside(job)
+        firsts = len(waiting) - len(spare)
+        self.pressed = firsts > self._done_in(self.settings.spare_wait_s)
+        most = min(limit * FIRSTS_PER_SPARE, self._done_in(self.settings.first_wait_s))
+        if firsts > most:
+            self._give_up(sorted((job for job in waiting if job.first), key=lambda job: job.key)[most:])
+
+    def _set_aside(self, job: _Job) -> None:
+        """A spare view is lost, unless it is the one that its tuber needs if its first view fails."""
+        tuber = self._tubers[job.view.track_id]
+        if tuber.weighed or any(not other.first and other.view.rank < job.view.rank for other in tuber.jobs):
+            self._lose(job, "shed")
+        else:
+            job.aside = True
+
+    def _give_up(self, firsts: list[_Job]) -> None:
+        """Tubers that nobody will weigh in time are not let wait in vain."""
+        for job in firsts:
+            tuber = self._tubers[job.view.track_id]
+            if not tuber.weighed and all(other.regressor is None for other in tuber.jobs):
+                self.cancel(job.view.track_id, "overload")
+
+    def _done_in(self, seconds: float) -> int:
+        """Views that the regressors get done in that time; any number where their pace is not known."""
+        rate = self.rate_per_s
+        return sys.maxsize if rate is None else round(rate * seconds)
+
+    def _freest(self) -> str | None:
+        """The regressor to serve next: trusted ones first, the emptiest first; None where nobody has a credit left."""
+        free = [
+            (name in self._suspects, len(held), name)
+            for name, held in self._held.items()
+            if len(held) < self._credits(name)
+        ]
+        return min(free)[2] if free else None
+
+    def _credits(self, name: str) -> int:
+        """Views a regressor may hold: what it weighs until we come round again, within bounds."""
+        if name in self._suspects:
+            return 1
+        wanted = math.ceil(TURNS_IN_HAND * (self.pace.rate_per_s(name) or 0.0) * self.pace.turn_s)
+        return max(self.settings.credits, min(wanted, self.settings.most_credits))
+
+    def _enqueue(self, job: _Job) -> None:
+        heapq.heappush(self._queue, (job.key, job.view.view_id))
+
+    def _give_back(self, job: _Job, reason: str) -> None:
+        job.regressor = None
+        self.requeued[reason] += 1
+        if job.attempts >= self.settings.max_attempts:
+            self._lose(job, "max_attempts")
+        else:
+            self._enqueue(job)
+
+    def _blame(self, view_id: str) -> None:
+        """A regressor stood still at this view until its end."""
+        if job := self._jobs.get(view_id):
+            job.attempts += 1
+            if job.attempts >= self.settings.max_attempts:
+                self._lose(job, "max_attempts")
+
+    def _lose(self, job: _Job, reason: str) -> None:
+        self.lost[reason] += 1
+        self._fresh_losses.append(LostView(job.view.view_id, job.view.track_id, reason))
+        self._forget(job)
+        tuber = self._tubers.get(job.view.track_id)
+        if job.first and tuber is not None and not tuber.weighed:
+            self._promote(min(tuber.jobs, key=lambda j: j.view.rank))
+
+    def _promote(self, heir: _Job) -> None:
+        """A tuber's best view is gone: the next one is its hope now."""
+        heir.first, heir.aside = True, False
+        if heir.regressor is None:
+            self._enqueue(heir)
+
+    def _forget(self, job: _Job) -> None:
+        if job.regressor is not None and job.regressor in self._held:
+            self._held[job.regressor].discard(job.view.view_id)
+        del self._jobs[job.view.view_id]
+        tuber = self._tubers[job.view.track_id]
+        tuber.jobs.remove(job)
+        if not tuber.jobs:
+            del self._tubers[job.view.track_id]

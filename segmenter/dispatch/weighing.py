@@ -1,0 +1,96 @@
+"""Tracks that wait for their weights, from closed to ready for the log."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+from conveyor.messages import Track, WeighedView, Weight
+from segmenter.dispatch.dispatcher import LostView
+from segmenter.pipeline import ClosedTrack
+
+
+@dataclass(slots=True)
+class _Waiting:
+    closed: ClosedTrack
+    order: int
+    deadline_s: float
+    answers: dict[str, WeighedView] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def done(self) -> bool:
+        return len(self.answers) + self.losses.total() == len(self.closed.views)
+
+
+class Weighing:
+    """Collects answers and losses per track; a track whose views are all accounted for comes out once."""
+
+    def __init__(self, deadline_s: float) -> None:
+        self._deadline_s = deadline_s
+        self._waiting: dict[str, _Waiting] = {}
+        self._touched: set[str] = set()
+        self._added = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, closed: ClosedTrack, now_s: float) -> None:
+        """Start to wait for the weights of a track."""
+        self._waiting[closed.track.track_id] = _Waiting(closed, self._added, now_s + self._deadline_s)
+        self._touched.add(closed.track.track_id)
+        self._added += 1
+
+    def weighed(self, weight: Weight) -> None:
+        """Take an answer that can be used."""
+        waiting = self._waiting.get(weight.track_id)
+        if waiting is None or weight.weight_g is None or weight.low_g is None or weight.high_g is None:
+            return
+        self._touched.add(weight.track_id)
+        waiting.answers[weight.view_id] = WeighedView(
+            view_id=weight.view_id,
+            seq=weight.seq,
+            weight_g=weight.weight_g,
+            low_g=weight.low_g,
+            high_g=weight.high_g,
+            method=weight.method,
+            model=weight.model,
+            flags=weight.flags,
+        )
+
+    def lost(self, view: LostView) -> None:
+        """Take a loss."""
+        waiting = self._waiting.get(view.track_id)
+        if waiting is not None:
+            self._touched.add(view.track_id)
+            waiting.losses[view.reason] += 1
+
+    def overdue(self, now_s: float) -> list[str]:
+        """Tracks whose weights have been waited for long enough."""
+        return [track_id for track_id, waiting in self._waiting.items() if now_s >= waiting.deadline_s]
+
+    def take_done(self) -> list[Track]:
+        """Tracks whose views are all weighed or lost, in the order in which they were closed; each comes out once."""
+        if not self._touched:
+            return []
+        touched, self._touched = self._touched, set()
+        done = [track_id for track_id in touched if track_id in self._waiting and self._waiting[track_id].done]
+        return [_finished(self._waiting.pop(i)) for i in sorted(done, key=lambda i: self._waiting[i].order)]
+
+    def earliest(self) -> tuple[int, float] | None:
+        """(capture time, belt travel) before which no crossing is still waited for; None where none is."""
+        tracks = [waiting.closed.track for waiting in self._waiting.values()]
+        if not tracks:
+            return None
+        return min(track.crossed_ns for track in tracks), min(track.travel_m for track in tracks)
+
+
+def _finished(waiting: _Waiting) -> Track:
+    """The track with its answers in the order of the views' ranks."""
+    views = tuple(waiting.answers[v.view_id] for v in waiting.closed.views if v.view_id in waiting.answers)
+    return replace(
+        waiting.closed.track,
+        views_sent=len(waiting.closed.views),
+        views=views,
+        views_lost=dict(sorted(waiting.losses.items())),
+    )

@@ -1,0 +1,1 @@
+"""One depth frame: the belt plane, heights over it, instances, their places."""

@@ -1,0 +1,96 @@
+"""Where a camera's belt is, frame after frame: given or fitted, checked again and again, and followed where wanted."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.messages import Frame
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
+
+FITTED_OVER = 15
+CHECK_EVERY = 30
+BELT_PATIENCE = 60
+
+
+class BeltKeeper:
+    """The belt of one camera.
+
+    A fitted belt is the mean of the first `FITTED_OVER` fits. A given one stays as given; with `follow_m` above 0 it is
+    moved to where the median of the last `FITTED_OVER` checks sees it, where that is at most `follow_m` off: what is
+    farther off is no wear and is left to the alarm.
+
+    Attributes:
+        belt: the belt in use, None before the first.
+        check: what the newest check said, against the belt as given.
+    """
+
+    def __init__(self, follow_m: float = 0.0) -> None:
+        self.belt: BeltGeometry | None = None
+        self.check = BeltCheck(None, None)
+        self._follow_m = follow_m
+        self._pose: NDArray[np.float64] | None = None
+        self._fits: list[PlaneFit] = []
+        self._drifts_m: deque[float] = deque(maxlen=FITTED_OVER)
+        self._fitted = False
+        self._frames = 0
+        self._beltless = 0
+
+    def belt_of(self, frame: Frame) -> BeltGeometry | None:
+        """The belt to use for this frame; None where none is given and none was seen yet.
+
+        Raises:
+            InputError: the belt seen contradicts the calibration, or there is neither after many frames.
+        """
+        if self.belt is None or self._due():
+            self._look(frame)
+        self._frames += self.belt is not None
+        return self.belt
+
+    def _due(self) -> bool:
+        fitting = self._fitted and len(self._fits) < FITTED_OVER
+        learning = self._follow_m > 0 and self._frames < FITTED_OVER
+        return self._frames % CHECK_EVERY == 0 or fitting or learning
+
+    def _look(self, frame: Frame) -> None:
+        fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask)
+        if self._pose is None:
+            given = frame.belt_from_camera is not None or frame.belt_distance_m is not None
+            if fit is None and not given:
+                self._beltless += 1
+                if self._beltless < BELT_PATIENCE:
+                    return
+            self._pose = given_or_fitted(frame.belt_from_camera, frame.belt_distance_m, fit, camera=frame.camera)
+            self._fitted = not given
+            self.belt = BeltGeometry(frame.intrinsics, self._pose)
+        if self._fitted and fit is not None and len(self._fits) < FITTED_OVER:
+            self._pose = self._mean_with(fit, frame.camera)
+            self.belt = BeltGeometry(frame.intrinsics, self._pose)
+        self._check(frame, fit, self._pose)
+        if self._follow_m > 0 and not self._fitted and self.check.drift_m is not None:
+            self._drifts_m.append(self.check.drift_m)
+            self.belt = BeltGeometry(frame.intrinsics, self._followed(self._pose))
+
+    def _mean_with(self, fit: PlaneFit, camera: str) -> NDArray[np.float64]:
+        self._fits.append(fit)
+        a, b, c = (float(value) for value in np.mean([f.inverse_depth for f in self._fits], axis=0))
+        mean = PlaneFit((a, b, c), 1 / c, fit.tilt_deg, fit.residual_m, fit.share)
+        return given_or_fitted(None, None, mean, camera=camera)
+
+    def _check(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> None:
+        share = support_share(
+            pose, frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask
+        )
+        self.check = check_belt(pose, fit, given_share=share, camera=frame.camera, depth_scale_m=frame.depth_scale_m)
+
+    def _followed(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, 4) the given pose with its height over the belt as seen; drifts are along the optical axis."""
+        drift_m = float(np.median(self._drifts_m))
+        if abs(drift_m) > self._follow_m:
+            return pose
+        moved = pose.copy()
+        moved[2, 3] -= pose[2, 2] * drift_m
+        return moved

@@ -1,0 +1,103 @@
+"""Height over the belt on the analysis raster: blocks of the depth image, about 1.0-1.5 mm per cell on the belt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from segmenter.frame.belt import BeltGeometry
+
+CEILING_MM = 250.0
+"""Whatever is seen higher above the belt than this (a hand, a cable) is no belt load and taken as unseen."""
+GAP_MM = 15.0
+"""Gaps in the depth up to this width are closed with the lower of their two sides."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeightMap:
+    """Height over the belt of one frame.
+
+    Attributes:
+        height_mm: (h, w) float32, 0 on and below the belt and where nothing is known; small gaps are closed.
+        seen: (h, w) uint8, 1 where the camera measured.
+        stride: full-resolution pixels per cell, both ways; cell (i, j) covers rows i*stride ... (i+1)*stride - 1.
+        cell_mm: size of a cell on the belt's load, millimetres.
+    """
+
+    height_mm: NDArray[np.float32]
+    seen: NDArray[np.uint8]
+    stride: int
+    cell_mm: float
+
+
+def height_map(depth: NDArray[np.uint16], *, depth_scale_m: float, belt: BeltGeometry, pixel_mm: float) -> HeightMap:
+    """The height map of a depth image.
+
+    Args:
+        depth: (H, W) uint16, units of `depth_scale_m` metres, 0 = no depth.
+        depth_scale_m: metres per unit.
+        belt: intrinsics and belt pose.
+        pixel_mm: wanted size of a cell; the nearest whole number of pixels is taken.
+    """
+    footprint_mm = belt.footprint_mm()
+    stride = max(1, round(pixel_mm / footprint_mm))
+    a, b, c, t = (1000.0 * value for value in belt.height_coefficients())
+    height_mm, seen = _blocks(np.ascontiguousarray(depth), depth_scale_m, a, b, c, t, stride, CEILING_MM)
+    cell_mm = footprint_mm * stride
+    _close_gaps(height_mm, seen, max(1, int(GAP_MM / cell_mm)))
+    return HeightMap(height_mm, seen, stride, cell_mm)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _blocks(
+    depth: NDArray[np.uint16], scale: float, a: float, b: float, c: float, t: float, stride: int, ceiling: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Mean height of the measured pixels of each block."""
+    rows, columns = depth.shape[0] // stride, depth.shape[1] // stride
+    height = np.zeros((rows, columns), np.float32)
+    seen = np.zeros((rows, columns), np.uint8)
+    for i in range(rows):
+        for j in range(columns):
+            total, count = 0.0, 0
+            for v in range(i * stride, (i + 1) * stride):
+                for u in range(j * stride, (j + 1) * stride):
+                    d = depth[v, u]
+                    if d > 0:
+                        h = d * scale * (a * u + b * v + c) + t
+                        if h < ceiling:
+                            total += h
+                            count += 1
+            if count > 0:
+                seen[i, j] = 1
+                height[i, j] = max(0.0, total / count)
+    return height, seen
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: int) -> None:
+    """Unseen runs between two seen cells of a row or a column take the lower side: a hole on a tuber becomes tuber, the
+    shadow beside it becomes belt.
+    """
+    rows, columns = height.shape
+    for i in range(rows):
+        last = -1
+        for j in range(columns):
+            if seen[i, j]:
+                if 0 <= last < j - 1 and j - last - 1 <= longest:
+                    low = min(height[i, last], height[i, j])
+                    for k in range(last + 1, j):
+                        height[i, k] = low
+                last = j
+    last_seen = np.full(columns, -1, np.int64)
+    for i in range(rows):
+        for j in range(columns):
+            if seen[i, j]:
+                last = last_seen[j]
+                if 0 <= last < i - 1 and i - last - 1 <= longest:
+                    low = min(height[last, j], height[i, j])
+                    for k in range(last + 1, i):
+                        height[k, j] = max(height[k, j], low)
+                last_seen[j] = i

@@ -1,0 +1,202 @@
+"""Tuber instances in one depth frame, classically: no weights to train, and every cut can be explained.
+
+Height over the belt, median-filtered; cells above the foreground height; cut where the height jumps (occluding
+contours); relief = distance to the background + a share of the height; flooded from its peaks downwards; regrown to the
+rims.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.edges import LEAST_ROWS, cut_by_unseen
+from segmenter.frame.flood import flood, instance_sums, regrow, relabel
+from segmenter.frame.heights import HeightMap
+from segmenter.frame.place import centre_in_belt
+from segmenter.frame.seams import SeamSettings, sew
+
+QUANTUM_MM = 0.5
+LEAST_SEEN = 0.5
+"""Where less of the image has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSettings:
+    """Lengths in millimetres. The defaults hold for tubers of 25 to 120 mm.
+
+    `min_mean_mm`: mean height below which an instance is the belt's own relief, a cleat or soil: what lies beside a
+    tuber has part of its flank, so its peak does not tell.
+    """
+
+    pixel_mm: float = 1.45
+    foreground_mm: float = 11.0
+    cut_mm_per_mm: float = 5.0
+    opening_mm: float = 3.0
+    height_share: float = 0.7
+    least_dynamics_mm: float = 1.5
+    dynamics_share: float = 0.18
+    regrow_mm: float = 6.0
+    rim_mm: float = 7.0
+    min_area_mm2: float = 350.0
+    min_height_mm: float = 18.0
+    min_mean_mm: float = 14.5
+    seam: SeamSettings = field(default_factory=SeamSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class Instances:
+    """The instances of one frame; row k of every array belongs to label k + 1.
+
+    Attributes:
+        labels: (h, w) int32 on the analysis raster, 0 = none; `stride` full-resolution pixels per cell.
+        centre_m: (n, 2) belt x, y of the centres, free of lean.
+        centroid_px: (n, 2) full-resolution u, v of the masks' centroids.
+        area_mm2: (n,) visible area, projected onto the belt.
+        volume_ml: (n,) under the visible surface down to the belt.
+        height_mm: (n,) highest point but for the last percent.
+        cut: (n, 4) bool: touches the top, bottom, left, right border of the image, or of what was seen of it.
+        box: (n, 4) int: first and last row, first and last column, cells.
+        contact: (n,) share of the outline that touches another instance.
+        refused: what looked like load but cannot be a tuber, by reason.
+    """
+
+    labels: NDArray[np.int32]
+    stride: int
+    centre_m: NDArray[np.float64]
+    centroid_px: NDArray[np.float64]
+    area_mm2: NDArray[np.float64]
+    volume_ml: NDArray[np.float64]
+    height_mm: NDArray[np.float64]
+    cut: NDArray[np.bool_]
+    box: NDArray[np.int64]
+    contact: NDArray[np.float64]
+    refused: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.area_mm2)
+
+
+def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> Instances:
+    """The instances on a height map."""
+    cell_mm = heights.cell_mm
+    quantised = np.minimum(heights.height_mm * (1 / QUANTUM_MM), 255).astype(np.uint8)
+    quantised = np.asarray(cv2.medianBlur(quantised, 5), np.uint8)
+    foreground = (quantised > settings.foreground_mm / QUANTUM_MM).astype(np.uint8)
+    jump = cv2.morphologyEx(quantised, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    foreground[jump > settings.cut_mm_per_mm * cell_mm / QUANTUM_MM] = 0
+    radius = max(1, round(settings.opening_mm / cell_mm))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    foreground = np.asarray(cv2.morphologyEx(foreground, cv2.MORPH_OPEN, disc), np.uint8)
+    smooth_mm = quantised.astype(np.float32) * np.float32(QUANTUM_MM)
+    distance = cv2.distanceTransform(foreground, cv2.DIST_L2, 3)
+    relief = distance * np.float32(cell_mm) + smooth_mm * np.float32(settings.height_share)
+    relief = np.asarray(cv2.GaussianBlur(relief, (5, 5), 0), np.float32)
+    labels, n = flood(relief, foreground, settings.least_dynamics_mm, settings.dynamics_share)
+    regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
+    sew(labels, n, smooth_mm, cell_mm, settings.seam)
+    return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
+
+
+def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> Instances:
+    """The instances of a given (H, W) label image, described like those found on depth; none is refused by size."""
+    stride = heights.stride
+    rows, columns = heights.height_mm.shape
+    half = stride // 2
+    coarse = mask[half : rows * stride : stride, half : columns * stride : stride].astype(np.int32)
+    names, flat = np.unique(coarse, return_inverse=True)
+    labels = flat.reshape(coarse.shape).astype(np.int32) + (0 if names[0] == 0 else 1)
+    n = int(labels.max(initial=0))
+    return _describe(labels, n, heights.height_mm, heights.seen, stride, belt, None)
+
+
+def described(
+    labels: NDArray[np.int32], n: int, heights: HeightMap, belt: BeltGeometry, settings: SplitSettings
+) -> Instances:
+    """The instances that labels 1..n found in some other way stand for; `labels` are renumbered in place."""
+    return _describe(labels, n, heights.height_mm, heights.seen, heights.stride, belt, settings)
+
+
+def full_resolution(instances: Instances, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """(H, W) uint16 labels at the frame's own resolution, 0 where there is no depth."""
+    rows, columns = depth.shape
+    stride = instances.stride
+    i = np.minimum(np.arange(rows) // stride, instances.labels.shape[0] - 1)
+    j = np.minimum(np.arange(columns) // stride, instances.labels.shape[1] - 1)
+    full: NDArray[np.uint16] = instances.labels[i[:, None], j[None, :]].astype(np.uint16)
+    full[depth == 0] = 0
+    return full
+
+
+def _describe(
+    labels: NDArray[np.int32],
+    n: int,
+    height_mm: NDArray[np.float32],
+    seen: NDArray[np.uint8],
+    stride: int,
+    belt: BeltGeometry,
+    settings: SplitSettings | None,
+) -> Instances:
+    """Measure all labels, refuse what cannot be a tuber (where `settings` say so), and number the rest 1..n."""
+    k = belt.intrinsics
+    a, b, c, t = (1000.0 * value for value in belt.height_coefficients())
+    margin = max(1, round(2 / stride))
+    sums, histogram = instance_sums(
+        labels, n, height_mm, a, b, c, t, stride, stride * stride / (k.fx * k.fy) * 1e6, margin
+    )
+    cut = sums[:, 5:9] > 0
+    if seen.mean() > LEAST_SEEN:
+        cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
+    gone = sums[:, 0] == 0
+    low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
+    flat = ~gone & ~low & _lies_flat(sums, settings) if settings else np.zeros(n + 1, bool)
+    refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
+    keep = ~(gone | low | flat)
+    keep[0] = False
+    names = np.zeros(n + 1, np.int32)
+    names[keep] = np.arange(1, int(keep.sum()) + 1)
+    relabel(labels, names)
+    sums, histogram, cut = sums[keep], histogram[keep], cut[keep]
+    cells = sums[:, 0]
+    half = (stride - 1) / 2
+    centroid = np.stack([sums[:, 1] / cells * stride + half, sums[:, 2] / cells * stride + half], axis=1)
+    top_mm = _percentile(histogram, sums[:, 15])
+    centres = [
+        centre_in_belt(belt, u, v, h / 1000.0) for (u, v), h in zip(centroid.tolist(), top_mm.tolist(), strict=True)
+    ]
+    return Instances(
+        labels=labels,
+        stride=stride,
+        centre_m=np.array(centres).reshape(-1, 2),
+        centroid_px=centroid,
+        area_mm2=sums[:, 3],
+        volume_ml=sums[:, 4] / 1000.0,
+        height_mm=top_mm,
+        cut=cut,
+        box=sums[:, 9:13].astype(np.int64),
+        contact=sums[:, 13] / np.maximum(sums[:, 14], 1),
+        refused=refused,
+    )
+
+
+def _lies_flat(sums: NDArray[np.float64], settings: SplitSettings) -> NDArray[np.bool_]:
+    """(n + 1,) which labels are too low for a tuber, by their peak or by their mean height."""
+    mean_mm = sums[:, 4] / np.maximum(sums[:, 3], 1.0)
+    flat: NDArray[np.bool_] = (sums[:, 15] < settings.min_height_mm) | (mean_mm < settings.min_mean_mm)
+    return flat
+
+
+def _percentile(histogram: NDArray[np.int32], peak_mm: NDArray[np.float64], share: float = 0.99) -> NDArray[np.float64]:
+    """Height below which `share` of an instance's cells lie, interpolated in its 2 mm histogram, at most its peak."""
+    cumulated = np.cumsum(histogram, axis=1)
+    wanted = share * cumulated[:, -1]
+    step = np.argmax(cumulated >= wanted[:, None], axis=1)
+    rows = np.arange(len(histogram))
+    inside = np.maximum(histogram[rows, step], 1)
+    before = cumulated[rows, step] - histogram[rows, step]
+    height: NDArray[np.float64] = np.minimum(2.0 * (step + (wanted - before) / inside), peak_mm)
+    return height

@@ -1,0 +1,89 @@
+"""Whether the belt is where its calibration says, and runs the way its pose says. Looks on; changes no count."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from segmenter.frame.instances import Instances
+from segmenter.frame.plane import BeltCheck
+
+KEPT_CHECKS = 5
+LEAST_CHECKS = 2
+"""One frame's plane may be off; the median of the last few checks is not."""
+LEAST_STEP_M = 0.003
+LONGEST_STEP_M = 0.03
+"""Between two frames: tubers that moved less or more say nothing of the direction."""
+SAME_M = 0.006
+LEAST_VOTES = 20
+BACKWARDS_SHARE = 0.8
+BACKWARDS_M = -0.2
+
+
+class BeltWatch:
+    """Levels of one camera: 'belt_drift_mm' and 'belt_tilt_off_deg' (seen against given), 'belt_alarm', 1 where either
+    is too much, and 'belt_backwards', 1 where tubers move against the belt's x.
+    """
+
+    def __init__(self) -> None:
+        self._checks: deque[BeltCheck] = deque(maxlen=KEPT_CHECKS)
+        self._newest: BeltCheck | None = None
+        self._last: tuple[float, NDArray[np.float64]] | None = None
+        self._forwards = 0
+        self._backwards = 0
+        self._first_m: float | None = None
+        self._moved_m = 0.0
+
+    def step(self, check: BeltCheck, instances: Instances | None, *, travel_m: float, estimated: bool) -> None:
+        """Take what the core says after one more frame."""
+        if check is not self._newest:
+            self._newest = check
+            if check.drift_m is not None:
+                self._checks.append(check)
+        self._first_m = travel_m if self._first_m is None else self._first_m
+        self._moved_m = travel_m - self._first_m
+        if not estimated and instances is not None:
+            self._vote(instances, travel_m)
+
+    def gauges(self) -> dict[str, float]:
+        """The levels that are known."""
+        levels: dict[str, float] = {"belt_backwards": float(self.backwards)}
+        if self._checks:
+            middle = self._middle()
+            levels |= {
+                "belt_drift_mm": (middle.drift_m or 0.0) * 1000,
+                "belt_tilt_off_deg": middle.tilt_off_deg or 0.0,
+                "belt_alarm": float(len(self._checks) >= LEAST_CHECKS and middle.alarm),
+            }
+        return levels
+
+    @property
+    def backwards(self) -> bool:
+        """The belt moves against its x: by the travel itself, or, where an encoder tells that, by the tubers."""
+        votes = self._forwards + self._backwards
+        by_tubers = votes >= LEAST_VOTES and self._backwards >= BACKWARDS_SHARE * votes
+        return by_tubers or self._moved_m < BACKWARDS_M
+
+    def _middle(self) -> BeltCheck:
+        drifts = [check.drift_m for check in self._checks if check.drift_m is not None]
+        tilts = [check.tilt_off_deg for check in self._checks if check.tilt_off_deg is not None]
+        return BeltCheck(None, float(np.median(drifts)), float(np.median(tilts)))
+
+    def _vote(self, instances: Instances, travel_m: float) -> None:
+        """Where the tubers of the last frame should be now, had they moved with the travel, or against it."""
+        whole = ~instances.cut.any(axis=1)
+        now = instances.centre_m[whole]
+        last, self._last = self._last, (travel_m, now)
+        if last is None or not len(now) or not len(last[1]):
+            return
+        step_m = travel_m - last[0]
+        if not LEAST_STEP_M <= abs(step_m) <= LONGEST_STEP_M:
+            return
+        tree = cKDTree(now)
+        along = np.array([step_m, 0.0])
+        with_belt, against = (np.asarray(tree.query(last[1] + sign * along)[0]) for sign in (1.0, -1.0))
+        self._forwards += int(np.count_nonzero((with_belt < SAME_M) & (with_belt < against)))
+        self._backwards += int(np.count_nonzero((against < SAME_M) & (against < with_belt)))

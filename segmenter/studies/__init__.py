@@ -1,0 +1,1 @@
+"""The segmenter over whole recordings, and its scores. No node imports them."""

@@ -1,0 +1,91 @@
+"""The segmenter's core over a folder recording, without a line: for looking at results and measuring them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from conveyor.belt_findings import belt_findings
+from conveyor.formats.folder.frames import camera_folders, folder_frames
+from conveyor.messages import Track
+from segmenter.frame.picture import picture as draw
+from segmenter.frame.picture import save_picture
+from segmenter.frame.watch import BeltWatch
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.warmup import warm_up
+
+
+@dataclass(frozen=True, slots=True)
+class CameraResult:
+    """What one camera's frames led to."""
+
+    camera: str
+    frames: int
+    tracks: tuple[Track, ...]
+    discarded: dict[str, int]
+    refused: dict[str, int]
+    looked_at_m: float
+    travelled_m: float
+    step_ms: float
+    findings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def segment_recording(
+    recording: Path,
+    *,
+    picture: Path | None = None,
+    picture_seq: int | None = None,
+    masks: bool = False,
+    settings: Settings | None = None,
+) -> list[CameraResult]:
+    """Run the core over every camera of a folder recording.
+
+    Raises:
+        InputError: the recording cannot be used.
+    """
+    settings = settings or Settings()
+    warm_up(settings.split.pixel_mm)
+    folders = camera_folders(recording)
+    results = []
+    for folder in folders:
+        target = picture
+        if picture is not None and len(folders) > 1:
+            target = picture.with_stem(f"{picture.stem}-{folder.name}")
+        results.append(_camera(folder, settings, masks, target, picture_seq))
+    return results
+
+
+def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, target_seq: int | None) -> CameraResult:
+    core, watch = Segmenter(settings), BeltWatch()
+    tracks: list[Track] = []
+    frames, elapsed_s = 0, 0.0
+    if target is not None and target_seq is None:
+        seqs = [frame.seq for frame in folder_frames(folder)]
+        target_seq = seqs[len(seqs) // 2]
+    for frame in folder_frames(folder, masks=masks):
+        started = time.perf_counter()
+        result = core.step(frame)
+        elapsed_s += time.perf_counter() - started
+        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+        frames += 1
+        tracks += [closed.track for closed in result.closed]
+        if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:
+            save_picture(target, draw(frame, core.instances, core.belt, rejected=core.held_for_distractors))
+    tracks += [closed.track for closed in core.finish()]
+    return CameraResult(
+        camera=folder.name,
+        frames=frames,
+        tracks=tuple(tracks),
+        discarded=dict(core.discarded),
+        refused=dict(core.refused),
+        looked_at_m=core.looked_at_m,
+        travelled_m=core.travelled_m,
+        step_ms=1000 * elapsed_s / max(frames, 1),
+        findings=tuple(belt_findings(folder.name, watch.gauges()).values()),
+    )

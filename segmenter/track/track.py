@@ -1,0 +1,96 @@
+"""One tuber followed through the frames of one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from statistics import median
+
+from segmenter.classify.patch import Portrait
+from segmenter.track.views import ViewShelf
+
+TRUST_CAP = 8.0
+"""Effective number of readings behind a place: older ones fade, so that a tuber may roll a little."""
+CUT_TRUST = 0.02
+ODD_TRUST = 0.15
+ODD_AREA = 1.35
+"""A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
+
+
+def trusted(trust: float, weight: float) -> float:
+    """Effective number of readings behind a place, with one more of this weight."""
+    return min(trust, TRUST_CAP) + weight
+
+
+class State(StrEnum):
+    """Where a track stands."""
+
+    OPEN = "open"
+    COUNTED = "counted"
+    DISCARDED = "discarded"
+
+
+@dataclass(frozen=True, slots=True)
+class Hit:
+    """The tuber in one frame. Belt metres; `whole`: not cut by a border; `ends_cut`: by the first or last row."""
+
+    seq: int
+    x_m: float
+    y_m: float
+    travel_m: float
+    area_mm2: float
+    volume_ml: float
+    height_mm: float
+    contact: float
+    whole: bool
+    ends_cut: bool
+
+
+@dataclass(slots=True)
+class TrackState:
+    """What is known of a track so far. Places are x - travel and y, metres.
+
+    `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
+    frames that did not show it but a much larger instance at its place.
+    `log_odds` is what the judge said of its portrait, tuber against other; None before, and where nobody was asked.
+    """
+
+    number: int
+    first_seq: int
+    countable: bool
+    place_x_m: float
+    place_y_m: float
+    trust: float
+    area_mm2: float
+    height_mm: float
+    shelf: ViewShelf
+    last_seq: int = 0
+    missed: int = 0
+    vacant: int = 0
+    covered: int = 0
+    frames: int = 0
+    state: State = State.OPEN
+    reason: str = ""
+    hits: list[Hit] = field(default_factory=list)
+    portrait: Portrait = field(default_factory=Portrait)
+    log_odds: float | None = None
+
+    def is_odd(self, area_mm2: float) -> bool:
+        """A visible area that says: this is a merge, or a part."""
+        return max(area_mm2 / self.area_mm2, self.area_mm2 / area_mm2) > ODD_AREA and self.frames >= 3
+
+    def add(self, hit: Hit, *, moved: bool) -> None:
+        """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
+        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_mm2) else 1.0
+        self.trust = trusted(self.trust, weight)
+        gain = weight / self.trust
+        self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)
+        self.place_y_m += gain * (hit.y_m - self.place_y_m)
+        self.last_seq = hit.seq
+        self.missed = self.vacant = 0
+        if moved or not self.hits:
+            self.frames += 1
+            self.hits.append(hit)
+            recent = [h.area_mm2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_mm2]
+            self.area_mm2 = median(recent)
+            self.height_mm = median(h.height_mm for h in self.hits[-15:])

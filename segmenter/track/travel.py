@@ -1,0 +1,162 @@
+"""Belt travel estimated from the frames, where no encoder tells it.
+
+Between two frames the load moves along x only. The occupied cells of a belt raster (height above 12 mm, so that
+cleats do not alias) are correlated along x, normalised by what overlaps; the best shift is refined between cells and
+afterwards, by the tracker, with the tubers themselves. Where nothing lies on the belt, the last known speed carries
+on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.heights import HeightMap
+
+CELL_M = 0.004
+OCCUPIED_MM = 12.0
+LEAST_CELLS = 40
+LEAST_COMMON = 12
+LEAST_MATCH = 0.35
+"""Normalised correlation below which a shift is not believed."""
+LEAST_OVERLAP = 0.2
+SPEEDS_KEPT = 15
+SPEEDS_TO_LOOK_BACK = 5
+TALLEST_M = 0.08
+"""Only the belt on which even the tallest load is in the picture is compared: the image's border stands still."""
+MAX_SPEED_MPS = 3.0
+
+
+class TravelEstimator:
+    """Travel since the first frame, metres, from one height map after the other."""
+
+    def __init__(self, belt: BeltGeometry) -> None:
+        k = belt.intrinsics
+        self._belt = belt
+        self._x0, x1 = belt.x_range(TALLEST_M)
+        sides = [belt.belt_xy(u, v, 0.0)[1] for u in (0, k.width - 1) for v in (0, k.height - 1)]
+        self._y0 = min(sides)
+        self._shape = (int((max(sides) - self._y0) / CELL_M) + 1, int((x1 - self._x0) / CELL_M) + 1)
+        self._length = 1 << int(np.ceil(np.log2(2 * self._shape[1])))
+        self._last: tuple[int, NDArray[np.float32], NDArray[np.complex64]] | None = None
+        self._speeds: deque[float] = deque(maxlen=SPEEDS_KEPT)
+        self._blind_s = 0.0
+        self._looked_back = False
+        self.travel_m = 0.0
+
+    @property
+    def speed_mps(self) -> float:
+        """Median of the last readings; 0 before the first one."""
+        return float(np.median(self._speeds)) if self._speeds else 0.0
+
+    def start_at(self, travel_m: float) -> None:
+        """Carry on from a travel known from before."""
+        self.travel_m = travel_m
+        self._looked_back = True
+        self._last = None
+
+    def step(self, heights: HeightMap, captured_ns: int) -> float:
+        """Travel at this frame."""
+        occupied = self._occupied(heights)
+        spectrum = np.fft.rfft(occupied, self._length, axis=1).astype(np.complex64)
+        if self._last is not None:
+            elapsed_s = (captured_ns - self._last[0]) * 1e-9
+            plausible = 0 < elapsed_s < 10
+            expected_m = self.speed_mps * elapsed_s if plausible else 0.0
+            reach_m = MAX_SPEED_MPS * elapsed_s if plausible else np.inf
+            shift_m = self._shift(occupied, spectrum, expected_m, reach_m)
+            self.travel_m += expected_m if shift_m is None else shift_m
+            if shift_m is not None and plausible:
+                self._speeds.append(shift_m / elapsed_s)
+            elif plausible and not self._speeds:
+                self._blind_s += elapsed_s
+        self._last = (captured_ns, occupied, spectrum)
+        return self.travel_m
+
+    def look_back_m(self) -> float:
+        """Once, when the speed is first known: how far the belt moved before there was anything to see; else 0."""
+        if self._looked_back or len(self._speeds) < SPEEDS_TO_LOOK_BACK:
+            return 0.0
+        self._looked_back = True
+        self.travel_m += self.speed_mps * self._blind_s
+        return self.speed_mps * self._blind_s
+
+    def correct(self, residual_m: float) -> float:
+        """Move the newest travel by what the tracked tubers say; returns it."""
+        self.travel_m += residual_m
+        return self.travel_m
+
+    def _occupied(self, heights: HeightMap) -> NDArray[np.float32]:
+        k, m = self._belt.intrinsics, self._belt.belt_from_camera
+        a, b, c, t = self._belt.height_coefficients()
+        step = max(1, round(CELL_M * 1000 / heights.cell_mm))
+        rotation = np.ascontiguousarray(m[:2, :3])
+        return _raster(
+            heights.height_mm, heights.stride, step, np.array([a, b, c, t]), np.array([k.fx, k.fy, k.cx, k.cy]),
+            rotation, m[:2, 3].copy(), self._x0, self._y0, self._shape,
+        )  # fmt: skip
+
+    def _shift(
+        self, occupied: NDArray[np.float32], spectrum: NDArray[np.complex64], expected_m: float, reach_m: float
+    ) -> float | None:
+        """Shift of this raster against the last one, metres, or None where it cannot be told."""
+        if self._last is None:
+            return None
+        _, before, before_spectrum = self._last
+        if occupied.sum() < LEAST_CELLS or before.sum() < LEAST_CELLS:
+            return None
+        cells = self._shape[1]
+        product = np.fft.irfft((spectrum * np.conj(before_spectrum)).sum(axis=0), self._length)
+        limit = min(int((1 - LEAST_OVERLAP) * cells), int(reach_m / CELL_M) + 2 if np.isfinite(reach_m) else cells)
+        shifts = np.arange(-limit, limit + 1)
+        energy_now = np.concatenate([[0.0], np.cumsum((occupied**2).sum(axis=0, dtype=np.float64))])
+        energy_before = np.concatenate([[0.0], np.cumsum((before**2).sum(axis=0, dtype=np.float64))])
+        now = energy_now[np.minimum(cells, cells + shifts)] - energy_now[np.maximum(0, shifts)]
+        then = energy_before[np.minimum(cells, cells - shifts)] - energy_before[np.maximum(0, -shifts)]
+        common = np.minimum(now, then)
+        match = np.where(common >= LEAST_COMMON, product[shifts] / np.sqrt(np.maximum(now * then, 1.0)), 0.0)
+        preferred = match - 0.3 * np.minimum(np.abs(shifts * CELL_M - expected_m) / 0.15, 1.0) * bool(self._speeds)
+        best = int(np.argmax(preferred))
+        if match[best] < LEAST_MATCH or not 0 < best < len(shifts) - 1:
+            return None
+        left, peak, right = (float(value) for value in match[best - 1 : best + 2])
+        bend = left - 2 * peak + right
+        fraction = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+        return (float(shifts[best]) + fraction) * CELL_M
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _raster(
+    height_mm: NDArray[np.float32],
+    stride: int,
+    step: int,
+    heights: NDArray[np.float64],
+    k: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    shift: NDArray[np.float64],
+    x0: float,
+    y0: float,
+    shape: tuple[int, int],
+) -> NDArray[np.float32]:
+    """(across, along) float32 raster of the belt, 1 where load rises above 12 mm, its upper side dropped to the
+    belt.
+    """
+    raster = np.zeros(shape, np.float32)
+    a, b, c, t = heights
+    half = (stride - 1) / 2.0
+    for i in range(step // 2, height_mm.shape[0], step):
+        for j in range(step // 2, height_mm.shape[1], step):
+            h = height_mm[i, j]
+            if h > OCCUPIED_MM:
+                u, v = j * stride + half, i * stride + half
+                z = (h * 1e-3 - t) / (a * u + b * v + c)
+                x, y = (u - k[2]) / k[0] * z, (v - k[3]) / k[1] * z
+                along = (rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + shift[0] - x0) / CELL_M
+                across = (rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + shift[1] - y0) / CELL_M
+                if 0 <= along < shape[1] and 0 <= across < shape[0]:
+                    raster[int(across), int(along)] = 1.0
+    return raster

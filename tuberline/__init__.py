@@ -1,0 +1,1 @@
+"""Tuberline: counts and weighs every potato on a conveyor, from depth cameras."""

@@ -1,0 +1,158 @@
+"""`tuberline certs`: a private authority and one certificate per node."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclopts import App
+
+from conveyor.access import line_identities
+from conveyor.config import LineConfig, load_config
+from conveyor.errors import ConfigError
+from conveyor.identity import CA_FILE, Identity
+
+if TYPE_CHECKING:
+    from tuberline.certs import CertificateInfo
+
+certs = App(name="certs", help="A site's own certificates: make them, add one, show when they expire.")
+
+
+@certs.command
+def make(
+    path: Path, /, *, out: Path | None = None, host: tuple[str, ...] = (), days: int = 730, renew: bool = False
+) -> None:
+    """Make what a line lacks: an authority, the router's certificate and one for every node that may connect.
+
+    Parameters
+    ----------
+    path
+        The line's TOML file.
+    out
+        Folder of the certificates; default: link.certs of that file. Make it on one machine, keep ca.key there.
+    host
+        Further names or addresses of the router, beside those in the file; may be given more than once.
+    days
+        How long the nodes' certificates are valid.
+    renew
+        Replace certificates that are there already (never the authority).
+    """
+    from tuberline.certs import issue, make_authority
+
+    config = load_config(path)
+    folder = _folder(config, out)
+    made = [] if (folder / CA_FILE).exists() else [make_authority(folder, site=config.name)]
+    for identity in (Identity("router"), *line_identities(config)):
+        if renew or not (folder / f"{identity.stem}.pem").exists():
+            hosts = router_hosts(config, host) if identity.role == "router" else ()
+            made.append(issue(folder, identity, line=config.name, hosts=hosts, days=days, renew=renew))
+    _print(made, json=False)
+    sys.stdout.write(
+        f"{len(made)} made in {folder}. Each node needs {CA_FILE} and its own .pem and .key, nothing else; "
+        "ca.key stays here.\n"
+    )
+
+
+@certs.command
+def add(node: str, path: Path, /, *, out: Path | None = None, days: int = 730, renew: bool = False) -> None:
+    """Make the certificate of one more node, e.g. regressor/barn or viewer/office.
+
+    Parameters
+    ----------
+    node
+        ROLE/NAME, or ROLE alone for a certificate that all of a role share.
+    path
+        The line's TOML file.
+    out
+        Folder of the certificates; default: link.certs of that file.
+    days
+        How long it is valid.
+    renew
+        Replace one that is there already.
+    """
+    from tuberline.certs import issue
+
+    config = load_config(path)
+    identity = Identity.parse(node)
+    hosts = router_hosts(config, ()) if identity.role == "router" else ()
+    _print([issue(_folder(config, out), identity, line=config.name, hosts=hosts, days=days, renew=renew)], json=False)
+    if identity.role != "router" and identity not in line_identities(config):
+        sys.stderr.write(
+            f"{node} is not among those that [access] of {path} lets in: add it there and restart the router\n"
+        )
+
+
+@certs.command
+def show(path: Path, /, *, json: bool = False) -> None:
+    """Print who the certificates in a folder (or one file) are for and when they expire.
+
+    Parameters
+    ----------
+    path
+        A folder of certificates, or one .pem file.
+    json
+        For machines.
+    """
+    from tuberline.certs import read_certificate
+
+    files = sorted(path.glob("*.pem")) if path.is_dir() else [path]
+    if not files:
+        raise ConfigError(f"no certificates (*.pem) in {path}")
+    _print([read_certificate(file) for file in files], json=json)
+
+
+def router_hosts(config: LineConfig, extra: tuple[str, ...]) -> list[str]:
+    """Names and addresses the router of this line is reached at."""
+    endpoints = (config.link.router, *config.link.listen)
+    found = [endpoint.split("/", 1)[1].split("#")[0].split("?")[0].rsplit(":", 1)[0] for endpoint in endpoints]
+    reachable = [host.strip("[]") for host in found if host not in ("0.0.0.0", "[::]")]
+    return list(dict.fromkeys((*reachable, *extra, "localhost", "127.0.0.1")))
+
+
+def _folder(config: LineConfig, out: Path | None) -> Path:
+    folder = out or config.link.certs
+    if folder is None:
+        raise ConfigError("give --out FOLDER, or set link.certs in the line's TOML file")
+    return folder
+
+
+def _print(infos: list[CertificateInfo], *, json: bool) -> None:
+    from tuberline.certs import LATE_DAYS
+
+    now = datetime.now(UTC)
+    if json:
+        report = [
+            {
+                "file": str(info.path),
+                "common_name": info.common_name,
+                "issuer": info.issuer,
+                "not_before": info.not_before.isoformat(),
+                "not_after": info.not_after.isoformat(),
+                "days_left": round(info.days_left(now), 1),
+                "hosts": list(info.hosts),
+                "authority": info.authority,
+            }
+            for info in infos
+        ]
+        sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
+        return
+    if not infos:
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("file", "name", "expires", "days left", "hosts")
+    for info in infos:
+        left = info.days_left(now)
+        colour = "red" if left < 0 else "yellow" if left < LATE_DAYS else "green"
+        table.add_row(
+            info.path.name,
+            info.common_name,
+            info.not_after.strftime("%Y-%m-%d"),
+            f"[{colour}]{left:.0f}[/]",
+            ", ".join(info.hosts),
+        )
+    Console().print(table)

@@ -1,0 +1,43 @@
+"""The pages of docs/ that are made from the code: `make docs` writes them, a test holds them to it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tuberline.cli import build_app
+from tuberline.cli.topics import markdown_table
+
+TOPICS_HEAD = """# Topics
+
+Made from `conveyor/topics.py` by `make docs`. Publishers, subscribers, recorder, health and access control come from
+the same table.
+Delivery classes are explained in [design.md](design.md).
+
+"""
+COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
+
+
+def pages() -> dict[str, str]:
+    """Text of each page by its name in docs/."""
+    return {
+        "commands.md": COMMANDS_HEAD + _commands() + "\n",
+        "topics.md": TOPICS_HEAD + markdown_table(),
+    }
+
+
+def write_pages(docs: Path) -> None:
+    """Write all pages into the folder `docs`."""
+    for name, text in pages().items():
+        (docs / name).write_text(text, encoding="utf-8")
+
+
+def _commands() -> str:
+    """The command tree as Markdown. Cyclopts puts the running program's name into the usage of sub-commands, so it is
+    made to believe that it is `tuberline`.
+    """
+    program, sys.argv = sys.argv, ["tuberline"]
+    try:
+        return build_app().generate_docs(output_format="markdown").rstrip()
+    finally:
+        sys.argv = program

@@ -1,0 +1,63 @@
+"""How a finished run is told to a person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tuberline.cli.live import histogram_lines
+
+
+def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> None:
+    """The load, its histogram, what was lost, and where the files are."""
+    totals = summary["totals"]
+    coverage = totals["coverage"]
+    seen = "unknown" if coverage is None else f"{100 * coverage:.1f} %"
+    table = Table(show_header=False, box=None, padding=(0, 2))
+    table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
+    table.add_row("tubers", f"[bold]{totals['count']}[/]")
+    table.add_row("belt seen", seen)
+    if coverage is not None and coverage < 1:
+        table.add_row(
+            "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
+        )
+    table.add_row(
+        "balance sheet", "[green]balanced[/]" if summary["balanced"] else "[red]DOES NOT BALANCE[/] (tuberline audit)"
+    )
+    console.print(table)
+    for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
+        console.print(line, highlight=False)
+    for finding in summary.get("findings", []):
+        console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
+    for name, n in summary.get("restarts", {}).items():
+        console.print(f"[yellow]{name} was restarted {n} times[/]")
+    console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
+
+
+def _range(totals: dict[str, Any], prefix: str) -> str:
+    return f"{totals[f'{prefix}low_g'] / 1000:.3f} to {totals[f'{prefix}high_g'] / 1000:.3f} kg"
+
+
+def print_score(console: Console, score: dict[str, Any]) -> None:
+    """How far a run was from the truth."""
+    table = Table("against the truth", "truth", "counted", "off by")
+    table.add_row("tubers", str(score["true_count"]), str(score["count"]), f"{score['count_error_percent']:+.1f} %")
+    table.add_row(
+        "load",
+        f"{score['true_weight_g'] / 1000:.3f} kg",
+        f"{score['weight_g'] / 1000:.3f} kg",
+        f"{score['weight_error_percent']:+.1f} %",
+    )
+    console.print(table)
+    console.print(
+        f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; per tuber "
+        f"MAE {_grams(score['mae_g'])}, RMSE {_grams(score['rmse_g'])}, bias {_grams(score['bias_g'], sign='+')}",
+        highlight=False,
+    )
+
+
+def _grams(value: float | None, *, sign: str = "") -> str:
+    return "unknown" if value is None else f"{value:{sign}.1f} g"

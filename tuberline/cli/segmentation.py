@@ -1,0 +1,164 @@
+"""The segmenter's commands: its process, pictures of what it finds, and the score of its masks."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import Literal
+
+
+def segmenter(*, config: Path, camera: str, run: str | None = None) -> None:
+    """Find and follow tubers in one camera's frames, and have them weighed.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    camera
+        Name of the camera, as in the config.
+    run
+        Id of this run; default: the time of its start. The camera's own run id takes over when it differs.
+    """
+    from datetime import UTC, datetime
+
+    from conveyor.config import load_config
+    from segmenter.node import SegmenterNode
+
+    line = load_config(config)
+    run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    SegmenterNode(line, camera, run_id).run()
+
+
+def segment(
+    recording: Path,
+    /,
+    *,
+    picture: Path | None = None,
+    frame: int | None = None,
+    masks: bool = False,
+    json: bool = False,
+) -> None:
+    """Segment and track a folder recording without a line: what is counted where, and a picture of one frame.
+
+    Parameters
+    ----------
+    recording
+        Folder recording (one folder per camera).
+    picture
+        PNG to draw the chosen frame into, one per camera (the camera's name is added where there are several).
+    frame
+        Sequence number of the frame to draw; default: the middle one.
+    masks
+        Use the recording's own masks instead of finding instances.
+    json
+        Print the counted tracks as JSON on stdout.
+    """
+    from segmenter.studies.offline import segment_recording
+
+    results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks)
+    if json:
+        sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("camera", "frames", "counted", "discarded", "travel m", "looked at", "ms/frame")
+    for r in results:
+        discarded = ", ".join(f"{n} {reason}" for reason, n in sorted(r.discarded.items())) or "none"
+        seen = f"{r.looked_at_m / r.travelled_m:.1%}" if r.travelled_m else "-"
+        table.add_row(
+            r.camera, str(r.frames), str(len(r.tracks)), discarded, f"{r.travelled_m:.2f}", seen, f"{r.step_ms:.1f}"
+        )
+    console = Console(stderr=True)
+    console.print(table)
+    for finding in (finding for r in results for finding in r.findings):
+        console.print(f"warning: {finding}", markup=False, highlight=False)
+
+
+def evaluate_segmentation(
+    recording: Path,
+    /,
+    *,
+    every: int = 1,
+    method: Literal["classical", "classes", "learned"] | None = None,
+    weights: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Score found masks against a recording's own: F1, panoptic quality, distractors taken for tubers, time per frame.
+
+    Parameters
+    ----------
+    recording
+        Folder recording with mask/ images.
+    every
+        Use every n-th frame only.
+    method
+        As segmenter.method of a line's file; default: the default there.
+    weights
+        An .onnx of `tuberline train-eyes` instead of the shipped one.
+    json
+        Print the score as JSON on stdout.
+    """
+    from dataclasses import asdict
+
+    import cv2
+
+    from segmenter.perception import EyesSettings
+    from segmenter.pipeline import Settings
+    from segmenter.studies.evaluate import evaluate_recording
+    from segmenter.warmup import warm_up
+
+    cv2.setNumThreads(1)
+    warm_up(Settings().split.pixel_mm)
+    settings = Settings(eyes=EyesSettings(method=method or EyesSettings().method, weights=weights))
+    score = asdict(evaluate_recording(recording, settings=settings, every=every))
+    if json:
+        sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("what", "value")
+    for name, value in (score | (score.pop("load") or {})).items():
+        table.add_row(name, f"{value:.4g}" if isinstance(value, float) else str(value))
+    Console(stderr=True).print(table)
+
+
+def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) -> None:
+    """Measure where the belt is, from a recording of it, empty or running.
+
+    Parameters
+    ----------
+    recording
+        Folder recording (one folder per camera).
+    frames
+        How many of the first frames to use.
+    json
+        Print the calibrations as JSON on stdout, belt_from_camera included.
+    """
+    from segmenter.calibrate import calibrate_recording
+
+    results = calibrate_recording(recording, frames=frames)
+    if json:
+        sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(
+        "camera", "frames", "belt distance m", "spread mm", "tilt deg", "residual mm", "belt seen", "off by mm"
+    )
+    for r in results:
+        off = "-" if r.disagreement_mm is None else f"{r.disagreement_mm:+.1f}"
+        table.add_row(
+            r.camera,
+            f"{r.frames} of {r.asked}",
+            f"{r.belt_distance_m:.4f}",
+            f"{r.spread_mm:.2f}",
+            f"{r.tilt_deg:.2f}",
+            f"{r.residual_mm:.2f}",
+            f"{r.belt_share:.0%}",
+            off,
+        )
+    Console(stderr=True).print(table)

@@ -1,0 +1,67 @@
+"""The command that makes labelled frames of random belts, for training the segmenter's network."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from conveyor.errors import InputError
+
+
+def simulate_belts(
+    *,
+    out: Path,
+    belts: int = 300,
+    frames: int = 8,
+    tubers: int = 20,
+    look_alikes: bool = False,
+    seed: int = 1,
+    force: bool = False,
+) -> None:
+    """Make labelled frames of belts that differ in all that varies, for `tuberline train-eyes`.
+
+    Belt distance, resolution, tilt, noise, relief, soil, crowding, clods, stones and haulm are drawn anew per belt.
+
+    Parameters
+    ----------
+    out
+        Folder to write `belts-*.npz` and `meta.json` to.
+    belts
+        How many belts.
+    frames
+        Frames of each, 15 to 40 mm of travel apart, while its middle passes.
+    tubers
+        Tubers on each; distractors come on top.
+    look_alikes
+        Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, the load of two
+        belts in five moves, and frames are 11 to 21 mm apart: for the judge.
+    seed
+        The same seed gives the same frames.
+    force
+        Overwrite a pack that is there.
+    """
+    from rich.progress import Progress
+
+    from camera_sim.sim.beltpack import write_belt_pack
+    from tuberline.cli.progress import console
+
+    for name, value in (("--belts", belts), ("--frames", frames), ("--tubers", tubers)):
+        if value < 1:
+            raise InputError(f"{name} {value}: must be at least 1")
+    if any(out.glob("belts-*.npz")) and not force:
+        raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
+    for old in out.glob("belts-*.npz"):
+        old.unlink()
+    with Progress(console=console()) as progress:
+        task = progress.add_task("belts", total=belts)
+        made = write_belt_pack(
+            out,
+            belts=belts,
+            frames=frames,
+            tubers=tubers,
+            seed=seed,
+            look_alikes=look_alikes,
+            command=" ".join(["tuberline", *sys.argv[1:]]),
+            on_belt=lambda _: progress.advance(task),
+        )
+    sys.stdout.write(f"{made} frames of {belts} belts in {out}\n")

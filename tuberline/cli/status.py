@@ -1,0 +1,40 @@
+"""`tuberline status`: a running line's totals and nodes, once."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+import time
+from dataclasses import asdict
+
+from conveyor.observer import Observer
+from tuberline.cli.address import NO_ADDRESS, LineAddress
+
+
+def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: float = 1.5) -> None:
+    """Print totals and nodes of a running line.
+
+    Parameters
+    ----------
+    json
+        For machines.
+    wait_s
+        How long to listen.
+    """
+    link, name = address.link()
+    with Observer(link, line=name) as observer:
+        time.sleep(wait_s)
+        totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()
+    if json:
+        report = {
+            "line": name,
+            "totals": asdict(totals) if totals else None,
+            "nodes": {key: {**asdict(value), "alive": key in alive} for key, value in sorted(nodes.items())},
+        }
+        sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
+        return
+    from rich.console import Console
+
+    from tuberline.cli.live import line_table
+
+    Console().print(line_table(totals, nodes, alive=alive))

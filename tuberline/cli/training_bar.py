@@ -1,0 +1,46 @@
+"""A training's progress bar."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from regressor.training.train import Training
+
+
+class TrainingBar:
+    """A progress bar in plain words on stderr."""
+
+    def __init__(self) -> None:
+        self._bar = Progress(
+            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True)
+        )
+        self._task = self._bar.add_task("reading views", total=None)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def prepared(self, what: str, done: int) -> None:
+        """`done` views of the `what` set are prepared."""
+        self._bar.update(self._task, description=f"preparing {what} views: {done}")
+
+    def step(self, training: Training, name: str = "") -> None:
+        """One more step of the training `name` is made."""
+        progress = training.progress
+        pace = progress.seconds / progress.step
+        words = f"{name} step {progress.step}, {pace:.2f} s each, loss {progress.loss:.2f}".lstrip()
+        self._bar.update(self._task, description=words, completed=training.share, total=1.0)
+
+    def validated(self, training: Training, metrics: dict[str, Any]) -> None:
+        """A validation is done."""
+        figures = metrics["validation"]
+        self._bar.console.print(
+            f"after {training.progress.seconds / 60:.1f} min, {training.progress.step} steps: validation MAE "
+            f"{figures['mae_g']:.2f} g, RMSE {figures['rmse_g']:.2f} g, bias {figures['bias_g']:+.2f} g per view"
+        )

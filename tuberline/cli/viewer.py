@@ -1,0 +1,143 @@
+"""`tuberline viewer` and `tuberline watch`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from conveyor.config import LineConfig, ViewerConfig, load_config
+from conveyor.errors import ConfigError
+from viewer.rerun.profiles import PROFILES, ProfileName
+
+if TYPE_CHECKING:
+    from viewer.rerun.sink import Sink
+
+DEFAULT_LIMIT_MB = 2048
+
+
+def viewer(
+    *,
+    config: Path,
+    run: str | None = None,
+    name: str = "viewer",
+    rrd: Path | None = None,
+    connect: str | None = None,
+    profile: ProfileName | None = None,
+    serve: bool = False,
+    hub_port: int = 9876,
+    page_port: int = 9090,
+    rrd_limit_mb: int = DEFAULT_LIMIT_MB,
+) -> None:
+    """Show a line in Rerun until stopped: in a file, in a running viewer, or on a web page.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file; options given here override its [viewer] section.
+    run
+        Show this run alone; default: follow the line from run to run.
+    name
+        Name of this node; two viewers of a line need two.
+    rrd
+        File to write; open it with `rerun FILE`. A later run goes to a second file beside it.
+    connect
+        A running Rerun viewer or hub: rerun+http://HOST:9876/proxy.
+    profile
+        light: numbers only, no pictures; remote: small pictures, 5 a second; full: everything.
+    serve
+        Start a hub with its web page on this machine and show the line there.
+    hub_port
+        Port of the served hub.
+    page_port
+        Port of the served page.
+    rrd_limit_mb
+        No more pictures go into the file beyond this size.
+    """
+    from viewer.node import Target, run_viewer
+
+    line = load_config(config)
+    section = line.viewer or ViewerConfig.model_validate({})
+    chosen = profile or section.profile
+    if serve and connect is not None:
+        raise ConfigError("--serve starts a hub of its own and --connect names another one: give one of them")
+    target = Target(
+        rrd=rrd or section.rrd,
+        rrd_limit_bytes=rrd_limit_mb << 20,
+        connect=connect or (None if serve else section.connect),
+    )
+    if not serve:
+        _end(run_viewer(line, target, profile=PROFILES[chosen], name=name, run=run))
+        return
+    from viewer.rerun.launch import Ports, RerunProgram
+
+    ports = Ports(hub_port, page_port)
+    with RerunProgram(ports, page=True):
+        sys.stderr.write(f"open {ports.link}\n")
+        served = replace(target, connect=ports.url)
+        hanging = run_viewer(line, served, profile=PROFILES[chosen], name=name, run=run)
+    _end(hanging)
+
+
+def watch(
+    router: str | None = None,
+    /,
+    *,
+    config: Path | None = None,
+    line: str | None = None,
+    profile: ProfileName = "light",
+    web: bool = False,
+    hub_port: int = 0,
+    page_port: int = 0,
+) -> None:
+    """Watch a running line from here: opens Rerun's window, or a web page where there is no display. Changes nothing.
+
+    Parameters
+    ----------
+    router
+        Endpoint of the line's router, e.g. tcp/10.0.0.1:7447.
+    config
+        The line's TOML file instead (with its certificates); the endpoint overrides its own.
+    line
+        Name of the line, where no config says it.
+    profile
+        light works on any link (no pictures); remote and full fetch every frame over it, which wants a LAN.
+    web
+        Serve the web page on this machine even where a window could open.
+    hub_port
+        Port of the hub on this machine; default: a free one.
+    page_port
+        Port of the page; default: a free one.
+    """
+    if router is None and config is None:
+        raise ConfigError("watch which line? Give its router (tuberline watch tcp/HOST:7447) or --config line.toml")
+    from viewer.node import Target, run_viewer
+    from viewer.rerun.launch import Ports, RerunProgram, free_port
+
+    loaded = load_config(config) if config else LineConfig()
+    link = loaded.link.model_copy(update={"router": router} if router else {})
+    watched = loaded.model_copy(update={"link": link, "name": line or loaded.name})
+    page = web or not _has_display()
+    ports = Ports(hub_port or free_port(), page_port or free_port())
+    with RerunProgram(ports, page=page) as program:
+        if page:
+            sys.stderr.write(f"open {ports.link}\n")
+        target = Target(rrd=None, rrd_limit_bytes=0, connect=ports.url)
+        name = f"watch-{socket.gethostname().split('.')[0][:32]}-{os.getpid()}"
+        hanging = run_viewer(watched, target, profile=PROFILES[profile], name=name, run=None, until=program.ended)
+    _end(hanging)
+
+
+def _has_display() -> bool:
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _end(hanging: list[Sink]) -> None:
+    """Leave without destructors and exit handlers when a hub hangs: they would wait for it for ever."""
+    if hanging:
+        logging.shutdown()
+        os._exit(0)

@@ -1,0 +1,66 @@
+"""Checks of the belt's distance: a belt that is not where its calibration says makes every weight wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from statistics import median
+
+from conveyor.config import LineConfig
+from conveyor.messages import Counters
+from tuberline.doctor.finding import Finding, fault, ok, warning
+
+OFF_MM, FAR_OFF_MM = 6.0, 20.0
+"""From the first on the segmenter raises its alarm, at the second it refuses the camera where nothing bears it out."""
+LEAST_FRAMES = 2
+WRONG_SCALE = 3.0
+"""Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
+
+
+def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[float], frames: int) -> Finding:
+    """Compare the belt that a camera's frames show with the distance it is given.
+
+    Args:
+        given_m: camera to belt by the config or the recording, metres; None where neither says it.
+        seen_m: of the frames in which a belt was seen; `frames` were looked at.
+    """
+    check = f"belt of {camera}"
+    if len(seen_m) < min(LEAST_FRAMES, frames):
+        return warning(
+            check,
+            f"too little belt shows in {frames} frames to measure its distance",
+            "look again with an empty belt, or `tuberline calibrate belt` on a recording of one",
+        )
+    middle_m = median(seen_m)
+    measured = f"seen at {middle_m:.4f} m in {len(seen_m)} of {frames} frames"
+    setting = f"set cameras.{camera}.belt_distance_m = {middle_m:.4f}"
+    anew = "measure it with the belt empty (`tuberline calibrate belt RECORDING`)"
+    if given_m is None:
+        return warning(check, f"{measured}, no distance is given: each start fits it anew", f"{anew} and {setting}")
+    off_mm = 1000 * (middle_m - given_m)
+    text = f"{measured}, given {given_m:.4f} m: {off_mm:+.1f} mm"
+    ratio = middle_m / given_m
+    if not 1 / WRONG_SCALE < ratio < WRONG_SCALE:
+        return fault(check, text, f"the depth scale is wrong: mend cameras.{camera}.depth_scale_m")
+    if abs(off_mm) > FAR_OFF_MM:
+        return fault(check, text, f"if the camera was moved: {anew} and {setting}")
+    if abs(off_mm) > OFF_MM:
+        return warning(check, text, f"{anew}; if it stays so, {setting}")
+    return ok(check, text)
+
+
+def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set[str]) -> list[Finding]:
+    """What the segmenters say of their belts while the line runs."""
+    found = []
+    for camera in sorted(config.cameras):
+        name = f"segmenter/{camera}"
+        if name not in nodes or name not in alive or "belt_drift_mm" not in nodes[name].gauges:
+            continue
+        gauges = nodes[name].gauges
+        leans = f", leaning {gauges['belt_tilt_off_deg']:.1f} deg" if gauges.get("belt_tilt_off_deg") else ""
+        text = f"{name} sees it {gauges['belt_drift_mm']:+.1f} mm off its calibration{leans}"
+        if gauges.get("belt_alarm"):
+            mend = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
+            found.append(fault(f"belt of {camera}", text, mend))
+        else:
+            found.append(ok(f"belt of {camera}", text))
+    return found

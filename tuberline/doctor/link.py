@@ -1,0 +1,85 @@
+"""Checks of the way to the router: its port, and the certificates of this machine."""
+
+from __future__ import annotations
+
+import socket
+import stat
+from datetime import datetime
+from pathlib import Path
+
+from conveyor.config import LineConfig, LinkConfig
+from conveyor.errors import TuberlineError
+from tuberline.doctor.finding import Finding, fault, ok, warning
+
+
+def router_address(link: LinkConfig) -> tuple[str, int]:
+    """(host, port) of the router's endpoint, e.g. of 'tls/edge:7447'."""
+    host, _, port = link.router.split("/", 1)[1].split("#")[0].split("?")[0].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def check_port(link: LinkConfig, *, timeout_s: float = 2.0) -> list[Finding]:
+    """Something listens at the router's endpoint."""
+    if not link.router.startswith(("tcp/", "tls/")):
+        return [ok("router port", f"{link.router} is no TCP endpoint: not probed")]
+    host, port = router_address(link)
+    try:
+        with socket.create_connection((host, port), timeout_s):
+            return [ok("router port", f"{host}:{port} answers")]
+    except OSError as error:
+        return [
+            fault(
+                "router port",
+                f"{host}:{port} does not answer: {error.strerror or error}",
+                f"start the router (`tuberline router` or tuberline-router@LINE.service), open port {port} in the "
+                "firewall of its host, or mend link.router",
+            )
+        ]
+
+
+def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
+    """Expiry, privacy of the keys, and that the router's certificate is for the name it is called by."""
+    if config.link.certs is None and config.link.certificate is None:
+        return []
+    from tuberline.certs import LATE_DAYS, CertificateInfo, read_certificate
+
+    found: list[Finding] = []
+    infos: list[CertificateInfo] = []
+    for path in certificate_files(config.link):
+        try:
+            infos.append(read_certificate(path))
+        except TuberlineError as error:
+            found.append(fault("certificates", str(error), "make or copy it again: `tuberline certs make`"))
+    for info in infos:
+        left = info.days_left(now)
+        renew = "`tuberline certs make LINE.toml --renew` where ca.key is, copy the files, restart the nodes"
+        if now < info.not_before:
+            found.append(
+                fault("certificates", f"{info.path} is valid from {info.not_before:%Y-%m-%d} on", "set the clock")
+            )
+        elif left < 0:
+            found.append(fault("certificates", f"{info.path} expired {-left:.0f} days ago", renew))
+        elif left < LATE_DAYS:
+            found.append(warning("certificates", f"{info.path} expires in {left:.0f} days", renew))
+        key = info.path.with_suffix(".key")
+        if key.is_file() and stat.S_IMODE(key.stat().st_mode) & 0o007:
+            found.append(fault("certificates", f"{key} can be read by others", f"chmod 600 {key}"))
+        if info.common_name == f"router@{config.name}" and router_address(config.link)[0] not in info.hosts:
+            found.append(
+                fault(
+                    "certificates",
+                    f"{info.path} is for {', '.join(info.hosts)}, but nodes call {router_address(config.link)[0]}",
+                    "`tuberline certs add router LINE.toml --renew`",
+                )
+            )
+    if not found:
+        soonest = min((info.days_left(now) for info in infos), default=0.0)
+        found.append(ok("certificates", f"{len(infos)} certificates, the first expires in {soonest:.0f} days"))
+    return found
+
+
+def certificate_files(link: LinkConfig) -> list[Path]:
+    """The certificates of this machine."""
+    if link.certs is not None:
+        return sorted(link.certs.glob("*.pem")) or [link.certs / "ca.pem"]
+    return [path for path in (link.root_ca, link.certificate) if path]

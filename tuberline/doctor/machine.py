@@ -1,0 +1,103 @@
+"""Checks of the machine itself: disk, processors, locked memory, USB."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+from conveyor.config import LineConfig
+from tuberline.doctor.finding import Finding, fault, ok, warning
+
+LITTLE_DISK_GB, NO_DISK_GB = 5.0, 0.5
+SLOW_SYNC_MS = 250.0
+USB3_MBIT = 5000
+INTEL_USB = "8086"
+
+
+def check_disk(folder: Path, *, what: str) -> list[Finding]:
+    """Room in `folder` (or the nearest that exists), and that a file written there is durable quickly."""
+    check = f"disk of {what}"
+    place = folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    free_gb = shutil.disk_usage(place).free / 1e9
+    try:
+        sync_ms = _sync_ms(place)
+    except OSError as error:
+        return [
+            fault(
+                check,
+                f"{place} cannot be written: {error.strerror or error}",
+                f"give the user that runs Tuberline the right to write {folder}, or name another folder in the config",
+            )
+        ]
+    text = f"{folder}: {free_gb:.1f} GB free, a file is durable after {sync_ms:.0f} ms"
+    if free_gb < NO_DISK_GB:
+        return [fault(check, text, "remove old recordings and runs: under 0.5 GB the ledger may not be written")]
+    if free_gb < LITTLE_DISK_GB:
+        return [warning(check, text, "remove old recordings (30 frames/s of one camera are 10 to 50 GB an hour)")]
+    if sync_ms > SLOW_SYNC_MS:
+        return [warning(check, text, "a worn or slow disk: put the ledger on an SSD")]
+    return [ok(check, text)]
+
+
+def _sync_ms(folder: Path) -> float:
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=".tuberline-doctor-") as file:
+        begun = time.perf_counter()
+        file.write(b"\0" * 4096)
+        file.flush()
+        os.fsync(file.fileno())
+        return 1e3 * (time.perf_counter() - begun)
+
+
+def check_processors(config: LineConfig, *, cores: int | None = None) -> list[Finding]:
+    """Enough cores for the processes this line starts on one machine."""
+    have = cores if cores is not None else len(os.sched_getaffinity(0))
+    segmenters, workers = len(config.cameras), config.regressor.processes * config.regressor.threads
+    text = f"{have} cores for {segmenters} segmenters and {workers} regressor threads"
+    if segmenters + workers > have:
+        return [
+            warning(
+                "processors",
+                text,
+                f"lower regressor.processes to {max(1, have - segmenters)}, or run regressors on another machine: "
+                "under overload fewer views per tuber are weighed, never fewer tubers",
+            )
+        ]
+    return [ok("processors", text)]
+
+
+def check_locked_memory(limit_bytes: int | None = None) -> list[Finding]:
+    """Zenoh's shared memory would need much; it is switched off, so this only tells."""
+    limit = limit_bytes if limit_bytes is not None else resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    shown = "unlimited" if limit == resource.RLIM_INFINITY else f"{limit / 2**20:.0f} MiB"
+    return [ok("locked memory", f"{shown}; Tuberline locks none, for Zenoh's shared memory is off")]
+
+
+def check_usb(config: LineConfig, *, devices: Path = Path("/sys/bus/usb/devices")) -> list[Finding]:
+    """RealSense cameras are there and on USB 3. `devices` is the kernel's list."""
+    wanted = [name for name, camera in sorted(config.cameras.items()) if camera.source == "realsense"]
+    if not wanted:
+        return []
+    speeds = []
+    for vendor in sorted(devices.glob("*/idVendor")):
+        product = vendor.parent / "product"
+        if vendor.read_text().strip() == INTEL_USB and product.is_file() and "RealSense" in product.read_text():
+            speeds.append(float((vendor.parent / "speed").read_text()))
+    text = f"{len(speeds)} RealSense devices for {len(wanted)} cameras ({', '.join(wanted)})"
+    if len(speeds) < len(wanted):
+        return [
+            warning(
+                "usb", text, "plug in the missing ones, unless they hang on another host; a udev rule may hide them"
+            )
+        ]
+    if any(speed < USB3_MBIT for speed in speeds):
+        slow = ", ".join(f"{speed:.0f} Mbit/s" for speed in speeds)
+        return [
+            fault("usb", f"{text}: {slow}", "use a USB 3 port and cable: USB 2 cannot carry 848x480 at 30 frames/s")
+        ]
+    return [ok("usb", text)]

@@ -1,0 +1,24 @@
+"""The table of a line's processes: which node is started how, in which order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from conveyor.config import LineConfig
+from tuberline.supervisor import ProcessSpec
+
+
+def line_processes(config: LineConfig, *, config_path: Path, run: str, router: bool = True) -> list[ProcessSpec]:
+    """Every process of `config` on this machine, in starting order: who listens comes before who speaks."""
+    common = ("--config", str(config_path), "--run", run)
+    specs = [ProcessSpec("router", ("router", "--config", str(config_path)))] if router else []
+    specs.append(ProcessSpec("aggregator", ("aggregator", *common)))
+    specs += [
+        ProcessSpec(f"regressor-{name}", ("regressor", *common, "--name", name))
+        for name in (f"r{n}" for n in range(1, config.regressor.processes + 1))
+    ]
+    for role in ("segmenter", "camera"):
+        specs += [ProcessSpec(f"{role}-{name}", (role, *common, "--camera", name)) for name in sorted(config.cameras)]
+    if config.viewer is not None:
+        specs.insert(2, ProcessSpec("viewer", ("viewer", *common)))
+    return specs

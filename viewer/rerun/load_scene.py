@@ -1,0 +1,99 @@
+"""The load: what it weighs, how many tubers, how sure, how they are distributed. Tubers and totals in, marks out."""
+
+from __future__ import annotations
+
+from conveyor.messages import Totals, Tuber
+from viewer.rerun.primitives import Bars, Color, Entry, Mark, Measured, Moment, Number, Page, PlotStyle
+
+TOTAL_COLOR: Color = (120, 200, 255)
+COUNT_COLOR: Color = (110, 220, 110)
+BARS_COLOR: Color = (240, 190, 90)
+SIGMAS_OF_90_PERCENT = 2 * 1.645
+DEFAULT_STEP_G = 50.0
+
+
+class LoadScene:
+    """The running load.
+
+    The aggregator's totals are the truth, but a replay at full speed hears only a few of them. Between two, the load is
+    added up tuber by tuber, where it crossed; only while none is missing, for a sum with a hole would be a wrong total.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._weight_g = 0.0
+        self._bins: list[int] = []
+        self._step_g = DEFAULT_STEP_G
+        self._complete = True
+
+    def opening(self) -> list[Entry]:
+        """How the numbers are plotted."""
+        styles = {
+            "/load/counted_kg": PlotStyle("tubers counted, kg", BARS_COLOR, points=False),
+            "/load/count": PlotStyle("tubers", COUNT_COLOR, points=False),
+            "/load/tubers_per_s": PlotStyle("tubers per second", COUNT_COLOR, points=False),
+            "/load/coverage_percent": PlotStyle("belt looked at, %", (190, 150, 255), points=False),
+        }
+        return [Entry(path, style, None) for path, style in styles.items()]
+
+    def on_tuber(self, tuber: Tuber, moment: Moment) -> list[Entry]:
+        """The load with this tuber; [] once a tuber is missing in the row."""
+        self._complete = self._complete and tuber.tuber_id == self._count + 1
+        if not self._complete:
+            return []
+        self._count += 1
+        self._weight_g += tuber.weight_g
+        bin_at = int(tuber.weight_g // self._step_g)
+        self._bins += [0] * (bin_at + 1 - len(self._bins))
+        self._bins[bin_at] += 1
+        marks: dict[str, Mark] = {
+            "/load/counted_kg": Number(self._weight_g / 1000),
+            "/load/count": Number(float(self._count)),
+            "/load/page": Page("\n\n".join([*_headline(self._count, self._weight_g), "So far, tuber by tuber."])),
+            "/load/weights": Bars(tuple(self._bins), self._step_g, BARS_COLOR),
+        }
+        return [Entry(path, mark, moment) for path, mark in marks.items()]
+
+    def on_totals(self, totals: Totals, moment: Moment) -> list[Entry]:
+        """Everything drawn of one report."""
+        if totals.histogram_step_g != self._step_g and self._count == 0:
+            self._step_g = totals.histogram_step_g
+        sigma_kg = (totals.high_g - totals.low_g) / SIGMAS_OF_90_PERCENT / 1000
+        marks: dict[str, Mark] = {
+            "/load/page": Page(page(totals)),
+            "/load/weight_kg": Measured(totals.weight_g / 1000, sigma_kg, "kg", "load, kg", TOTAL_COLOR),
+            "/load/count": Number(float(totals.count)),
+            "/load/tubers_per_s": Number(totals.tubers_per_s),
+        }
+        if totals.coverage is not None:
+            marks["/load/coverage_percent"] = Number(100 * totals.coverage)
+        if totals.histogram:
+            marks["/load/weights"] = Bars(totals.histogram, totals.histogram_step_g, BARS_COLOR)
+        return [Entry(path, mark, moment) for path, mark in marks.items()]
+
+
+def page(totals: Totals) -> str:
+    """The big numbers, as Markdown."""
+    rows = [
+        *_headline(totals.count, totals.weight_g),
+        f"90 % sure: {_kg(totals.low_g)} to {_kg(totals.high_g)}",
+    ]
+    if totals.coverage is not None:
+        rows.append(f"Belt looked at: **{100 * totals.coverage:.1f} %**")
+        if totals.coverage < 0.9995:
+            rows.append(
+                f"With the belt that was missed: **{_kg(totals.estimated_weight_g)}** "
+                f"({_kg(totals.estimated_low_g)} to {_kg(totals.estimated_high_g)})"
+            )
+    rows += [f"Camera {name}: {state}" for name, state in sorted(totals.cameras.items())]
+    rows.append("**The load is complete.**" if totals.final else f"{totals.tubers_per_s:.1f} tubers per second.")
+    return "\n\n".join(rows)
+
+
+def _headline(count: int, weight_g: float) -> list[str]:
+    mean = f"{weight_g / count:.0f} g each" if count else "none yet"
+    return [f"# {_kg(weight_g)}", f"# {count} tubers", mean]
+
+
+def _kg(weight_g: float) -> str:
+    return f"{weight_g / 1000:.2f} kg" if weight_g < 100_000 else f"{weight_g / 1000:.1f} kg"

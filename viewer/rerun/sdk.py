@@ -1,0 +1,191 @@
+"""The only module (with `layout`) that knows rerun-sdk: it changes every few weeks, and costs a second to import."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+from conveyor.errors import ConfigError
+from conveyor.formats.rvl_encoder import MEDIA_TYPE, encode_rvl
+from viewer.rerun.primitives import (
+    Bars,
+    BeltAxes,
+    Box,
+    Cloud,
+    ColorPicture,
+    DepthPicture,
+    Entry,
+    Gone,
+    Lane,
+    Lens,
+    LogLine,
+    Measured,
+    Moment,
+    Number,
+    Page,
+    PlotStyle,
+    Pose,
+    Shift,
+    State,
+)
+
+INSTALL = "install it with: pip install 'tuberline[viewer]'"
+SUPPORTED = "0.41."
+
+try:
+    import rerun as rr
+    import rerun.blueprint as rrb
+except ImportError as error:
+    raise ConfigError(f"the viewer needs rerun-sdk, which cannot be imported ({error}); {INSTALL}") from error
+if not metadata.version("rerun-sdk").startswith(SUPPORTED):
+    raise ConfigError(f"the viewer needs rerun-sdk {SUPPORTED}*, found {metadata.version('rerun-sdk')}; {INSTALL}")
+
+__all__ = ["INSTALL", "Pen", "new_stream", "rrb"]
+
+APPLICATION = "tuberline"
+EPOCH_FROM_NS = 10**17
+"""Capture times below (before 1973) do not count from the epoch: recordings and simulations start near zero."""
+_STATE_COLORS = {
+    "ok": (70, 150, 80),
+    "starting": (80, 110, 170),
+    "stalled": (220, 150, 40),
+    "gone": (200, 60, 50),
+}
+FLUSH_TICK_S = 0.1
+FLUSH_BYTES = 16 << 20
+
+
+def new_stream(recording_id: str) -> Any:
+    """A recording without a sink yet.
+
+    The batcher flushes by time, not by bytes: with Rerun's defaults a depth stream at 30 Hz starves all small entities.
+    """
+    batching = rr.ChunkBatcherConfig(flush_tick=FLUSH_TICK_S, flush_num_bytes=FLUSH_BYTES)
+    return rr.RecordingStream(APPLICATION, recording_id=recording_id, batcher_config=batching)
+
+
+class Pen:
+    """Draws entries into one stream, in one thread: Rerun keeps the time per thread.
+
+    The first moment decides whether the capture timeline counts from the epoch or from the recording's start.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self._epoch: bool | None = None
+
+    def draw(self, entry: Entry) -> None:
+        """Log one entry; blocks as long as Rerun does."""
+        archetypes = _ARCHETYPES[type(entry.mark)](entry.mark)
+        if entry.moment is not None:
+            self._set_time(entry.moment)
+        self._stream.log(entry.path, *archetypes, static=entry.moment is None)
+
+    def _set_time(self, moment: Moment) -> None:
+        if self._epoch is None:
+            self._epoch = moment.captured_ns >= EPOCH_FROM_NS
+        self._stream.reset_time()
+        if moment.seq is not None:
+            self._stream.set_time("frame", sequence=moment.seq)
+        if self._epoch:
+            self._stream.set_time("capture", timestamp=np.datetime64(moment.captured_ns, "ns"))
+        else:
+            self._stream.set_time("capture", duration=np.timedelta64(moment.captured_ns, "ns"))
+
+
+def _lens(mark: Lens) -> list[Any]:
+    k = mark.intrinsics
+    return [
+        rr.Pinhole(
+            focal_length=(k.fx, k.fy),
+            principal_point=(k.cx, k.cy),
+            width=k.width,
+            height=k.height,
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=0.04,
+        )
+    ]
+
+
+def _depth(mark: DepthPicture) -> list[Any]:
+    return [
+        rr.EncodedDepthImage(
+            encode_rvl(mark.depth),
+            media_type=MEDIA_TYPE,
+            meter=1.0 / mark.depth_scale_m,
+            colormap="turbo",
+            depth_range=None if mark.range_m is None else [r / mark.depth_scale_m for r in mark.range_m],
+        )
+    ]
+
+
+def _box(mark: Box) -> list[Any]:
+    half = mark.yaw_rad / 2
+    return [
+        rr.Boxes3D(
+            centers=[mark.center_m],
+            half_sizes=[mark.half_size_m],
+            quaternions=[rr.Quaternion(xyzw=(0.0, 0.0, math.sin(half), math.cos(half)))],
+            colors=[mark.color],
+            labels=[mark.label] if mark.label else None,
+            show_labels=True if mark.label else None,
+            fill_mode="solid" if mark.solid else "majorwireframe",
+        )
+    ]
+
+
+def _style(mark: PlotStyle) -> list[Any]:
+    if mark.points:
+        return [rr.SeriesPoints(names=mark.name, colors=mark.color, markers="circle", marker_sizes=3.0)]
+    return [rr.SeriesLines(names=mark.name, colors=mark.color, widths=2.0)]
+
+
+def _bars(mark: Bars) -> list[Any]:
+    n = len(mark.counts)
+    left = (np.arange(n) + 0.05) * mark.step  # Rerun draws a bar from its abscissa to the right
+    # Without widths bars are one unit wide: invisible on an axis of grams.
+    return [rr.BarChart(np.array(mark.counts), abscissa=left, widths=np.full(n, 0.9 * mark.step), color=mark.color)]
+
+
+def _number(mark: Number) -> list[Any]:
+    details = {name: [value] for name, value in mark.values}
+    return [rr.Scalars(mark.value), *([rr.AnyValues(drop_untyped_nones=True, **details)] if details else [])]
+
+
+def _measured(mark: Measured) -> list[Any]:
+    return [
+        rr.Measurements(
+            [mark.value],
+            variances=[mark.sigma**2],
+            units=[mark.unit],
+            names=[mark.name],
+            colors=[mark.color],
+            widths=[2.0],
+            interpolation_mode="StepAfter",  # between two reports the load was not weighed: no slope
+        )
+    ]
+
+
+_ARCHETYPES: dict[type[Any], Callable[[Any], list[Any]]] = {
+    BeltAxes: lambda _: [rr.ViewCoordinates.RIGHT_HAND_Z_UP],
+    Pose: lambda m: [rr.Transform3D(translation=m.belt_from_camera[:3, 3], mat3x3=m.belt_from_camera[:3, :3])],
+    Lens: _lens,
+    DepthPicture: _depth,
+    ColorPicture: lambda m: [rr.EncodedImage(contents=m.jpeg, media_type="image/jpeg")],
+    Shift: lambda m: [rr.Transform3D(translation=(m.x_m, 0.0, 0.0))],
+    Cloud: lambda m: [rr.Points3D(m.points_m, colors=[m.color], radii=[0.0012])],
+    Box: _box,
+    Gone: lambda _: [rr.Clear(recursive=False)],
+    Number: _number,
+    Measured: _measured,
+    PlotStyle: _style,
+    Bars: _bars,
+    Lane: lambda _: [rr.StateConfiguration(values=list(_STATE_COLORS), colors=list(_STATE_COLORS.values()))],
+    State: lambda m: [rr.StateChange(state=m.state)],
+    LogLine: lambda m: [rr.TextLog(m.text, level=m.level)],
+    Page: lambda m: [rr.TextDocument(m.markdown, media_type="text/markdown")],
+}
