@@ -1,4 +1,4 @@
-"""What a segmenter's levels say of its belt, in words with the mend."""
+"""What a segmenter's levels say of its belt, in words, and how to fix it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tuberline doctor`, `health`, `bundle`, `metrics`: each fault is found with its mend, on real files and sessions."""
+"""`tuberline doctor`, `health`, `bundle`, `metrics`: each fault is found with its fix, on real files and sessions."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def only(findings: list[Finding]) -> Finding:
     return findings[0]
 
 
-def test_a_mend_belongs_to_every_fault_and_to_no_ok() -> None:
-    with pytest.raises(ValueError, match="a mend belongs"):
+def test_a_fix_belongs_to_every_fault_and_to_no_ok() -> None:
+    with pytest.raises(ValueError, match="a fix belongs"):
         Finding("disk", Level.FAULT, "full")
     assert worst([]) is Level.OK
     assert worst([Finding("a", Level.WARNING, "x", "y"), Finding("b", Level.OK, "z")]) is Level.WARNING
@@ -71,7 +71,7 @@ def test_processors_and_locked_memory() -> None:
     assert only(check_processors(config, cores=6)).level is Level.OK
     short = only(check_processors(config, cores=4))
     assert (short.level, short.text) == (Level.WARNING, "4 cores for 2 segmenters and 4 regressor threads")
-    assert "lower regressor.processes to 2" in short.mend
+    assert "lower regressor.processes to 2" in short.fix
     assert "8 MiB" in only(check_locked_memory(8 << 20)).text
     assert "unlimited" in only(check_locked_memory(resource.RLIM_INFINITY)).text
 
@@ -85,7 +85,7 @@ def test_usb_finds_missing_and_slow_cameras(tmp_path: Path) -> None:
     for name, text in {"idVendor": "8086\n", "product": "Intel(R) RealSense(TM) Depth Camera 405\n"}.items():
         (device / name).write_text(text)
     (device / "speed").write_text("480\n")
-    assert only(check_usb(config, devices=tmp_path)).mend.startswith("use a USB 3 port")
+    assert only(check_usb(config, devices=tmp_path)).fix.startswith("use a USB 3 port")
     (device / "speed").write_text("5000\n")
     assert only(check_usb(config, devices=tmp_path)).level is Level.OK
 
@@ -106,14 +106,14 @@ def test_certificates_are_watched_for_expiry_privacy_and_the_routers_name(tmp_pa
         "/router.pem is for edge, but nodes call 127.0.0.1": Level.FAULT,
     }
     late = check_certificates(config, now=NOW + timedelta(days=23))
-    assert any("camera.front.pem expired 3 days ago" in f.text and "--renew" in f.mend for f in late)
+    assert any("camera.front.pem expired 3 days ago" in f.text and "--renew" in f.fix for f in late)
     assert check_certificates(LineConfig(), now=NOW) == []
 
 
 def test_a_port_nobody_listens_on(free_port: int) -> None:
     found = only(check_port(LinkConfig(router=f"tcp/127.0.0.1:{free_port}")))
     assert f"127.0.0.1:{free_port} does not answer" in found.text
-    assert "tuberline router" in found.mend
+    assert "tuberline router" in found.fix
 
 
 def test_nodes_versions_and_clocks() -> None:

@@ -35,10 +35,10 @@ def test_a_belt_is_compared_with_its_calibration(
 
 def test_the_mend_can_be_pasted() -> None:
     off = check_belt_seen("left", given_m=0.46, seen_m=[0.4812, 0.4812], frames=5)
-    assert "set cameras.left.belt_distance_m = 0.4812" in off.mend
-    assert "tuberline calibrate belt" in off.mend
+    assert "set cameras.left.belt_distance_m = 0.4812" in off.fix
+    assert "tuberline calibrate belt" in off.fix
     scale = check_belt_seen("left", given_m=0.46, seen_m=[4.6, 4.6], frames=5)
-    assert scale.mend == "the depth scale is wrong: mend cameras.left.depth_scale_m"
+    assert scale.fix == "the depth scale is wrong: correct cameras.left.depth_scale_m"
 
 
 def test_a_running_segmenter_is_believed() -> None:

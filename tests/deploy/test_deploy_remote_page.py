@@ -51,7 +51,7 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
     (out / "line.toml").write_text(dump_toml(config))
     specs = line_processes(config, config_path=out / "line.toml", run="monday")
     with remote_proxy() as proxy, chromium(tmp_path / "profile") as browser:
-        watch = LineWatch(config.link, line=config.name, tell=lambda look: proxy.board.put(snapshot(look)))
+        watch = LineWatch(config.link, line=config.name, tell=lambda state: proxy.board.put(snapshot(state)))
         with Supervisor(specs, log_dir=out / "logs") as line:
             watch.start()
             browser.open(proxy.page_url, user=USER, password=PASSWORD)

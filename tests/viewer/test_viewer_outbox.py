@@ -32,7 +32,7 @@ def test_light_entries_keep_their_order_and_heavy_ones_only_their_newest() -> No
         box.put(heavy("/depth", n))
     batch = box.take(0.0)
     assert [e.moment.captured_ns for e in batch if e.moment and not e.heavy] == [0, 1, 2, 3, 4]
-    assert [e.mark for e in batch if e.heavy] == [Number(4.0)]
+    assert [e.primitive for e in batch if e.heavy] == [Number(4.0)]
     assert counters.get("x_dropped_superseded") == 4
     assert box.take(0.0) == []
 
@@ -57,7 +57,7 @@ def test_a_new_run_discards_the_pictures_of_the_old_one() -> None:
     box, counters = outbox()
     box.put(heavy("/depth", 1))
     box.put(Entry("run", NewRun("two"), None))
-    assert [e.mark for e in box.take(0.0)] == [NewRun("two")]
+    assert [e.primitive for e in box.take(0.0)] == [NewRun("two")]
     assert counters.get("x_dropped_superseded") == 1
 
 

@@ -13,7 +13,7 @@ import pytest
 
 import viewer.page.server as server_module
 from tests.deploy.remote_browser import Browser, chromium
-from tests.viewer.page_looks import good_look, segmenter, with_node
+from tests.viewer.page_states import good_state, segmenter, with_node
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
@@ -51,7 +51,7 @@ def text(browser: Browser) -> str:
 def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
     board = Board(["north"])
     dark = segmenter("left", gauges={"frames_dropped_blind": 360.0}, growing_s={"frames_dropped_blind": 12.4})
-    board.put(snapshot(with_node(good_look(), "segmenter/left", dark)))
+    board.put(snapshot(with_node(good_state(), "segmenter/left", dark)))
     with ExitStack() as first:
         page = first.enter_context(PageServer(board, host="127.0.0.1", port=0))
         port = page.port
@@ -75,20 +75,20 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
     assert js(browser, "document.querySelector('.line').dataset.old") == "yes"
     assert js(browser, "getComputedStyle(document.querySelector('.side')).opacity") != "1"
     with PageServer(board, host="127.0.0.1", port=port):
-        board.put(snapshot(good_look()))
+        board.put(snapshot(good_state()))
         until(lambda: "No alarms." in text(browser), what="the page comes back by itself")
         until(lambda: "Live" in text(browser) and "No contact" not in text(browser), what="it is live again")
 
 
 def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -> None:
     board = Board(["north", "south"])
-    board.put(snapshot(good_look(heard_s=14.0, totals_age_s=14.0)))
+    board.put(snapshot(good_state(heard_s=14.0, totals_age_s=14.0)))
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
         until(lambda: "Old figures: last heard" in text(browser), what="old figures")
         deadline = time.monotonic() + 4
         while time.monotonic() < deadline:
-            board.put(snapshot(good_look("south")))
+            board.put(snapshot(good_state("south")))
             time.sleep(0.5)
         found = js(browser, "[...document.querySelectorAll('.line')].map((line) => [line.dataset.old, line.innerText])")
     assert [old for old, _ in found] == ["yes", "no"]
@@ -100,7 +100,7 @@ def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -
 def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size: str) -> None:
     board = Board(["north", "south"])
     for name in ("north", "south"):
-        board.put(snapshot(good_look(name)))
+        board.put(snapshot(good_state(name)))
     width, height = SIZES[size]
     browser.page(
         "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
@@ -115,7 +115,7 @@ def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size:
 
 def test_day_and_night_by_the_keyboard(browser: Browser) -> None:
     board = Board(["north"])
-    board.put(snapshot(good_look()))
+    board.put(snapshot(good_state()))
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
         until(lambda: "Live" in text(browser), what="the page")
@@ -143,8 +143,8 @@ def test_contrast_is_made_for_sunlight() -> None:
     """7 to 1 (WCAG AAA) for every word on every ground, by day and by night."""
     themes = re.findall(r"\{\s*color-scheme: \w+;(.*?)\}", CSS.read_text(), re.S)
     assert len(themes) == 3
-    pairs = [("ink", ground) for ground in ("ground", "card", "good-ground", "trouble-ground", "look-ground")]
-    pairs += [("soft", "ground"), ("soft", "card"), ("good", "good-ground"), ("look", "look-ground")]
+    pairs = [("ink", ground) for ground in ("ground", "card", "good-ground", "trouble-ground", "warning-ground")]
+    pairs += [("soft", "ground"), ("soft", "card"), ("good", "good-ground"), ("warning", "warning-ground")]
     pairs += [("trouble", "trouble-ground"), ("ground", "trouble"), ("bar", "card")]
     for theme in themes:
         colours = dict(re.findall(r"--([\w-]+): (#\w+);", theme))

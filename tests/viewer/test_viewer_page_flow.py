@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from conveyor.messages import Travel
-from tests.viewer.page_looks import counters, totals
+from tests.viewer.page_states import counters, totals
 from viewer.page.flow import QUIET_S, TRAVEL_STALE_S, BeltSpeed, LoadFlow
 from viewer.page.growth import PAUSE_S, WINDOW_S, Growth
 
@@ -32,7 +32,7 @@ def test_what_stopped_growing_rests() -> None:
     assert growth.growing_s(8.0) == {}
     assert growth.resting_s(8.0) == {"frames_dropped_blind": 6.0}
     again = fed([0, 5, 10, *[10] * 6, 15])
-    assert again.growing_s(9.0) == {"frames_dropped_blind": 0.0}, "a new trouble begins anew"
+    assert again.growing_s(9.0) == {"frames_dropped_blind": 0.0}, "a new trouble begins at zero"
 
 
 def test_a_count_that_was_there_before_the_page_is_no_growth() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import viewer.page.server as server_module
 from conveyor.errors import LinkError
-from tests.viewer.page_looks import good_look
+from tests.viewer.page_states import good_state
 from viewer.page.board import Board
 from viewer.page.files import read_files
 from viewer.page.server import MAX_CONNECTIONS, MAX_STREAMS, PageServer, own_name
@@ -91,7 +91,7 @@ def test_snapshots_come_as_events_as_soon_as_they_are_there(page: PageServer, bo
     with stream(page) as channel:
         first = read_until(channel, b"\n\ndata: ")
         assert b"text/event-stream" in first
-        board.put(snapshot(good_look()))
+        board.put(snapshot(good_state()))
         started = time.monotonic()
         data = read_until(channel, b'"count":11590')
         assert time.monotonic() - started < 2.0
@@ -102,7 +102,7 @@ def test_snapshots_come_as_events_as_soon_as_they_are_there(page: PageServer, bo
 
 
 def test_a_line_that_tells_no_more_is_told_to_be_old(page: PageServer, board: Board) -> None:
-    board.put(snapshot(good_look()))
+    board.put(snapshot(good_state()))
     deadline = time.monotonic() + 5
     while json.loads(ask(page, "/snapshot.json")[2])["lines"][0]["told_s"] < 1.0:
         assert time.monotonic() < deadline
@@ -165,7 +165,7 @@ def test_too_many_browsers_are_told_so_and_leave_room_when_they_go(page: PageSer
 
 def test_a_frozen_browser_is_let_go(page: PageServer, board: Board, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_module, "SEND_WITHIN_S", 0.3)
-    big = {**snapshot(good_look()), "line": "north", "padding": "x" * 2_000_000}
+    big = {**snapshot(good_state()), "line": "north", "padding": "x" * 2_000_000}
     with stream(page) as frozen:
         read_until(frozen, b"data: ")
         took_s = []

@@ -34,8 +34,8 @@ from viewer.rerun.travel_log import TravelLog
 
 
 def one(entries: list[Entry], kind: type) -> Entry:
-    found = [entry for entry in entries if isinstance(entry.mark, kind)]
-    assert len(found) == 1, f"{len(found)} marks of {kind.__name__}"
+    found = [entry for entry in entries if isinstance(entry.primitive, kind)]
+    assert len(found) == 1, f"{len(found)} primitives of {kind.__name__}"
     return found[0]
 
 
@@ -68,16 +68,16 @@ def test_a_picture_is_strided_with_its_lens(profile: str, stride: int) -> None:
     picture, lens = one(entries, DepthPicture), one(entries, Lens)
     assert picture.path == "/belt/camera/front/image/depth"
     assert picture.heavy
-    assert isinstance(picture.mark, DepthPicture)
-    assert np.array_equal(picture.mark.depth, frame.depth[::stride, ::stride])
-    assert isinstance(lens.mark, Lens)
-    k = lens.mark.intrinsics
-    assert (k.height, k.width) == picture.mark.depth.shape
+    assert isinstance(picture.primitive, DepthPicture)
+    assert np.array_equal(picture.primitive.depth, frame.depth[::stride, ::stride])
+    assert isinstance(lens.primitive, Lens)
+    k = lens.primitive.intrinsics
+    assert (k.height, k.width) == picture.primitive.depth.shape
     assert (k.fx * stride, k.cx * stride) == (frame.intrinsics.fx, frame.intrinsics.cx)
     pose = one(entries, Pose)
     assert pose.moment is None
-    assert isinstance(pose.mark, Pose)
-    assert np.array_equal(pose.mark.belt_from_camera, straight_down_belt_from_camera(line.BELT_DISTANCE_M))
+    assert isinstance(pose.primitive, Pose)
+    assert np.array_equal(pose.primitive.belt_from_camera, straight_down_belt_from_camera(line.BELT_DISTANCE_M))
 
 
 def test_pictures_come_at_the_profiles_rate_of_capture_time() -> None:
@@ -95,10 +95,10 @@ def test_a_tubers_box_rides_from_edge_to_edge_though_counted_late() -> None:
     for seq in range(200):
         if seq == line.crossing_seq(tuber) + 10:
             box = one(scene.on_tuber(line.counted(tuber)), Box)
-        gone_at = next((seq for e in scene.on_frame(line.frame(seq, [])) if isinstance(e.mark, Gone)), gone_at)
-    assert isinstance(box.mark, Box)
-    assert box.mark.label == f"{tuber.weight_g:.0f} g"
-    assert box.mark.center_m[:2] == (tuber.place_x_m, tuber.place_y_m)
+        gone_at = next((seq for e in scene.on_frame(line.frame(seq, [])) if isinstance(e.primitive, Gone)), gone_at)
+    assert isinstance(box.primitive, Box)
+    assert box.primitive.label == f"{tuber.weight_g:.0f} g"
+    assert box.primitive.center_m[:2] == (tuber.place_x_m, tuber.place_y_m)
     assert box.moment is not None
     entered = next(seq for seq in range(200) if tuber.place_x_m + line.travel_m(seq) >= -seen_x_m)
     assert box.moment == Moment(line.moment_ns(entered), entered)
@@ -114,13 +114,13 @@ def test_a_cloud_lies_at_its_tubers_place_and_turns_its_box() -> None:
     seq = line.crossing_seq(tuber)
     scene.on_frame(line.frame(seq, [tuber]))
     cloud = one(scene.on_view(line.view(seq, tuber, [tuber])), Cloud)
-    assert isinstance(cloud.mark, Cloud)
-    low, high = cloud.mark.points_m.min(axis=0), cloud.mark.points_m.max(axis=0)
+    assert isinstance(cloud.primitive, Cloud)
+    low, high = cloud.primitive.points_m.min(axis=0), cloud.primitive.points_m.max(axis=0)
     assert (low + high)[:2] / 2 == pytest.approx([tuber.place_x_m, tuber.place_y_m], abs=0.004)
     assert high[2] == pytest.approx(0.05, abs=0.002)
     box = one(scene.on_tuber(line.counted(tuber)), Box)
-    assert isinstance(box.mark, Box)
-    assert box.mark.yaw_rad == pytest.approx(0.7, abs=0.1)
+    assert isinstance(box.primitive, Box)
+    assert box.primitive.yaw_rad == pytest.approx(0.7, abs=0.1)
 
 
 def test_the_remote_profile_bounds_the_points_and_leaves_out_lesser_views() -> None:
@@ -129,14 +129,14 @@ def test_the_remote_profile_bounds_the_points_and_leaves_out_lesser_views() -> N
     seq = line.crossing_seq(tubers[0])
     assert scene.on_view(line.view(seq, tubers[0], tubers, rank=1)) == []
     cloud = one(scene.on_view(line.view(seq, tubers[0], tubers)), Cloud)
-    assert isinstance(cloud.mark, Cloud)
-    assert 400 <= len(cloud.mark.points_m) <= 800
+    assert isinstance(cloud.primitive, Cloud)
+    assert 400 <= len(cloud.primitive.points_m) <= 800
 
 
 def test_travel_alone_moves_the_belt_where_no_frames_are_heard() -> None:
     scene = BeltScene(PROFILES["light"])
     moved = scene.on_travel(Travel("encoder", line.RUN, line.START_NS, 1.25, False))
-    assert [(e.path, e.mark.x_m) for e in moved if hasattr(e.mark, "x_m")] == [("/belt/riding", 1.25)]
+    assert [(e.path, e.primitive.x_m) for e in moved if hasattr(e.primitive, "x_m")] == [("/belt/riding", 1.25)]
 
 
 def test_totals_say_weight_count_interval_and_missed_belt() -> None:
@@ -147,11 +147,11 @@ def test_totals_say_weight_count_interval_and_missed_belt() -> None:
     assert f"# {report.weight_g / 1000:.2f} kg" in text
     assert "# 12 tubers" in text
     assert "98.5 %" in text
-    measured = one(entries, Measured).mark
+    measured = one(entries, Measured).primitive
     assert isinstance(measured, Measured)
     assert measured.value == pytest.approx(report.weight_g / 1000)
     assert measured.sigma == pytest.approx((report.high_g - report.low_g) / 3.29 / 1000)
-    bars = one(entries, Bars).mark
+    bars = one(entries, Bars).primitive
     assert isinstance(bars, Bars)
     assert (sum(bars.counts), bars.step) == (12, 50.0)
     nothing = replace(report, count=0, weight_g=0.0, low_g=0.0, high_g=0.0, coverage=None)
@@ -160,13 +160,13 @@ def test_totals_say_weight_count_interval_and_missed_belt() -> None:
 
 def test_the_load_is_added_up_tuber_by_tuber_and_never_with_a_hole() -> None:
     scene, tubers = LoadScene(), line.potatoes(4, seed=6)
-    kg = [one(scene.on_tuber(line.counted(t), Moment(n)), Page).mark for n, t in enumerate(tubers[:2])]
+    kg = [one(scene.on_tuber(line.counted(t), Moment(n)), Page).primitive for n, t in enumerate(tubers[:2])]
     both = (tubers[0].weight_g + tubers[1].weight_g) / 1000
     assert isinstance(kg[1], Page)
     assert f"# {both:.2f} kg" in kg[1].markdown
     assert scene.on_tuber(line.counted(tubers[3]), Moment(3)) == [], "tuber 3 is missing"
     assert scene.on_tuber(line.counted(tubers[2]), Moment(4)) == []
-    assert one(scene.on_totals(line.totals(tubers), Moment(5)), Page).mark == Page(page(line.totals(tubers)))
+    assert one(scene.on_totals(line.totals(tubers), Moment(5)), Page).primitive == Page(page(line.totals(tubers)))
 
 
 def counters(pid: int, **values: int) -> Counters:
@@ -176,11 +176,11 @@ def counters(pid: int, **values: int) -> Counters:
 def test_health_tells_drops_once_and_who_is_gone() -> None:
     scene, now = HealthScene(), Moment(1)
     first = scene.update([counters(1, frame_received=10, frame_dropped_age=2)], {"segmenter/front"}, now)
-    assert one(first, State).mark == State("ok")
-    assert "frame_dropped_age +2 (now 2)" in next(e.mark.text for e in first if isinstance(e.mark, LogLine))
+    assert one(first, State).primitive == State("ok")
+    assert "frame_dropped_age +2 (now 2)" in next(e.primitive.text for e in first if isinstance(e.primitive, LogLine))
     again = [counters(1, frame_received=20, frame_dropped_age=2)]
     assert scene.update(again, {"segmenter/front"}, now) == []
     gone = scene.update(again, set(), now)
-    assert one(gone, State).mark == State("gone")
+    assert one(gone, State).primitive == State("gone")
     back = scene.update([counters(2, frame_dropped_age=1)], {"segmenter/front"}, now)
-    assert "frame_dropped_age +1 (now 1)" in next(e.mark.text for e in back if isinstance(e.mark, LogLine))
+    assert "frame_dropped_age +1 (now 1)" in next(e.primitive.text for e in back if isinstance(e.primitive, LogLine))

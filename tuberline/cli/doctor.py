@@ -27,7 +27,7 @@ LOOK_AT_FRAMES = 5
 
 
 def doctor(*, config: Path, json: bool = False, offline: bool = False) -> None:
-    """Look for what is wrong with a line and this machine; each finding comes with its mend. Exits with 1 on a fault.
+    """Look for what is wrong with a line and this machine; each finding says how to fix it. Exits with 1 on a fault.
 
     Parameters
     ----------
@@ -225,8 +225,8 @@ def _cameras(config: LineConfig, *, alive: set[str]) -> list[Finding]:
         try:
             found += _camera(config, name)
         except TuberlineError as error:
-            mend = f"mend [cameras.{name}] in the config, or the recording or device it names"
-            found.append(fault(f"camera {name}", str(error), mend))
+            fix = f"correct [cameras.{name}] in the config, or the recording or device it names"
+            found.append(fault(f"camera {name}", str(error), fix))
     return found
 
 
@@ -256,11 +256,11 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
     ]
 
 
-def _tried(check: str, work: Callable[[], str], mend: str) -> Finding:
+def _tried(check: str, work: Callable[[], str], fix: str) -> Finding:
     try:
         return ok(check, work())
     except TuberlineError as error:
-        return fault(check, str(error), mend)
+        return fault(check, str(error), fix)
 
 
 def _print(findings: list[Finding]) -> None:
@@ -272,5 +272,5 @@ def _print(findings: list[Finding]) -> None:
     for finding in findings:
         mark = f"[{colours[finding.level]}]{finding.level.value:8}[/]"
         console.print(f"{mark}[bold]{escape(finding.check)}[/]: {escape(finding.text)}")
-        if finding.mend:
-            console.print(f"        mend: {escape(finding.mend)}")
+        if finding.fix:
+            console.print(f"        fix: {escape(finding.fix)}")

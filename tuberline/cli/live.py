@@ -81,9 +81,11 @@ def line_table(
 def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
     """What the table alone does not say."""
     if not nodes and not alive:
-        return ["[red]nobody of this line is there[/]: start it with `tuberline run LINE.toml`, or mend --line"]
+        return [
+            "[red]no process of this line is running[/]: start it with `tuberline run LINE.toml`, or correct --line"
+        ]
     if not alive:
-        return ["[red]nobody answers any more[/]: the router or the whole line is down; these are the last reports"]
+        return ["[red]no process answers[/]: the router or the whole line is down; these are the last reports"]
     return []
 
 

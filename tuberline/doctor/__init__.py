@@ -1,4 +1,4 @@
-"""What is wrong with a line or the machine under it, and how to mend it."""
+"""What is wrong with a line or the machine under it, and how to fix it."""
 
 from tuberline.doctor.finding import Finding, Level, worst
 

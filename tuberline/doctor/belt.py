@@ -40,7 +40,7 @@ def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[floa
     text = f"{measured}, given {given_m:.4f} m: {off_mm:+.1f} mm"
     ratio = middle_m / given_m
     if not 1 / WRONG_SCALE < ratio < WRONG_SCALE:
-        return fault(check, text, f"the depth scale is wrong: mend cameras.{camera}.depth_scale_m")
+        return fault(check, text, f"the depth scale is wrong: correct cameras.{camera}.depth_scale_m")
     if abs(off_mm) > FAR_OFF_MM:
         return fault(check, text, f"if the camera was moved: {anew} and {setting}")
     if abs(off_mm) > OFF_MM:
@@ -59,8 +59,8 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         leans = f", leaning {gauges['belt_tilt_off_deg']:.1f} deg" if gauges.get("belt_tilt_off_deg") else ""
         text = f"{name} sees it {gauges['belt_drift_mm']:+.1f} mm off its calibration{leans}"
         if gauges.get("belt_alarm"):
-            mend = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
-            found.append(fault(f"belt of {camera}", text, mend))
+            fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
+            found.append(fault(f"belt of {camera}", text, fix))
         else:
             found.append(ok(f"belt of {camera}", text))
     return found

@@ -1,4 +1,4 @@
-"""One finding: what was looked at, how it is, and the mend."""
+"""One finding: what was looked at, how it is, and how to fix it."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of one check. `mend` is empty only where nothing is to be done."""
+    """The result of one check. `fix` is empty only where nothing is to be done."""
 
     check: str
     level: Level
     text: str
-    mend: str = ""
+    fix: str = ""
 
     def __post_init__(self) -> None:
-        if (self.level is Level.OK) != (self.mend == ""):
-            raise ValueError(f"finding '{self.check}': a mend belongs to a warning or a fault, and to each of them")
+        if (self.level is Level.OK) != (self.fix == ""):
+            raise ValueError(f"finding '{self.check}': a fix belongs to a warning or a fault, and to each of them")
 
 
 def ok(check: str, text: str) -> Finding:
-    """Nothing to mend."""
+    """Nothing to fix."""
     return Finding(check, Level.OK, text)
 
 
-def warning(check: str, text: str, mend: str) -> Finding:
+def warning(check: str, text: str, fix: str) -> Finding:
     """Will hurt later."""
-    return Finding(check, Level.WARNING, text, mend)
+    return Finding(check, Level.WARNING, text, fix)
 
 
-def fault(check: str, text: str, mend: str) -> Finding:
+def fault(check: str, text: str, fix: str) -> Finding:
     """Hurts now."""
-    return Finding(check, Level.FAULT, text, mend)
+    return Finding(check, Level.FAULT, text, fix)
 
 
 def worst(findings: Iterable[Finding]) -> Level:

@@ -54,11 +54,11 @@ def check_nodes(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set
     for name in sorted(expected_nodes(config) - alive):
         role, _, own = name.partition("/")
         unit = f"tuberline-{role}@{config.name}" + ("" if role == own else f":{own}")
-        mend = f"start it (`tuberline run LINE.toml`, or systemctl start {unit}) and read its log"
-        found.append(fault("nodes", f"{name} is not there", mend))
+        fix = f"start it (`tuberline run LINE.toml`, or systemctl start {unit}) and read its log"
+        found.append(fault("nodes", f"{name} is not there", fix))
     if not any(name.startswith("regressor/") for name in alive):
-        mend = "start one: `tuberline regressor --config LINE.toml --name r1 --run RUN`, RUN as `tuberline status` says"
-        found.append(fault("nodes", "no regressor is there", mend))
+        fix = "start one: `tuberline regressor --config LINE.toml --name r1 --run RUN`, RUN as `tuberline status` says"
+        found.append(fault("nodes", "no regressor is there", fix))
     for name, counters in sorted(nodes.items()):
         if name in alive and counters.status != "ok":
             found.append(

@@ -32,7 +32,7 @@ def check_port(link: LinkConfig, *, timeout_s: float = 2.0) -> list[Finding]:
                 "router port",
                 f"{host}:{port} does not answer: {error.strerror or error}",
                 f"start the router (`tuberline router` or tuberline-router@LINE.service), open port {port} in the "
-                "firewall of its host, or mend link.router",
+                "firewall of its host, or correct link.router",
             )
         ]
 

@@ -1,4 +1,4 @@
-"""What is wrong with a line, in plain words, and what to do about it. Pure: a look in, alarms out, the worst first."""
+"""What is wrong with a line, in plain words, and what to do about it: a line's state in, alarms out, worst first."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from viewer.page.camera_alarms import camera_alarms
-from viewer.page.state import STALE_S, Look
-from viewer.page.words import AGGREGATOR_MEND, AGGREGATOR_REFUSALS, span
+from viewer.page.state import STALE_S, LineState
+from viewer.page.words import AGGREGATOR_FIX, AGGREGATOR_REFUSALS, span
 
-Level = Literal["trouble", "look", "note"]
-LEVELS: tuple[Level, ...] = ("trouble", "look", "note")
-"""'trouble': figures are wrong or missing now; 'look': they will be, or somebody should look; 'note': good to know."""
+Level = Literal["trouble", "warning", "note"]
+LEVELS: tuple[Level, ...] = ("trouble", "warning", "note")
+"""'trouble': figures are wrong or missing now; 'warning': they soon may be; 'note': good to know."""
 MAX_ALARMS = 24
 LEFT_NOTED_S = 60.0
 """A regressor may leave at any time: that is worth a minute's note."""
@@ -28,70 +28,70 @@ class Alarm:
     key: str
     level: Level
     text: str
-    mend: str
+    fix: str
 
 
-def alarms(look: Look) -> tuple[Alarm, ...]:
+def alarms(state: LineState) -> tuple[Alarm, ...]:
     """Everything that is wrong, the worst first. Where there is no contact, that is the one thing to say."""
-    if not look.in_contact:
-        return _no_contact(look)
-    found = [*_aggregator(look), *_cameras(look), *_regressors(look), *_stalled(look), *_coverage(look)]
+    if not state.in_contact:
+        return _no_contact(state)
+    found = [*_aggregator(state), *_cameras(state), *_regressors(state), *_stalled(state), *_coverage(state)]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:MAX_ALARMS])
 
 
-def _no_contact(look: Look) -> tuple[Alarm, ...]:
-    if look.final and look.heard_s is not None:
-        text = f"The load is complete. The line said so last {span(look.heard_s)} ago and has been off since."
+def _no_contact(state: LineState) -> tuple[Alarm, ...]:
+    if state.final and state.heard_s is not None:
+        text = f"The load is complete. The line switched off {span(state.heard_s)} ago."
         return (Alarm("off", "note", text, "Nothing needs to be done."),)
-    since = "" if look.heard_s is None else f" for {span(look.heard_s)}"
-    text = f"No contact with line {look.line}{since}." + (f" {look.trouble}." if look.trouble else "")
-    mend = "The line may still be counting. See that its computer is on and the network cable is plugged in."
-    return (Alarm("no-contact", "trouble", text, mend),)
+    since = "" if state.heard_s is None else f" for {span(state.heard_s)}"
+    text = f"No contact with line {state.line}{since}." + (f" {state.trouble}." if state.trouble else "")
+    fix = "The line may still be counting. See that its computer is on and the network cable is plugged in."
+    return (Alarm("no-contact", "trouble", text, fix),)
 
 
-def _aggregator(look: Look) -> Iterator[Alarm]:
-    node = look.role("aggregator").get("aggregator")
-    if look.totals is None:
+def _aggregator(state: LineState) -> Iterator[Alarm]:
+    node = state.role("aggregator").get("aggregator")
+    if state.totals is None:
         if node is None or node.state == "gone":
             yield Alarm(
                 "no-aggregator",
                 "trouble",
-                "Nobody keeps the ledger: the aggregator is not there.",
+                "The ledger is not kept: the aggregator is not running.",
                 "Start it. Cameras keep what they count on their own disk until it is back.",
             )
         return
-    if look.totals_age_s > STALE_S and not look.final:
+    if state.totals_age_s > STALE_S and not state.final:
         yield Alarm(
             "totals-old",
             "trouble",
-            f"The load has not been told for {span(look.totals_age_s)}: the figures are old.",
+            f"These figures are {span(state.totals_age_s)} old: the aggregator sends none.",
             "Start the aggregator again. Cameras keep what they count on their own disk until it is back.",
         )
     if node is not None:
         for counter, text in AGGREGATOR_REFUSALS.items():
             if counter in node.growing_s:
-                yield Alarm(counter, "trouble", text, AGGREGATOR_MEND)
+                yield Alarm(counter, "trouble", text, AGGREGATOR_FIX)
 
 
-def _cameras(look: Look) -> Iterator[Alarm]:
-    for name in look.camera_names():
-        for key, serious, text, mend in camera_alarms(name, look):
-            yield Alarm(f"camera-{name}-{key}", "trouble" if serious else "look", text, mend)
+def _cameras(state: LineState) -> Iterator[Alarm]:
+    for name in state.camera_names():
+        for key, serious, text, fix in camera_alarms(name, state):
+            yield Alarm(f"camera-{name}-{key}", "trouble" if serious else "warning", text, fix)
 
 
-def _regressors(look: Look) -> Iterator[Alarm]:
-    nodes = look.role("regressor")
-    segmenters = look.role("segmenter").values()
+def _regressors(state: LineState) -> Iterator[Alarm]:
+    nodes = state.role("regressor")
+    segmenters = state.role("segmenter").values()
     waiting = sum(int(node.level("views_outstanding") or 0) for node in segmenters if node.alive)
-    if not any(node.alive for node in nodes.values()) and segmenters and not look.final:
+    if not any(node.alive for node in nodes.values()) and segmenters and not state.final:
         yield Alarm(
             "no-regressor",
             "trouble" if waiting or nodes else "note",
-            f"Nobody weighs: no regressor is there, {waiting} views wait.",
-            "Start a regressor on any computer of the line. Tubers are counted; their weights come when it is there.",
+            f"No regressor is running: {waiting} views wait to be weighed.",
+            "Start a regressor on any computer of the line. Tubers are counted; their weights follow when it runs.",
         )
     for name, node in nodes.items():
-        if node.state == "gone" and node.away_s < LEFT_NOTED_S and not look.final:
+        if node.state == "gone" and node.away_s < LEFT_NOTED_S and not state.final:
             yield Alarm(
                 f"regressor-{name}-left",
                 "note",
@@ -101,37 +101,37 @@ def _regressors(look: Look) -> Iterator[Alarm]:
         if "views_refused_not_finite" in node.growing_s:
             yield Alarm(
                 f"regressor-{name}-refuses",
-                "look",
+                "warning",
                 f"Regressor {name} gets views that cannot be weighed.",
                 "Read its log; look at the cameras' pictures.",
             )
 
 
-def _stalled(look: Look) -> Iterator[Alarm]:
-    for name, node in sorted(look.nodes.items()):
+def _stalled(state: LineState) -> Iterator[Alarm]:
+    for name, node in sorted(state.nodes.items()):
         if node.state == "stalled":
             host = node.report.host if node.report else "its computer"
             yield Alarm(
                 f"stalled-{name}", "trouble", f"{name} on {host} hangs.", "Restart it; read its log to see what it did."
             )
         waiting = node.level("log_uncommitted")
-        if node.alive and waiting is not None and waiting > UNCOMMITTED and not look.final:
+        if node.alive and waiting is not None and waiting > UNCOMMITTED and not state.final:
             yield Alarm(
                 f"uncommitted-{name}",
-                "look",
+                "warning",
                 f"{waiting:.0f} entries of {name} wait for the ledger; they are safe on its disk.",
                 "Look at the aggregator and its disk.",
             )
 
 
-def _coverage(look: Look) -> Iterator[Alarm]:
-    totals = look.totals
+def _coverage(state: LineState) -> Iterator[Alarm]:
+    totals = state.totals
     if totals is None or totals.coverage is None or totals.count < ENOUGH_TUBERS:
         return
     if totals.coverage < LITTLE_COVERAGE:
         yield Alarm(
             "coverage",
-            "look",
+            "warning",
             f"{100 * (1 - totals.coverage):.1f} % of the belt was not looked at. The estimate makes up for it.",
             "See which camera dropped frames or was away, below.",
         )

@@ -1,10 +1,10 @@
-"""What is wrong with one camera and its segmenter: (key, serious, text, mend) for each."""
+"""What is wrong with one camera and its segmenter: (key, serious, text, fix) for each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from viewer.page.state import Look, NodeLook
+from viewer.page.state import LineState, NodeState
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, plain, span
 
 Found = tuple[str, bool, str, str]
@@ -14,26 +14,26 @@ BRIEF_S = 2.0
 """Drops that last no longer than this are a hiccup: they stand in the table, not among the alarms."""
 
 
-def camera_alarms(camera: str, look: Look) -> Iterator[Found]:
+def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
     """Everything that is wrong with `camera`; nothing once it has ended or the load is complete."""
-    info = look.cameras.get(camera)
+    info = state.cameras.get(camera)
     if info is not None and info.state == "failed":
         yield (
             "failed",
             True,
             f"Camera {camera} failed: {info.error or 'it did not say why'}",
-            "Mend that, start it again.",
+            "Fix that, then start it again.",
         )
         return
-    if look.final or (info is not None and info.state == "ended"):
+    if state.final or (info is not None and info.state == "ended"):
         return
-    source, eyes = look.role("camera").get(camera), look.role("segmenter").get(camera)
-    yield from _gone(camera, source, eyes)
-    if eyes is not None and eyes.alive:
-        yield from _belt(camera, eyes)
-        yield from _frames(camera, source, eyes, waits=info is not None and info.waits)
-        yield from _views(camera, eyes)
-    if look.totals is not None and look.totals.cameras.get(camera) == "silent":
+    source, segmenter = state.role("camera").get(camera), state.role("segmenter").get(camera)
+    yield from _gone(camera, source, segmenter)
+    if segmenter is not None and segmenter.alive:
+        yield from _belt(camera, segmenter)
+        yield from _frames(camera, source, segmenter, waits=info is not None and info.waits)
+        yield from _views(camera, segmenter)
+    if state.totals is not None and state.totals.cameras.get(camera) == "silent":
         yield (
             "given-up",
             True,
@@ -42,32 +42,32 @@ def camera_alarms(camera: str, look: Look) -> Iterator[Found]:
         )
 
 
-def _gone(camera: str, source: NodeLook | None, eyes: NodeLook | None) -> Iterator[Found]:
-    for role, node, mend in (
+def _gone(camera: str, source: NodeState | None, segmenter: NodeState | None) -> Iterator[Found]:
+    for role, node, fix in (
         ("Camera", source, "Look at its cable and its computer."),
-        ("The segmenter of camera", eyes, "Start it again; a live camera's frames are lost meanwhile."),
+        ("The segmenter of camera", segmenter, "Start it again; a live camera's frames are lost meanwhile."),
     ):
         if node is not None and node.state == "gone":
-            yield f"{role[:3]}-gone", True, f"{role} {camera} has been away for {span(node.away_s)}.", mend
+            yield f"{role[:3]}-gone", True, f"{role} {camera} stopped {span(node.away_s)} ago.", fix
         elif node is not None and node.state == "silent":
-            yield f"{role[:3]}-quiet", True, f"{role} {camera} has said nothing for {span(node.age_s)}.", mend
+            yield f"{role[:3]}-quiet", True, f"{role} {camera} has said nothing for {span(node.age_s)}.", fix
 
 
-def _belt(camera: str, eyes: NodeLook) -> Iterator[Found]:
-    drift_mm = eyes.level("belt_drift_mm")
-    if drift_mm is None or not eyes.level("belt_alarm"):
+def _belt(camera: str, segmenter: NodeState) -> Iterator[Found]:
+    drift_mm = segmenter.level("belt_drift_mm")
+    if drift_mm is None or not segmenter.level("belt_alarm"):
         return
     side = "further than" if drift_mm > 0 else "nearer than"
     text = f"Under camera {camera} the belt is {abs(drift_mm):.0f} mm {side} calibrated: weights are wrong."
-    mend = (
-        "See that the camera's mount has not moved and that no soil lies on the belt. Then measure the distance anew."
+    fix = (
+        "See that the camera's mount has not moved and that no soil lies on the belt. Then measure the distance again."
     )
-    yield "belt", True, text, mend
+    yield "belt", True, text, fix
 
 
-def _frames(camera: str, source: NodeLook | None, eyes: NodeLook, *, waits: bool) -> Iterator[Found]:
+def _frames(camera: str, source: NodeState | None, segmenter: NodeState, *, waits: bool) -> Iterator[Found]:
     dropping = False
-    for counter, seconds in sorted(eyes.growing_s.items()):
+    for counter, seconds in sorted(segmenter.growing_s.items()):
         reason = counter.removeprefix("frames_dropped_")
         if reason == counter or seconds < BRIEF_S:
             continue
@@ -77,8 +77,8 @@ def _frames(camera: str, source: NodeLook | None, eyes: NodeLook, *, waits: bool
             text = f"Frames of camera {camera} have been dropped for {span(seconds)}: {plain(reason)}."
             yield reason, True, text, "Read the segmenter's log."
         else:
-            yield reason, True, f"Camera {camera} {words.now}, for {span(seconds)}.", words.mend
-    lost_s = eyes.growing_s.get("frames_gaps", 0.0)
+            yield reason, True, f"Camera {camera} {words.now}, for {span(seconds)}.", words.fix
+    lost_s = segmenter.growing_s.get("frames_gaps", 0.0)
     if lost_s >= BRIEF_S and not waits:
         yield (
             "gaps",
@@ -86,7 +86,7 @@ def _frames(camera: str, source: NodeLook | None, eyes: NodeLook, *, waits: bool
             f"Frames of camera {camera} have been getting lost on the way for {span(lost_s)}.",
             "Look at its cable, and at the network between camera and segmenter.",
         )
-    rests_s = eyes.resting_s.get("frames_processed", 0.0)
+    rests_s = segmenter.resting_s.get("frames_processed", 0.0)
     if not dropping and rests_s > SILENT_S and source is not None and source.alive:
         still_s = source.level("waiting_for_segmenter_s")
         if still_s is not None and still_s > SILENT_S:
@@ -97,8 +97,8 @@ def _frames(camera: str, source: NodeLook | None, eyes: NodeLook, *, waits: bool
             yield "no-frames", True, text, "Look at its cable; unplug it and plug it in again."
 
 
-def _views(camera: str, eyes: NodeLook) -> Iterator[Found]:
-    for counter, seconds in sorted(eyes.growing_s.items()):
+def _views(camera: str, segmenter: NodeState) -> Iterator[Found]:
+    for counter, seconds in sorted(segmenter.growing_s.items()):
         reason = counter.removeprefix("views_lost_")
         if reason == counter or seconds < BRIEF_S:
             continue
@@ -111,4 +111,4 @@ def _views(camera: str, eyes: NodeLook) -> Iterator[Found]:
                 "Read the segmenter's log.",
             )
         else:
-            yield f"views-{reason}", False, f"Camera {camera} {words.now}.", words.mend
+            yield f"views-{reason}", False, f"Camera {camera} {words.now}.", words.fix

@@ -8,7 +8,7 @@ from typing import Any
 
 from conveyor.messages import CameraInfo, Totals
 from viewer.page.alarms import Alarm, alarms
-from viewer.page.state import STALE_S, Look, NodeLook
+from viewer.page.state import STALE_S, LineState, NodeState
 from viewer.page.words import dropped, lost
 
 FORGET_GONE_S = 600.0
@@ -16,32 +16,32 @@ MAX_NODES = 64
 """Regressors of containers have a new name at each start: those long gone are forgotten, and the list has an end."""
 
 
-def snapshot(look: Look) -> dict[str, Any]:
+def snapshot(state: LineState) -> dict[str, Any]:
     """Everything the page shows of one line."""
-    found = alarms(look)
+    found = alarms(state)
     return {
-        "line": look.line,
-        "state": _state(look, troubled=any(alarm.level == "trouble" for alarm in found)),
-        "heard_s": None if look.heard_s is None else round(look.heard_s, 1),
+        "line": state.line,
+        "state": _state(state, troubled=any(alarm.level == "trouble" for alarm in found)),
+        "heard_s": None if state.heard_s is None else round(state.heard_s, 1),
         "alarms": [asdict(alarm) for alarm in found],
-        "load": None if look.totals is None else _load(look.totals, look),
-        "flow": asdict(look.flow) if look.in_contact and not look.final else None,
-        "cameras": [_camera(name, look, _troubled(name, found)) for name in look.camera_names()],
-        "regressors": [_regressor(name, node) for name, node in _kept(look, "regressor").items()],
-        "others": [_other(name, node) for name, node in _kept(look, "").items() if not _has_own_table(name)],
-        "loads": [asdict(load) for load in look.loads if look.totals is None or load.run != look.totals.run],
+        "load": None if state.totals is None else _load(state.totals, state),
+        "flow": asdict(state.flow) if state.in_contact and not state.final else None,
+        "cameras": [_camera(name, state, _troubled(name, found)) for name in state.camera_names()],
+        "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
+        "others": [_other(name, node) for name, node in _kept(state, "").items() if not _has_own_table(name)],
+        "loads": [asdict(load) for load in state.loads if state.totals is None or load.run != state.totals.run],
     }
 
 
-def _state(look: Look, *, troubled: bool) -> str:
-    if look.final:
+def _state(state: LineState, *, troubled: bool) -> str:
+    if state.final:
         return "complete"
-    if not look.in_contact:
+    if not state.in_contact:
         return "no contact"
-    return "trouble" if troubled else "waiting" if look.totals is None else "running"
+    return "trouble" if troubled else "waiting" if state.totals is None else "running"
 
 
-def _load(totals: Totals, look: Look) -> dict[str, Any]:
+def _load(totals: Totals, state: LineState) -> dict[str, Any]:
     return {
         "run": totals.run,
         "count": totals.count,
@@ -51,8 +51,8 @@ def _load(totals: Totals, look: Look) -> dict[str, Any]:
         "step_g": totals.histogram_step_g,
         "histogram": list(totals.histogram),
         "final": totals.final,
-        "age_s": round(look.totals_age_s, 1),
-        "old": look.totals_age_s > STALE_S and not totals.final,
+        "age_s": round(state.totals_age_s, 1),
+        "old": state.totals_age_s > STALE_S and not totals.final,
     }
 
 
@@ -60,14 +60,14 @@ def _troubled(camera: str, found: Iterable[Alarm]) -> bool:
     return any(alarm.level == "trouble" and alarm.key.startswith(f"camera-{camera}-") for alarm in found)
 
 
-def _camera(name: str, look: Look, troubled: bool) -> dict[str, Any]:
-    source, eyes = look.role("camera").get(name), look.role("segmenter").get(name)
-    info = look.cameras.get(name)
-    ended = look.final or (info is not None and info.state in ("ended", "failed"))
-    states = [node.state for node in (source, eyes) if node is not None]
+def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
+    source, segmenter = state.role("camera").get(name), state.role("segmenter").get(name)
+    info = state.cameras.get(name)
+    ended = state.final or (info is not None and info.state in ("ended", "failed"))
+    states = [node.state for node in (source, segmenter) if node is not None]
     well = "trouble" if troubled else "ok" if states else "waiting"
     faulty = next((state for state in states if state != "ok"), well)
-    counts = _sheet(eyes)
+    counts = _sheet(segmenter)
     return {
         "name": name,
         "state": info.state if ended and info is not None else "ended" if ended else faulty,
@@ -75,10 +75,10 @@ def _camera(name: str, look: Look, troubled: bool) -> dict[str, Any]:
         "host": source.report.host if source is not None and source.report else "",
         "published": counts.get("frames_published", 0),
         "processed": counts.get("frames_processed", 0),
-        "gaps": _gaps(eyes, info),
-        "per_s": eyes.per_s.get("frames_processed") if eyes is not None and eyes.state == "ok" else None,
-        "age_ms": eyes.level("frame_age_ms") if eyes is not None else None,
-        "drift_mm": eyes.level("belt_drift_mm") if eyes is not None else None,
+        "gaps": _gaps(segmenter, info),
+        "per_s": segmenter.per_s.get("frames_processed") if segmenter is not None and segmenter.state == "ok" else None,
+        "age_ms": segmenter.level("frame_age_ms") if segmenter is not None else None,
+        "drift_mm": segmenter.level("belt_drift_mm") if segmenter is not None else None,
         "drops": _reasons(counts, "frames_dropped_", dropped),
         "views_lost": _reasons(counts, "views_lost_", lost),
         "refused": dict(info.refused) if info is not None else {},
@@ -86,16 +86,16 @@ def _camera(name: str, look: Look, troubled: bool) -> dict[str, Any]:
     }
 
 
-def _gaps(eyes: NodeLook | None, info: CameraInfo | None) -> int:
+def _gaps(segmenter: NodeState | None, info: CameraInfo | None) -> int:
     """Frames that never arrived. Not those still under way: a camera that waits sends them until they are there."""
-    if eyes is None:
+    if segmenter is None:
         return 0
     if info is not None and info.waits and info.state == "streaming":
         return sum(info.refused.values())
-    return int(eyes.lowest.get("frames_gaps", 0))
+    return int(segmenter.lowest.get("frames_gaps", 0))
 
 
-def _sheet(node: NodeLook | None) -> dict[str, int]:
+def _sheet(node: NodeState | None) -> dict[str, int]:
     if node is None or node.report is None:
         return {}
     return {name: int(value) for name, value in {**node.report.gauges, **node.report.values}.items()}
@@ -106,13 +106,13 @@ def _reasons(counts: dict[str, int], head: str, words: Any) -> dict[str, int]:
     return {words(name.removeprefix(head)): n for name, n in sorted(counts.items()) if name.startswith(head) and n}
 
 
-def _kept(look: Look, role: str) -> dict[str, NodeLook]:
-    nodes = look.role(role) if role else look.nodes
+def _kept(state: LineState, role: str) -> dict[str, NodeState]:
+    nodes = state.role(role) if role else state.nodes
     kept = {name: node for name, node in nodes.items() if node.alive or node.away_s < FORGET_GONE_S}
     return dict(sorted(kept.items(), key=lambda item: (not item[1].alive, item[0]))[:MAX_NODES])
 
 
-def _regressor(name: str, node: NodeLook) -> dict[str, Any]:
+def _regressor(name: str, node: NodeState) -> dict[str, Any]:
     return {
         **_other(name, node),
         "weighed": node.count("views_weighed"),
@@ -122,7 +122,7 @@ def _regressor(name: str, node: NodeLook) -> dict[str, Any]:
     }
 
 
-def _other(name: str, node: NodeLook) -> dict[str, Any]:
+def _other(name: str, node: NodeState) -> dict[str, Any]:
     return {
         "name": name,
         "state": node.state,

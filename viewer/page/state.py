@@ -12,7 +12,7 @@ STALE_S = 3.5
 
 
 @dataclass(frozen=True, slots=True)
-class NodeLook:
+class NodeState:
     """One process of the line.
 
     Attributes:
@@ -81,7 +81,7 @@ class PastLoad:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class LineState:
     """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link."""
 
     line: str
@@ -89,7 +89,7 @@ class Look:
     heard_s: float | None = None
     totals: Totals | None = None
     totals_age_s: float = 0.0
-    nodes: Mapping[str, NodeLook] = field(default_factory=dict)
+    nodes: Mapping[str, NodeState] = field(default_factory=dict)
     cameras: Mapping[str, CameraInfo] = field(default_factory=dict)
     flow: Flow = field(default_factory=Flow)
     loads: tuple[PastLoad, ...] = ()
@@ -104,7 +104,7 @@ class Look:
         """The load is complete: its figures do not grow old."""
         return self.totals is not None and self.totals.final
 
-    def role(self, role: str) -> dict[str, NodeLook]:
+    def role(self, role: str) -> dict[str, NodeState]:
         """The nodes of one role, by name."""
         head = f"{role}/"
         return {name.removeprefix(head): node for name, node in sorted(self.nodes.items()) if name.startswith(head)}

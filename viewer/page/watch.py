@@ -1,4 +1,4 @@
-"""One thread per line: observes it, notes when each figure was heard, and makes looks. It asks for nothing that a node
+"""One thread per line: observes it, notes when each figure was heard, and makes states. It asks for nothing that a node
 would have to wait for, and goes on trying where a line cannot be reached.
 """
 
@@ -18,7 +18,7 @@ from conveyor.messages import CameraInfo, Counters, Totals, Travel
 from conveyor.observer import Observer
 from viewer.page.flow import BeltSpeed, LoadFlow, flow
 from viewer.page.growth import Growth
-from viewer.page.state import Look, NodeLook, PastLoad
+from viewer.page.state import LineState, NodeState, PastLoad
 
 LOOK_EVERY_S = 0.25
 TELL_EVERY_S = 1.0
@@ -44,7 +44,7 @@ class _NodeMemory:
 class LineWatch:
     """Tells `tell` a look about once a second, on its own thread, until stopped."""
 
-    def __init__(self, link: LinkConfig, *, line: str, tell: Callable[[Look], None]) -> None:
+    def __init__(self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None]) -> None:
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -75,7 +75,7 @@ class LineWatch:
                     self._observe(observer)
             except TuberlineError as error:
                 self._log.warning("%s", error)
-                self._tell(self._look({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))
+                self._tell(self._state_of({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))
             self._stop.wait(RETRY_S)
 
     def _observe(self, observer: Observer) -> None:
@@ -91,7 +91,7 @@ class LineWatch:
                 self._ask_loads(observer, now_s)
             if now_s - told_s >= TELL_EVERY_S:
                 told_s = now_s
-                self._tell(self._look({info.camera: info for info in infos.latest().values()}, now_s))
+                self._tell(self._state_of({info.camera: info for info in infos.latest().values()}, now_s))
 
     def _hear(self, observer: Observer, now_s: float) -> None:
         """Note what is new. A message is a new object, also where it says the same as the one before."""
@@ -121,10 +121,10 @@ class LineWatch:
         except (LinkError, TypeError) as error:
             self._log.debug("the ledger's loads: %s", error)
 
-    def _look(self, cameras: dict[str, CameraInfo], now_s: float, *, trouble: str = "") -> Look:
+    def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, trouble: str = "") -> LineState:
         heard = [memory.heard_s for memory in self._nodes.values() if memory.report is not None]
         heard += [] if self._totals_s is None else [self._totals_s]
-        return Look(
+        return LineState(
             line=self.line,
             trouble=trouble,
             heard_s=now_s - max(heard) if heard else None,
@@ -137,9 +137,9 @@ class LineWatch:
         )
 
 
-def _node(memory: _NodeMemory, now_s: float) -> NodeLook:
+def _node(memory: _NodeMemory, now_s: float) -> NodeState:
     alive = memory.alive_s == now_s
-    return NodeLook(
+    return NodeState(
         report=memory.report,
         age_s=now_s - memory.heard_s,
         alive=alive,

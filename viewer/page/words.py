@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """`now` follows a camera's name while it happens, `what` stands behind a count, `mend` says what to do."""
+    """`now` follows a camera's name while it happens, `what` stands behind a count, `fix` says what to do."""
 
     now: str
     what: str
-    mend: str
+    fix: str
 
 
 FRAME_DROPS = {
@@ -70,13 +70,13 @@ VIEW_LOSSES = {
     "restart": Words("lost views at a restart", "lost at a restart", "Read the segmenter's log."),
 }
 AGGREGATOR_REFUSALS = {
-    "entries_conflicting": "A camera's log contradicts the ledger: its segmenter lost its state and began anew.",
+    "entries_conflicting": "A camera's log contradicts the ledger: its segmenter lost its state and started again.",
     "entries_refused_other_run": "A camera sends another run than the one that is counted.",
     "entries_refused_unknown_camera": "A camera that this line does not know sends tubers.",
     "entries_refused_malformed": "A camera sends entries that cannot be read.",
     "entries_dropped_waiting_full": "Entries come faster than the gap before them is filled.",
 }
-AGGREGATOR_MEND = "Start a new run on every host of the line with the same run id, and read the aggregator's log."
+AGGREGATOR_FIX = "Start a new run on every host of the line with the same run id, and read the aggregator's log."
 
 
 def plain(reason: str) -> str:

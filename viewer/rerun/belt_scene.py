@@ -1,4 +1,4 @@
-"""The picture of the belt: cameras, depth, tubers that ride with their weights. Messages in, marks out.
+"""The picture of the belt: cameras, depth, tubers that ride with their weights. Messages in, primitives out.
 
 Boxes and clouds hang below `/belt/riding`, whose only content is the belt's travel: each is drawn once at its place and
 moves with the belt by itself. A tuber is known only after it was weighed, so its box is drawn from the moment on at

@@ -1,9 +1,9 @@
-"""The load: what it weighs, how many tubers, how sure, how they are distributed. Tubers and totals in, marks out."""
+"""The load: what it weighs, how many tubers, how sure, their distribution. Tubers and totals in, primitives out."""
 
 from __future__ import annotations
 
 from conveyor.messages import Totals, Tuber
-from viewer.rerun.primitives import Bars, Color, Entry, Mark, Measured, Moment, Number, Page, PlotStyle
+from viewer.rerun.primitives import Bars, Color, Entry, Measured, Moment, Number, Page, PlotStyle, Primitive
 
 TOTAL_COLOR: Color = (120, 200, 255)
 COUNT_COLOR: Color = (110, 220, 110)
@@ -46,30 +46,30 @@ class LoadScene:
         bin_at = int(tuber.weight_g // self._step_g)
         self._bins += [0] * (bin_at + 1 - len(self._bins))
         self._bins[bin_at] += 1
-        marks: dict[str, Mark] = {
+        primitives: dict[str, Primitive] = {
             "/load/counted_kg": Number(self._weight_g / 1000),
             "/load/count": Number(float(self._count)),
             "/load/page": Page("\n\n".join([*_headline(self._count, self._weight_g), "So far, tuber by tuber."])),
             "/load/weights": Bars(tuple(self._bins), self._step_g, BARS_COLOR),
         }
-        return [Entry(path, mark, moment) for path, mark in marks.items()]
+        return [Entry(path, primitive, moment) for path, primitive in primitives.items()]
 
     def on_totals(self, totals: Totals, moment: Moment) -> list[Entry]:
         """Everything drawn of one report."""
         if totals.histogram_step_g != self._step_g and self._count == 0:
             self._step_g = totals.histogram_step_g
         sigma_kg = (totals.high_g - totals.low_g) / SIGMAS_OF_90_PERCENT / 1000
-        marks: dict[str, Mark] = {
+        primitives: dict[str, Primitive] = {
             "/load/page": Page(page(totals)),
             "/load/weight_kg": Measured(totals.weight_g / 1000, sigma_kg, "kg", "load, kg", TOTAL_COLOR),
             "/load/count": Number(float(totals.count)),
             "/load/tubers_per_s": Number(totals.tubers_per_s),
         }
         if totals.coverage is not None:
-            marks["/load/coverage_percent"] = Number(100 * totals.coverage)
+            primitives["/load/coverage_percent"] = Number(100 * totals.coverage)
         if totals.histogram:
-            marks["/load/weights"] = Bars(totals.histogram, totals.histogram_step_g, BARS_COLOR)
-        return [Entry(path, mark, moment) for path, mark in marks.items()]
+            primitives["/load/weights"] = Bars(totals.histogram, totals.histogram_step_g, BARS_COLOR)
+        return [Entry(path, primitive, moment) for path, primitive in primitives.items()]
 
 
 def page(totals: Totals) -> str:

@@ -71,7 +71,7 @@ class Outbox:
 
     def _make_room(self, entry: Entry) -> tuple[str, int]:
         """(reason, how many) of what has to go for `entry`; the lock is held."""
-        if isinstance(entry.mark, NewRun):  # pictures of the old run must not be drawn into the new one
+        if isinstance(entry.primitive, NewRun):  # pictures of the old run must not be drawn into the new one
             lost = len(self._heavy)
             self._heavy.clear()
             return "superseded", lost

@@ -177,7 +177,7 @@ class NewRun:
     run: str
 
 
-Mark = (
+Primitive = (
     BeltAxes
     | Pose
     | Lens
@@ -202,7 +202,7 @@ Mark = (
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One mark at one path.
+    """One primitive at one path.
 
     Attributes:
         path: Rerun entity path.
@@ -211,6 +211,6 @@ class Entry:
     """
 
     path: str
-    mark: Mark
+    primitive: Primitive
     moment: Moment | None
     heavy: bool = False

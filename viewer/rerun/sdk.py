@@ -80,7 +80,7 @@ class Pen:
 
     def draw(self, entry: Entry) -> None:
         """Log one entry; blocks as long as Rerun does."""
-        archetypes = _ARCHETYPES[type(entry.mark)](entry.mark)
+        archetypes = _ARCHETYPES[type(entry.primitive)](entry.primitive)
         if entry.moment is not None:
             self._set_time(entry.moment)
         self._stream.log(entry.path, *archetypes, static=entry.moment is None)
@@ -97,8 +97,8 @@ class Pen:
             self._stream.set_time("capture", duration=np.timedelta64(moment.captured_ns, "ns"))
 
 
-def _lens(mark: Lens) -> list[Any]:
-    k = mark.intrinsics
+def _lens(primitive: Lens) -> list[Any]:
+    k = primitive.intrinsics
     return [
         rr.Pinhole(
             focal_length=(k.fx, k.fy),
@@ -111,59 +111,63 @@ def _lens(mark: Lens) -> list[Any]:
     ]
 
 
-def _depth(mark: DepthPicture) -> list[Any]:
+def _depth(primitive: DepthPicture) -> list[Any]:
     return [
         rr.EncodedDepthImage(
-            encode_rvl(mark.depth),
+            encode_rvl(primitive.depth),
             media_type=MEDIA_TYPE,
-            meter=1.0 / mark.depth_scale_m,
+            meter=1.0 / primitive.depth_scale_m,
             colormap="turbo",
-            depth_range=None if mark.range_m is None else [r / mark.depth_scale_m for r in mark.range_m],
+            depth_range=None if primitive.range_m is None else [r / primitive.depth_scale_m for r in primitive.range_m],
         )
     ]
 
 
-def _box(mark: Box) -> list[Any]:
-    half = mark.yaw_rad / 2
+def _box(primitive: Box) -> list[Any]:
+    half = primitive.yaw_rad / 2
     return [
         rr.Boxes3D(
-            centers=[mark.center_m],
-            half_sizes=[mark.half_size_m],
+            centers=[primitive.center_m],
+            half_sizes=[primitive.half_size_m],
             quaternions=[rr.Quaternion(xyzw=(0.0, 0.0, math.sin(half), math.cos(half)))],
-            colors=[mark.color],
-            labels=[mark.label] if mark.label else None,
-            show_labels=True if mark.label else None,
-            fill_mode="solid" if mark.solid else "majorwireframe",
+            colors=[primitive.color],
+            labels=[primitive.label] if primitive.label else None,
+            show_labels=True if primitive.label else None,
+            fill_mode="solid" if primitive.solid else "majorwireframe",
         )
     ]
 
 
-def _style(mark: PlotStyle) -> list[Any]:
-    if mark.points:
-        return [rr.SeriesPoints(names=mark.name, colors=mark.color, markers="circle", marker_sizes=3.0)]
-    return [rr.SeriesLines(names=mark.name, colors=mark.color, widths=2.0)]
+def _style(primitive: PlotStyle) -> list[Any]:
+    if primitive.points:
+        return [rr.SeriesPoints(names=primitive.name, colors=primitive.color, markers="circle", marker_sizes=3.0)]
+    return [rr.SeriesLines(names=primitive.name, colors=primitive.color, widths=2.0)]
 
 
-def _bars(mark: Bars) -> list[Any]:
-    n = len(mark.counts)
-    left = (np.arange(n) + 0.05) * mark.step  # Rerun draws a bar from its abscissa to the right
+def _bars(primitive: Bars) -> list[Any]:
+    n = len(primitive.counts)
+    left = (np.arange(n) + 0.05) * primitive.step  # Rerun draws a bar from its abscissa to the right
     # Without widths bars are one unit wide: invisible on an axis of grams.
-    return [rr.BarChart(np.array(mark.counts), abscissa=left, widths=np.full(n, 0.9 * mark.step), color=mark.color)]
+    return [
+        rr.BarChart(
+            np.array(primitive.counts), abscissa=left, widths=np.full(n, 0.9 * primitive.step), color=primitive.color
+        )
+    ]
 
 
-def _number(mark: Number) -> list[Any]:
-    details = {name: [value] for name, value in mark.values}
-    return [rr.Scalars(mark.value), *([rr.AnyValues(drop_untyped_nones=True, **details)] if details else [])]
+def _number(primitive: Number) -> list[Any]:
+    details = {name: [value] for name, value in primitive.values}
+    return [rr.Scalars(primitive.value), *([rr.AnyValues(drop_untyped_nones=True, **details)] if details else [])]
 
 
-def _measured(mark: Measured) -> list[Any]:
+def _measured(primitive: Measured) -> list[Any]:
     return [
         rr.Measurements(
-            [mark.value],
-            variances=[mark.sigma**2],
-            units=[mark.unit],
-            names=[mark.name],
-            colors=[mark.color],
+            [primitive.value],
+            variances=[primitive.sigma**2],
+            units=[primitive.unit],
+            names=[primitive.name],
+            colors=[primitive.color],
             widths=[2.0],
             interpolation_mode="StepAfter",  # between two reports the load was not weighed: no slope
         )

@@ -78,20 +78,20 @@ class Sink(ABC):
 
     def _draw(self, entry: Entry) -> None:
         """Log one entry; one that cannot be drawn is counted and does not take the others with it."""
-        mark = entry.mark
-        if entry.moment is None and not isinstance(mark, NewRun):
+        primitive = entry.primitive
+        if entry.moment is None and not isinstance(primitive, NewRun):
             self._statics[entry.path] = entry
         try:
-            if isinstance(mark, NewRun):
+            if isinstance(primitive, NewRun):
                 self._statics.clear()
-                self._switch_run(mark.run)
-            elif isinstance(mark, Layout):
-                self._stream.send_blueprint(blueprint(mark))
+                self._switch_run(primitive.run)
+            elif isinstance(primitive, Layout):
+                self._stream.send_blueprint(blueprint(primitive))
             elif self._pen is not None:
                 self._pen.draw(entry)
         except (ValueError, TypeError, OverflowError) as error:
             self._counters.add(f"{self.name}_undrawable")
-            self._log.error("%s cannot be drawn at %s: %s", type(mark).__name__, entry.path, error)
+            self._log.error("%s cannot be drawn at %s: %s", type(primitive).__name__, entry.path, error)
 
     @abstractmethod
     def _switch_run(self, run: str) -> None:

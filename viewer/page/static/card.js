@@ -13,7 +13,7 @@ const STATES = {
   trouble: ["trouble", "Running, with trouble"],
   "no contact": ["trouble", "No contact"],
 };
-const LEVELS = { trouble: "Trouble", look: "Look", note: "Note" };
+const LEVELS = { trouble: "Trouble", warning: "Warning", note: "Note" };
 
 export class LineCard {
   constructor(template) {
@@ -57,17 +57,17 @@ export class LineCard {
 
   alarms(found) {
     const list = this.places.alarms;
-    const items = found.length ? found : [{ key: "none", level: "fine", text: "No alarms.", mend: "" }];
+    const items = found.length ? found : [{ key: "none", level: "fine", text: "No alarms.", fix: "" }];
     while (list.children.length > items.length) list.lastElementChild.remove();
     items.forEach((alarm, n) => {
       let item = list.children[n];
       if (!item) {
         item = document.createElement("li");
-        for (const name of ["level", "text", "mend"]) item.append(Object.assign(document.createElement("span"), { className: name }));
+        for (const name of ["level", "text", "fix"]) item.append(Object.assign(document.createElement("span"), { className: name }));
         list.append(item);
       }
       item.dataset.level = alarm.level;
-      ["level", "text", "mend"].forEach((name, at) => {
+      ["level", "text", "fix"].forEach((name, at) => {
         const text = name === "level" ? LEVELS[alarm.level] ?? "Good" : alarm[name];
         if (item.children[at].textContent !== text) item.children[at].textContent = text;
       });

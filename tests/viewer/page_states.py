@@ -7,7 +7,7 @@ from typing import Any
 
 from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, Counters, Totals
-from viewer.page.state import Flow, Look, NodeLook, PastLoad
+from viewer.page.state import Flow, LineState, NodeState, PastLoad
 
 LENS = Intrinsics(848, 480, 430.0, 430.0, 423.5, 239.5)
 HISTOGRAM = (310, 2105, 3420, 2890, 1660, 720, 300, 120, 44, 15, 4, 2)
@@ -21,13 +21,13 @@ def counters(node: str, *, values: dict[str, int] | None = None, gauges: dict[st
 
 
 def node(
-    name: str, *, values: dict[str, int] | None = None, gauges: dict[str, float] | None = None, **look: Any
-) -> NodeLook:
+    name: str, *, values: dict[str, int] | None = None, gauges: dict[str, float] | None = None, **state: Any
+) -> NodeState:
     """A node that reported just now."""
-    return NodeLook(**{"report": counters(name, values=values, gauges=gauges), "age_s": 0.4, "alive": True, **look})
+    return NodeState(**{"report": counters(name, values=values, gauges=gauges), "age_s": 0.4, "alive": True, **state})
 
 
-def segmenter(camera: str, *, gauges: dict[str, float] | None = None, **look: Any) -> NodeLook:
+def segmenter(camera: str, *, gauges: dict[str, float] | None = None, **state: Any) -> NodeState:
     """A segmenter at 30 frames a second that lost next to nothing."""
     sheet = {
         "frames_published": 146230.0,
@@ -44,7 +44,7 @@ def segmenter(camera: str, *, gauges: dict[str, float] | None = None, **look: An
         "log_uncommitted": 2.0,
         **(gauges or {}),
     }
-    more = {"per_s": {"frames_processed": 29.9}, "lowest": sheet, "resting_s": {"frames_processed": 0.6}, **look}
+    more = {"per_s": {"frames_processed": 29.9}, "lowest": sheet, "resting_s": {"frames_processed": 0.6}, **state}
     return node(f"segmenter/{camera}", gauges=sheet, **more)
 
 
@@ -77,7 +77,7 @@ def camera_info(camera: str, **changes: Any) -> CameraInfo:
     return replace(made, **changes)
 
 
-def good_look(line: str = "north", **changes: Any) -> Look:
+def good_state(line: str = "north", **changes: Any) -> LineState:
     """A line in which all is well."""
     nodes = {
         "aggregator/aggregator": node("aggregator/aggregator"),
@@ -93,7 +93,7 @@ def good_look(line: str = "north", **changes: Any) -> Look:
             for n in (1, 2)
         },
     }
-    made = Look(
+    made = LineState(
         line=line,
         heard_s=0.4,
         totals=totals(),
@@ -109,7 +109,7 @@ def good_look(line: str = "north", **changes: Any) -> Look:
     return replace(made, **changes)
 
 
-def with_node(look: Look, name: str, changed: NodeLook | None) -> Look:
+def with_node(state: LineState, name: str, changed: NodeState | None) -> LineState:
     """The look with one node changed, or taken away."""
-    others = {key: value for key, value in look.nodes.items() if key != name}
-    return replace(look, nodes=others if changed is None else {**others, name: changed})
+    others = {key: value for key, value in state.nodes.items() if key != name}
+    return replace(state, nodes=others if changed is None else {**others, name: changed})
