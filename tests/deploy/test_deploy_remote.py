@@ -15,7 +15,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.deploy.remote_site import EMPTY_MESSAGE, READ, WRITE, Proxy, nginx_program, remote_proxy
-from tests.viewer.page_looks import good_look
+from tests.viewer.page_states import good_state
 from viewer.page.snapshot import snapshot
 
 rerun = pytest.importorskip("rerun", reason="remote viewing needs tuberline[viewer]")
@@ -77,7 +77,7 @@ def test_the_hub_cannot_be_written(proxy: Proxy, path: str) -> None:
 
 
 def test_the_operators_page_comes_with_its_figures(proxy: Proxy) -> None:
-    proxy.board.put(snapshot(good_look("replay")))
+    proxy.board.put(snapshot(good_state("replay")))
     status, headers, page = proxy.ask("/page/")
     assert (status, headers["content-encoding"], b"<title>Tuberline" in gzip.decompress(page)) == (200, "gzip", True)
     assert "default-src 'none'" in headers["content-security-policy"]
