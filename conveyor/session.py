@@ -16,13 +16,10 @@ import zenoh
 from conveyor.config import LinkConfig
 from conveyor.errors import LinkError
 from conveyor.identity import own_files
+from conveyor.topics import TRANSMIT_BATCHES
 
 TlsFiles = tuple[Path, Path, Path]
 """Authority, certificate, key."""
-FRAME_BATCHES = 16
-"""Batches of 64 kB of frames that may wait for a link; Zenoh's upper bound. Of a message that does not fit, Zenoh drops
-the rest after 50 ms: with its default of 2, no frame of 400 kB ever passed a link of 2 Mbit/s, however often it was
-sent. Waiting longer instead would hold up the router for the sake of one slow reader."""
 ENCRYPTED = ("tls/", "quic/")
 """Endpoints that prove who is at the other end."""
 
@@ -102,7 +99,11 @@ def _common(link: LinkConfig, files: TlsFiles | None) -> dict[str, Any]:
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
         "link": {
-            "tx": {"lease": link.lease_ms, "keep_alive": 4, "queue": {"size": {"data_low": FRAME_BATCHES}}},
+            "tx": {
+                "lease": link.lease_ms,
+                "keep_alive": 4,
+                "queue": {"size": {priority.value: batches for priority, batches in TRANSMIT_BATCHES.items()}},
+            },
             "rx": {"buffer_size": 4 << 20, "max_message_size": 128 << 20},
         },
     }
