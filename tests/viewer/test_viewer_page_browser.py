@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-import viewer.page.server as server_module
+import viewer.page.app as app_module
 from tests.deploy.remote_browser import Browser, chromium
 from tests.viewer.page_states import good_state, segmenter, with_node
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
 
-CSS = Path(server_module.__file__).parent / "static" / "page.css"
+CSS = Path(app_module.__file__).parent / "static" / "page.css"
 SIZES = {"phone": (390, 844), "panel": (1280, 800)}
 
 

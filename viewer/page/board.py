@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 
@@ -15,21 +16,21 @@ class Board:
     """Lines in the order in which they were announced. Writers never wait for readers."""
 
     def __init__(self, lines: list[str]) -> None:
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self.on_change: Callable[[], None] = lambda: None
         self._snapshots: dict[str, tuple[float, dict[str, Any]] | None] = dict.fromkeys(lines)
         self._version = 0
 
     def put(self, snapshot: dict[str, Any]) -> None:
         """Replace the snapshot of the line it names."""
-        with self._changed:
+        with self._lock:
             self._snapshots[snapshot["line"]] = (time.monotonic(), snapshot)
             self._version += 1
-            self._changed.notify_all()
+        self.on_change()
 
-    def newer(self, version: int, timeout_s: float) -> tuple[int, str]:
-        """(version, JSON) once there is something newer than `version`, or what there is after `timeout_s`."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._version != version, timeout_s)
+    def newest(self) -> tuple[int, str]:
+        """(version, JSON): what there is now; the version rises with each change."""
+        with self._lock:
             number, snapshots = self._version, dict(self._snapshots)
         now_s = time.monotonic()
         lines = [
