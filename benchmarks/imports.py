@@ -1,0 +1,126 @@
+"""Who imports whom, as a picture: packages as boxes, imports as arrows, those that break a rule in red.
+
+python -m benchmarks imports --out docs/images/imports.svg [--before COMMIT]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import subprocess
+from collections import Counter
+from pathlib import Path, PurePosixPath
+
+APP, GROUND = "tuberline", "conveyor"
+ROLES = ("camera_sim", "segmenter", "regressor", "aggregator", "viewer")
+PACKAGES = (APP, *ROLES, GROUND)
+WIDTH, HEIGHT, BOX_W, BOX_H = 640, 330, 104, 46
+Graph = Counter[tuple[str, str]]
+
+
+def files_of(commit: str | None) -> dict[str, str]:
+    """Path and text of every Python file of our packages: of a commit, or of the working tree."""
+    if commit is None:
+        return {str(p): p.read_text(encoding="utf-8") for name in PACKAGES for p in Path(name).rglob("*.py")}
+    listed = subprocess.run(["git", "ls-tree", "-r", "--name-only", commit], capture_output=True, text=True, check=True)
+    ours = [n for n in listed.stdout.split() if n.endswith(".py") and PurePosixPath(n).parts[0] in PACKAGES]
+    return {
+        name: subprocess.run(["git", "show", f"{commit}:{name}"], capture_output=True, text=True, check=True).stdout
+        for name in ours
+    }
+
+
+def imports(files: dict[str, str]) -> Graph:
+    """How often a file of one package imports from another; imports inside functions count too."""
+    graph: Graph = Counter()
+    for path, text in files.items():
+        owner = PurePosixPath(path).parts[0]
+        for node in ast.walk(ast.parse(text)):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names = [node.module]
+            for target in {name.split(".")[0] for name in names} & set(PACKAGES) - {owner}:
+                graph[owner, target] += 1
+    return graph
+
+
+def allowed(owner: str, target: str) -> bool:
+    """The rules: roles import the ground and nothing else of ours; the app imports all; nothing imports the app."""
+    return target == GROUND or (owner == APP and target in ROLES)
+
+
+def place(package: str) -> tuple[float, float]:
+    """Centre of a package's box: the app above, the roles in a row, the ground below."""
+    if package == APP:
+        return WIDTH / 2, 50
+    if package == GROUND:
+        return WIDTH / 2, HEIGHT - 45
+    return 64 + ROLES.index(package) * (WIDTH - 128) / (len(ROLES) - 1), HEIGHT / 2
+
+
+def drawing(graph: Graph, files: dict[str, str], title: str, left: int) -> list[str]:
+    """SVG elements of one graph."""
+    lines = Counter({name: 0 for name in PACKAGES})
+    for path, text in files.items():
+        lines[PurePosixPath(path).parts[0]] += text.count("\n")
+    out = [f'<g transform="translate({left} 24)"><text x="{WIDTH / 2}" y="0" class="title">{title}</text>']
+    for (owner, target), count in sorted(graph.items()):
+        (x1, y1), (x2, y2) = place(owner), place(target)
+        wrong = not allowed(owner, target)
+        bend = 34 if wrong else 0
+        middle = f"{(x1 + x2) / 2 + bend} {(y1 + y2) / 2 - bend}"
+        down = BOX_H / 2 * (1 if y2 > y1 else -1 if y2 < y1 else 0)
+        colour = "#c0392b" if wrong else "#7f8c8d"
+        out.append(
+            f'<path d="M {x1} {y1 + down} Q {middle} {x2} {y2 - down}" fill="none" stroke="{colour}" '
+            f'stroke-width="{1 + min(count, 60) / 20:.1f}" marker-end="url(#{"wrong" if wrong else "right"})"/>'
+        )
+    for package in PACKAGES:
+        if not lines[package]:
+            continue
+        x, y = place(package)
+        out.append(f'<rect x="{x - BOX_W / 2}" y="{y - BOX_H / 2}" width="{BOX_W}" height="{BOX_H}" rx="8"/>')
+        out.append(f'<text x="{x}" y="{y - 2}">{package}</text>')
+        out.append(f'<text x="{x}" y="{y + 14}" class="small">{lines[package]:,} lines</text>')
+    broken = sum(count for edge, count in graph.items() if not allowed(*edge))
+    out.append(f'<text x="{WIDTH / 2}" y="{HEIGHT - 4}" class="small">{broken} imports break a rule</text></g>')
+    return out
+
+
+def picture(parts: list[tuple[str, dict[str, str]]]) -> str:
+    """All graphs side by side as one SVG file."""
+    arrows = "".join(
+        f'<marker id="{name}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" '
+        f'orient="auto-start-reverse"><path d="M 0 0 L 10 5 L 0 10 z" fill="{colour}"/></marker>'
+        for name, colour in (("right", "#7f8c8d"), ("wrong", "#c0392b"))
+    )
+    style = (
+        "rect{fill:#f6f1e7;stroke:#6d4c41} text{font:13px sans-serif;text-anchor:middle;fill:#222} "
+        ".small{font-size:10.5px;fill:#555} .title{font-weight:bold}"
+    )
+    body = [
+        line
+        for at, (title, files) in enumerate(parts)
+        for line in drawing(imports(files), files, title, at * (WIDTH + 20))
+    ]
+    size = f'width="{len(parts) * (WIDTH + 20)}" height="{HEIGHT + 30}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {size}><style>{style}</style><defs>{arrows}</defs>'
+    return "\n".join([head, '<rect width="100%" height="100%" style="fill:#fff;stroke:none"/>', *body, "</svg>"]) + "\n"
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--before", help="a commit to draw beside today's tree")
+    options = parser.parse_args(arguments)
+    parts = [(f"before ({options.before})", files_of(options.before))] if options.before else []
+    parts.append(("now", files_of(None)))
+    options.out.write_text(picture(parts), encoding="utf-8")
+    for title, files in parts:
+        graph = imports(files)
+        print(title, {f"{a} -> {b}": n for (a, b), n in sorted(graph.items()) if not allowed(a, b)} or "no rule broken")
+
+
+if __name__ == "__main__":
+    main()
