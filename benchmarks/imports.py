@@ -60,7 +60,7 @@ def place(package: str) -> tuple[float, float]:
 
 def drawing(graph: Graph, files: dict[str, str], title: str, left: int) -> list[str]:
     """SVG elements of one graph."""
-    lines = Counter({name: 0 for name in PACKAGES})
+    lines = Counter(dict.fromkeys(PACKAGES, 0))
     for path, text in files.items():
         lines[PurePosixPath(path).parts[0]] += text.count("\n")
     out = [f'<g transform="translate({left} 24)"><text x="{WIDTH / 2}" y="0" class="title">{title}</text>']
