@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from camera_sim.sim.conditions import StatedRest
+from camera_sim.sim.conditions import Conditions, StatedRest
 from camera_sim.sim.scenes import Layout, SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
 from camera_sim.sim.worse import worsened
@@ -68,8 +68,19 @@ def world_truth(settings: SceneSettings, layout: Layout) -> dict[str, Any]:
         "surface": settings.surface_of(layout).kind,
     }
     if settings.conditions is not None:
-        truth["conditions"] = asdict(settings.conditions)
+        truth["world"] = _world_row(settings.conditions)
     return truth
+
+
+def _world_row(conditions: Conditions) -> dict[str, Any]:
+    """The recording's own camera, belt and cultivar, in the units of `Conditions`."""
+    row = {name: value for name, value in asdict(conditions).items() if name not in ("preset", "stock", "resting_m")}
+    stock = conditions.stock
+    return row | {
+        "noise": asdict(conditions.preset.noise),
+        "cultivar": None if stock is None else stock.cultivar,
+        "season": None if stock is None else stock.season,
+    }
 
 
 def _state_resting(out: Path, cameras: list[str], stated: StatedRest) -> None:

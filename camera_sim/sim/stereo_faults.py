@@ -14,6 +14,7 @@ JUMP_PX = 0.4
 """Disparity between two neighbours from which on they lie on two sides of an outline."""
 WIDTH_SPREAD = 0.6
 """Standard deviation of the logarithm of a hole's width along an outline."""
+WIDEST_PX = 40.0
 ISLAND_RADIUS_PX = (1.5, 12.0)
 
 
@@ -44,7 +45,7 @@ def lost_outlines(true: Field, wander: Field, *, near_px: float, far_px: float) 
     to_near, to_far = _distance(near), _distance(far)
     spread = np.exp(np.float32(WIDTH_SPREAD) * wander)
     on_near = (to_near <= to_far) & (to_near < np.float32(near_px) * spread - np.float32(0.5))
-    on_far = (to_far < to_near) & (to_far < np.float32(far_px) * spread - np.float32(0.5))
+    on_far = (to_far < to_near) & (to_far < np.minimum(np.float32(far_px) * spread, np.float32(WIDEST_PX)) - 0.5)
     return np.asarray(on_near | on_far)
 
 
