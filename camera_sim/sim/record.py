@@ -59,9 +59,12 @@ def record_scene(
 
 def world_truth(settings: SceneSettings, layout: Layout) -> dict[str, Any]:
     """What truth.json says of the recording's world beside its load; nothing where tubers lie on a flat belt."""
+    truth: dict[str, Any] = {}
+    if settings.heave_mm > 0:
+        truth = {"heave_mm": round(settings.heave_mm, 3), "heave_hz": round(settings.heave_hz, 3)}
     if settings.stated is None:
-        return {}
-    truth: dict[str, Any] = {
+        return truth
+    truth |= {
         "resting_offset_mm": round(1000 * settings.resting_m(layout), 3),
         "stated_resting_offset_mm": round(1000 * settings.stated.offset_m, 3),
         "resting_sd_mm": round(1000 * settings.stated.sd_m, 3),

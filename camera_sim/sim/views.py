@@ -136,7 +136,7 @@ class ViewSimulator:
         belt_from_camera = straight_down_belt_from_camera(setting.true_distance_m - heave_m)
         camera_from_belt = inverse_rigid(belt_from_camera)
         place = _place(lying.body, setting, share, across, clipped=rng.random() < self._plan.clipped_share)
-        place[2] = _ground_m(setting, lying, place)
+        place[2] = _ground_m(setting, float(place[1]))
         points = transform_points(camera_from_belt, lying.body + place)
         window = _window_around(points, intrinsics)
         if window is None:
@@ -189,9 +189,10 @@ def _lie(tuber: Tuber, rotation: Vertices, setting: Setting, rng: Generator, *, 
     return _Lying(body, pose_of(rotation), settled_x)
 
 
-def _ground_m(setting: Setting, lying: _Lying, place: NDArray[np.float64]) -> float:
-    """Height of the belt under the tuber over its plane, where the belt sags."""
-    return float(setting.conditions.surface.height_m(place[1])) if setting.conditions.surface.sag_m > 0 else 0.0
+def _ground_m(setting: Setting, y_m: float) -> float:
+    """Height of the belt over its plane at `y_m` across, where it sags."""
+    surface = setting.conditions.surface
+    return float(surface.height_m(y_m)) if surface.sag_m > 0 else 0.0
 
 
 def _measured(canvas: Canvas, setting: Setting, bank: NoiseBank, rng: Generator) -> NDArray[np.uint16]:
@@ -256,7 +257,7 @@ def _background(setting: Setting, window: Window, belt_from_camera: NDArray[np.f
 def _draw_neighbour(
     canvas: Canvas, body: Vertices, camera_from_belt: NDArray[np.float64], k: Intrinsics, rng: Generator
 ) -> None:
-    """Another tuber that touches `body`: as near as two bodies parted by an upright plane can be."""
+    """Another tuber that touches `body`: as near as two bodies parted by an upright plane can be, and as far sunk."""
     other = draw_tuber(rng, level=3)
     turned = rest_on_belt(other.vertices, free_rotation(rng))
     heading = rng.uniform(0, 2 * np.pi)
@@ -264,7 +265,7 @@ def _draw_neighbour(
     distance = float((body[:, :2] @ towards).max() - (turned[:, :2] @ towards).min())
     middle = (body[:, :2].max(axis=0) + body[:, :2].min(axis=0)) / 2
     centre = towards * (distance - float(middle @ towards)) + middle
-    shifted = turned + np.array([centre[0], centre[1], 0.0])
+    shifted = turned + np.array([centre[0], centre[1], min(0.0, float(body[:, 2].min()))])
     draw(canvas, transform_points(camera_from_belt, shifted), other.faces, intrinsics=k, instance=2)
 
 
