@@ -67,6 +67,7 @@ class Streams:
     def start(self, loop: asyncio.AbstractEventLoop) -> None:
         """Hear of the board's changes, which come from other threads."""
         self._loop = loop
+
         def changed() -> None:
             loop.call_soon_threadsafe(self._wake)
 
