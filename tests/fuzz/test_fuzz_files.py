@@ -260,7 +260,7 @@ def test_a_truth_with_an_odd_weight(weight: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lie", ['"sec": ' + "9" * 30, '"sec": -1', '"sec": 1e400'])
 def test_a_foxglove_message_of_no_time(lie: str) -> None:
-    bags = pytest.importorskip("tests.camera_sim.bag_messages")
+    bags = pytest.importorskip("tests.formats.bag_messages")
     good = bags.foxglove_json(0)[0].decode()
     bad = good.replace(f'"sec": {bags.stamp_ns(0) // 10**9}', lie).encode()
     assert outcome(lambda: from_json("image", bad)) == "MessageError"
