@@ -12,7 +12,7 @@ from camera_sim.sim.twinfolder import write_twin_folder
 from camera_sim.sim.views import ViewPlan, ViewSimulator
 from conveyor.errors import InputError
 from conveyor.formats import describe_recording, open_source
-from conveyor.formats.clouds import read_ply
+from conveyor.formats.ply import read_ply
 from conveyor.formats.twin import BELT_DISTANCE_M, is_twin, read_twin
 from conveyor.geometry import deproject
 from conveyor.messages import Frame
