@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.clouds import read_ply
+from conveyor.formats.ply import read_ply
 from conveyor.geometry import Intrinsics
 
 BELT_DISTANCE_M = {"2023": 0.345, "2024": 0.460, "2025": 0.465}
