@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from conveyor.errors import InputError
+from conveyor.formats.potatotwin.layout import has_images
 from conveyor.formats.source import CameraDescription, RecordedSource, Source
 
 Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
@@ -55,9 +56,9 @@ def camera_names(path: Path) -> tuple[str, ...]:
         from conveyor.formats.ros2.reader import exported_cameras
 
         return tuple(sorted(exported_cameras(path)))
-    from conveyor.formats.potatotwin import seasons
+    from conveyor.formats.potatotwin.reader import twin_cameras
 
-    return seasons(path)
+    return twin_cameras(path)
 
 
 def open_source(
@@ -106,7 +107,7 @@ def recording_kind(path: Path) -> Kind:
         with path.open("rb") as file:
             if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
                 return _mcap_kind(path)
-    elif (path / "1_rgbd" / "1_image").is_dir():
+    elif has_images(path):
         return "3dpotatotwin"
     elif (path / "metadata.yaml").is_file():
         return "rosbag"
@@ -155,7 +156,7 @@ def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
         from conveyor.formats.ros2.reader import Ros2ExportSource
 
         return Ros2ExportSource(path, camera)
-    from conveyor.formats.potatotwin import PotatoTwinSource
+    from conveyor.formats.potatotwin.reader import PotatoTwinSource
 
     return PotatoTwinSource(path, camera)
 
@@ -168,7 +169,7 @@ def _folders(path: Path) -> dict[str, Path]:
     if not line.is_file():
         return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
     try:
-        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8"))["cameras"]]
+        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8-sig"))["cameras"]]
     except (ValueError, RecursionError, KeyError, TypeError) as error:
         raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
     for name in names:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.twin import TwinView, is_twin, read_twin
+from conveyor.formats.potatotwin.layout import is_potatotwin
+from conveyor.formats.potatotwin.views import TwinView, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 
@@ -88,7 +89,7 @@ def labelled_files(folder: Path) -> list[Path]:
     shards = sorted(folder.glob("views-*.npz")) or sorted(folder.glob("*/views-*.npz"))
     if shards:
         return shards
-    if is_twin(folder):
+    if is_potatotwin(folder) and (folder / "ground_truth.csv").is_file():
         return [folder / "ground_truth.csv", *sorted((folder / "1_rgbd").rglob("*.p[nl][gy]"))]
     raise InputError(
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
