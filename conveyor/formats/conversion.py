@@ -46,7 +46,7 @@ def convert_recording(
     """
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
-    sources = [
+    sources: list[Source] = [
         open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
         for name in camera_names(source)
     ]

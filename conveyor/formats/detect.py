@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import has_images
-from conveyor.formats.source import CameraDescription, RecordedSource, Source
+from conveyor.formats.source import CameraDescription, RecordedSource
+
+if TYPE_CHECKING:
+    from conveyor.formats.prepared import PreparedSource
 
 Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
 LOOKED_FOR = (
@@ -69,7 +72,7 @@ def open_source(
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     ignore_masks: bool = False,
-) -> Source:
+) -> PreparedSource:
     """The frames of one camera of a recording, its depth scale checked against its belt distance.
 
     Args:
