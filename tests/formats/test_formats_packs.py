@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from conveyor.errors import InputError
+from conveyor.formats.packs.belts import ARRAYS as BELT_ARRAYS
 from conveyor.formats.packs.belts import BeltPackWriter, PackedBelt, PackedFrame, belt_shards, read_belt
 from conveyor.formats.packs.views import ARRAYS, PackedView, ViewPackWriter, read_views, view_shards
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
@@ -143,3 +144,9 @@ def test_a_belt_pack_comes_back_to_training(tmp_path: Path) -> None:
     (tmp_path / "meta.json").write_text('{"version": 7}')
     with pytest.raises(InputError, match=r"belt pack of version 7; .* reads up to version 1"):
         next(pack_frames(tmp_path))
+
+
+def test_the_docs_name_every_array() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    for array in (*ARRAYS, *BELT_ARRAYS):
+        assert f"| `{array.name}`{'' if array.needed else ' *'} | {array.shape} | {array.says} |" in page, array.name

@@ -135,7 +135,7 @@ def test_a_picture_that_says_it_is_huge(folder: Path, lie: str) -> None:
 
 def test_a_damaged_ros_bag(tmp_path: Path) -> None:
     """Five kinds of exceptions of the library's came through; found by fuzzing with atheris."""
-    bags = pytest.importorskip("tests.camera_sim.test_camera_sim_rosbag")
+    bags = pytest.importorskip("tests.formats.test_formats_rosbag")
     good = bags._ros1(tmp_path / "good.bag", unit_m=0.001).read_bytes()
     path = tmp_path / "recording.bag"
     seen: set[str] = set()
