@@ -18,6 +18,7 @@ from tests.formats.consumers import BELT_M, CONSUMERS, add_byte_order_mark, cons
 from tests.segmenter.segmenter_scene import SMALL, Body, Scene
 
 ROWS = (90, 120, 150)
+SCENE = Scene([Body(0.0, 0.0)], noise_m=0.0003, seed=2)
 
 
 def _rim(mask: np.ndarray) -> np.ndarray:
@@ -29,16 +30,20 @@ def _rim(mask: np.ndarray) -> np.ndarray:
     return wide & ~mask
 
 
+def _rendered(v: int) -> tuple[np.ndarray, np.ndarray]:
+    """(depth, labels) of the tuber at the image row `v`."""
+    return SCENE.render((v - SMALL.cy) * (BELT_M - 0.027) / SMALL.fy, v)
+
+
 @pytest.fixture(scope="module")
 def twin(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One tuber of season 2099 at three rows, its rim half transparent, the belt distance in its own column."""
     root = tmp_path_factory.mktemp("twin")
-    scene = Scene([Body(0.0, 0.0)], noise_m=0.0003, seed=2)
     with TwinFolderWriter(root, SMALL, name="d405", belt_distances=True) as writer:
         row = {"label": "2099-000", "growing_season": "2099", "cultivar": "Test", "weight_g_inctack": 150.0}
         writer.add_tuber(row | {"belt_distance_m": BELT_M}, split="train")
         for v in ROWS:
-            depth, labels = scene.render((v - SMALL.cy) * (BELT_M - 0.027) / SMALL.fy, v)
+            depth, labels = _rendered(v)
             rgba = np.full((*depth.shape, 4), 90, np.uint8)
             rgba[..., 3] = np.where(labels > 0, 255, np.where(_rim(labels > 0), 128, 0))
             points = deproject(np.where(labels > 0, depth, 0), depth_scale_m=0.001, intrinsics=SMALL)
@@ -65,8 +70,10 @@ def test_every_consumer_sees_the_same_tuber(twin: Path) -> None:
         path = twin / "1_rgbd" / "1_image" / "2099-000" / f"2099-000_depth_{v:03d}.png"
         intrinsics, scale_m = read_intrinsics(find_intrinsics(path))
         pair = read_pair(path, intrinsics=intrinsics, depth_scale_m=scale_m, max_depth_m=0.5)
-        weighed = np.count_nonzero(pair.depth)
-        assert np.count_nonzero(frame.mask) == np.count_nonzero(view.depth) == weighed > 1000
+        inside = int(np.count_nonzero(_rendered(v)[1]))
+        counted = [np.count_nonzero(image) for image in (frame.mask, view.depth, pair.depth)]
+        assert counted == [inside] * 3
+        assert inside > 1000
         assert frame.depth_scale_m == view.depth_scale_m == scale_m
 
 
