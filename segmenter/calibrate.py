@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from conveyor.errors import InputError
-from conveyor.formats.folder.frames import camera_folders, folder_frames
+from conveyor.formats.cameras import CameraFrames, open_cameras
+from conveyor.formats.scale_check import expected_distance_m
 from segmenter.frame.plane import PlaneFit, fit_plane, plane_pose
 
 LEAST_FITS = 3
@@ -20,11 +22,12 @@ class BeltCalibration:
     """Where one camera's belt lies.
 
     Attributes:
-        frames: fitted ones; asked: frames looked at.
+        frames: fitted ones; asked: frames looked at; unreadable: those before the last of them, by reason.
         belt_distance_m: along the optical axis; spread_mm: standard deviation of the single frames' distances.
         tilt_deg: between the optical axis and the belt's normal; residual_mm: RMS of the belt around the plane.
         belt_share: median share of the image that shows belt.
-        belt_from_camera: (4, 4) as nested lists, x along the image's +v.
+        belt_from_camera: (4, 4) as nested lists, of the image as it was recorded; x along its +v, or along the side
+            that the recording's own pose says.
         given_distance_m: what the recording says, or None; disagreement_mm: seen minus given.
     """
 
@@ -39,6 +42,7 @@ class BeltCalibration:
     belt_from_camera: list[list[float]]
     given_distance_m: float | None
     disagreement_mm: float | None
+    unreadable: dict[str, int]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -46,29 +50,27 @@ class BeltCalibration:
 
 
 def calibrate_recording(recording: Path, *, frames: int = 30) -> list[BeltCalibration]:
-    """One calibration per camera of a folder recording, from up to `frames` of its first frames.
+    """One calibration per camera of a recording of any kind, from up to `frames` of its first frames.
 
     Raises:
         InputError: the recording cannot be used, or too little belt is seen in it.
     """
-    return [_camera(folder, frames) for folder in camera_folders(recording)]
+    return [_camera(camera, frames) for camera in open_cameras(recording, ignore_masks=True)]
 
 
-def _camera(folder: Path, frames: int) -> BeltCalibration:
+def _camera(camera: CameraFrames, frames: int) -> BeltCalibration:
     fits: list[PlaneFit] = []
     asked, given_m = 0, None
-    for frame in folder_frames(folder):
-        if asked >= frames:
-            break
+    for frame in islice(camera, frames):
         asked += 1
-        given_m = frame.belt_distance_m
+        given_m = expected_distance_m(frame)
         fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics)
         if fit is not None:
             fits.append(fit)
     if len(fits) < min(LEAST_FITS, asked) or not fits:
         raise InputError(
-            f"{folder}: a belt is seen in {len(fits)} of {asked} frames only; record a stretch with a visible belt, "
-            "best an empty one"
+            f"{camera.description.origin}: a belt is seen in {len(fits)} of {asked} frames only; "
+            "record a stretch with a visible belt, best an empty one"
         )
     a, b, c = (float(value) for value in np.median([fit.inverse_depth for fit in fits], axis=0))
     tilt_deg = float(np.degrees(np.arccos(c / np.linalg.norm([a, b, c]))))
@@ -76,7 +78,7 @@ def _camera(folder: Path, frames: int) -> BeltCalibration:
     share = float(np.median([fit.share for fit in fits]))
     middle = PlaneFit((a, b, c), 1 / c, tilt_deg, residual_m, share)
     return BeltCalibration(
-        camera=folder.name,
+        camera=camera.description.name,
         frames=len(fits),
         asked=asked,
         belt_distance_m=middle.distance_m,
@@ -84,7 +86,8 @@ def _camera(folder: Path, frames: int) -> BeltCalibration:
         tilt_deg=tilt_deg,
         residual_mm=residual_m * 1000,
         belt_share=share,
-        belt_from_camera=plane_pose(middle).round(9).tolist(),
+        belt_from_camera=camera.recorded_pose(plane_pose(middle)).round(9).tolist(),
         given_distance_m=given_m,
         disagreement_mm=None if given_m is None else (middle.distance_m - given_m) * 1000,
+        unreadable=dict(camera.unreadable),
     )

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from aggregator.calibration.tickets import Ticket, check_ticket
 from aggregator.core.coverage import Looked, camera_shares, combined_coverage
-from aggregator.core.fusion import Z90
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import ledger_file, read_marks, read_tubers, reading, the_run
 from conveyor.errors import InputError
+from conveyor.statistics import NORMAL_90
 
 LEAST_SHARE = 0.95
 """Of a load's weight that one set of weights must have weighed: its ticket says nothing about any other."""
@@ -39,7 +39,7 @@ def ticket_of(path: Path, *, run: str | None, ticket_g: float, ticket_sd_g: floa
     seen_low_g, seen_high_g = load.interval_g()
     unseen_g = max(0.0, (high_g - low_g) - (seen_high_g - seen_low_g) / max(coverage, 1e-9)) / 2
     model = _model_of(load, chosen.run)
-    estimated_sd_g = (own_g / max(coverage, 1e-9) + unseen_g) / Z90
+    estimated_sd_g = (own_g / max(coverage, 1e-9) + unseen_g) / NORMAL_90
     return check_ticket(Ticket(chosen.run, model, ticket_g, ticket_sd_g, estimated_g, estimated_sd_g, coverage))
 
 

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from aggregator.core.fusion import Z90
 from aggregator.ledger.files import write_whole
 from conveyor.errors import InputError
+from conveyor.statistics import NORMAL_90
 
-PRIOR_SD = 0.05 / Z90
+PRIOR_SD = 0.05 / NORMAL_90
 """Of ln factor without any ticket: a load is then known to 5 % at 90 % (docs/ledger.md)."""
 
 LOAD_SD = 0.015
@@ -93,7 +93,7 @@ def load_factor(tickets: Sequence[Ticket], model: str) -> LoadFactor | None:
     weights = [1 / (between**2 + ticket.sd**2) for ticket in of_model]
     precision = 1 / PRIOR_SD**2 + sum(weights)
     mean = sum(weight * ratio for weight, ratio in zip(weights, ratios, strict=True)) / precision
-    half_width = Z90 * math.hypot(between, 1 / math.sqrt(precision))
+    half_width = NORMAL_90 * math.hypot(between, 1 / math.sqrt(precision))
     return LoadFactor(model, math.exp(mean), half_width, len(of_model))
 
 

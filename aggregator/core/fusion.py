@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from conveyor.messages import WeighedView
-
-Z90 = 1.6448536269514722
-"""Half-width of a normal 90 % interval in standard deviations."""
+from conveyor.statistics import NORMAL_90
 
 SHARED_SHARE = 0.77
 """Share of one view's error variance that all views of the tuber have in common: sqrt(.77 + .23 / n) is .88 for n = 31
@@ -127,4 +125,4 @@ def _mean_and_shrink(views: Sequence[WeighedView]) -> tuple[float, float]:
 
 def _sd_g(view: WeighedView) -> float:
     """Standard deviation behind a view's interval; at least 1 % of the weight and half a gram."""
-    return max((view.high_g - view.low_g) / (2 * Z90), 0.01 * abs(view.weight_g), 0.5)
+    return max((view.high_g - view.low_g) / (2 * NORMAL_90), 0.01 * abs(view.weight_g), 0.5)

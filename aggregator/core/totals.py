@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aggregator.calibration.tickets import LoadFactor, Ticket, load_factor
-from aggregator.core.fusion import Z90
 from conveyor.messages import Totals, Tuber
+from conveyor.statistics import NORMAL_90
 
 SHARED_BIAS = {"pointraft": 0.05, "volume": 0.10}
 """Half of the 90 % interval of what all tubers of a load have in common (belt height, density, drift between seasons),
@@ -52,8 +52,8 @@ class LoadTotals:
         self.count += 1
         weighed_by = (tuber.method, tuber.model)
         self.as_weighed_g[weighed_by] = self.as_weighed_g.get(weighed_by, 0.0) + tuber.weight_g
-        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / Z90) ** 2
-        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / Z90) ** 2
+        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / NORMAL_90) ** 2
+        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -79,7 +79,7 @@ class LoadTotals:
 
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
-        return Z90 * math.sqrt(self.low_variance_g2), Z90 * math.sqrt(self.high_variance_g2)
+        return NORMAL_90 * math.sqrt(self.low_variance_g2), NORMAL_90 * math.sqrt(self.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
         """The 90 % interval of the weight seen: each tuber's own error, and the bias that all of them share."""

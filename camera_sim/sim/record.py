@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from camera_sim.sim.conditions import Conditions, StatedRest
+from camera_sim.sim.conditions import Conditions
 from camera_sim.sim.scenes import Layout, SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
 from camera_sim.sim.worse import worsened
@@ -52,8 +52,6 @@ def record_scene(
     texts = {"truth.json": as_text(truth), "line.json": as_text(line_file(cameras, belt_speed_mps=settings.speed_mps))}
     write = {"folder": _write_folder, "mcap": _write_mcap, "ros2": _write_ros2}[target_format(out, form)]
     write(out, sources, texts, on_frame)
-    if settings.stated is not None:
-        _state_resting(out, cameras, settings.stated)
     return truth
 
 
@@ -86,16 +84,6 @@ def _world_row(conditions: Conditions) -> dict[str, Any]:
     }
 
 
-def _state_resting(out: Path, cameras: list[str], stated: StatedRest) -> None:
-    """Add what the recording states of its resting offset to each camera.json; beside an MCAP file the truth has it."""
-    for path in (out / name / "camera.json" for name in cameras):
-        if path.is_file():
-            camera = json.loads(path.read_text(encoding="utf-8"))
-            camera["resting_offset_mm"] = round(1000 * stated.offset_m, 3)
-            camera["resting_sd_mm"] = round(1000 * stated.sd_m, 3)
-            path.write_text(as_text(camera), encoding="utf-8")
-
-
 def truth_path(out: Path) -> Path:
     """Where the truth of the recording `out` lies."""
     return out.with_suffix(".truth.json") if out.suffix == ".mcap" else out / "truth.json"
@@ -123,7 +111,8 @@ def _write_folder(out: Path, sources: list[SimulatedSource], texts: dict[str, st
 def _write_mcap(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
     with McapFrameWriter(out) as writer:
         for source in sources:
-            writer.add_camera(source.description.name, fps=source.description.fps)
+            d = source.description
+            writer.add_camera(d.name, fps=d.fps, resting_offset_mm=d.resting_offset_mm, resting_sd_mm=d.resting_sd_mm)
         _write_frames(writer, out, sources, texts, on_frame)
 
 

@@ -58,6 +58,7 @@ class SimulatedSource:
         believed = self._camera.believed_belt_from_camera
         distance_m = round(belt_distance_m(believed), 6)
         plain = np.allclose(believed, straight_down_belt_from_camera(distance_m), atol=1e-6)
+        stated = self._settings.stated
         return CameraDescription(
             name=self._camera.name,
             origin=f"simulated scene '{self._settings.scene}', seed {self._settings.seed}",
@@ -67,6 +68,8 @@ class SimulatedSource:
             belt_from_camera=None if plain else believed,
             fps=self._camera.fps,
             frames=self._count - len(self._faults.missing),
+            resting_offset_mm=None if stated is None else round(1000 * stated.offset_m, 3),
+            resting_sd_mm=None if stated is None else round(1000 * stated.sd_m, 3),
         )
 
     def time_s(self, seq: int) -> float:

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from conveyor.errors import InputError
 from conveyor.formats import Refused, Source, camera_names, open_source
-from conveyor.formats.detect import recording_kind
+from conveyor.formats.beside import recording_files
 from conveyor.formats.folder.writer import FolderWriter, write_line_file
-from conveyor.formats.mcap.layout import ATTACHMENTS
 from conveyor.formats.merged import in_time
 from conveyor.formats.target import TargetFormat, target_format
 from conveyor.messages import Frame
@@ -47,7 +46,7 @@ def convert_recording(
     """
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
-    sources = [
+    sources: list[Source] = [
         open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
         for name in camera_names(source)
     ]
@@ -76,8 +75,9 @@ def _to_mcap(stack: ExitStack, source: Path, target: Path, sources: list[Source]
 
     writer = stack.enter_context(McapFrameWriter(target))
     for one in sources:
-        writer.add_camera(one.description.name, fps=one.description.fps)
-    for name, data in _files(source).items():
+        d = one.description
+        writer.add_camera(d.name, fps=d.fps, resting_offset_mm=d.resting_offset_mm, resting_sd_mm=d.resting_sd_mm)
+    for name, data in recording_files(source).items():
         writer.attach(name, data)
     return writer.write
 
@@ -88,7 +88,7 @@ def _to_ros2(stack: ExitStack, source: Path, target: Path, sources: list[Source]
     writer = stack.enter_context(Ros2McapWriter(target))
     for one in sources:
         writer.add_camera(one.description)
-    for name, data in _files(source).items():
+    for name, data in recording_files(source).items():
         writer.attach(name, data)
     return writer.write
 
@@ -101,17 +101,8 @@ def _to_folder(stack: ExitStack, source: Path, target: Path, sources: list[Sourc
 _WRITERS = {"folder": _to_folder, "mcap": _to_mcap, "ros2": _to_ros2}
 
 
-def _files(source: Path) -> dict[str, bytes]:
-    """truth.json and line.json, where the recording has them."""
-    if recording_kind(source) in ("mcap", "ros2-export"):
-        from conveyor.formats.mcap.reader import mcap_attachments
-
-        return mcap_attachments(source)
-    return {name: (source / name).read_bytes() for name in ATTACHMENTS if (source / name).is_file()}
-
-
 def _write_files(source: Path, target: Path, cameras: list[str]) -> None:
-    files = _files(source)
+    files = recording_files(source)
     for name, data in files.items():
         (target / name).write_bytes(data)
     if "line.json" not in files:

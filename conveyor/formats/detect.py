@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from conveyor.errors import InputError
-from conveyor.formats.source import CameraDescription, RecordedSource, Source
+from conveyor.formats.potatotwin.layout import has_images
+from conveyor.formats.source import CameraDescription, RecordedSource
+
+if TYPE_CHECKING:
+    from conveyor.formats.prepared import PreparedSource
 
 Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
 LOOKED_FOR = (
@@ -55,9 +59,9 @@ def camera_names(path: Path) -> tuple[str, ...]:
         from conveyor.formats.ros2.reader import exported_cameras
 
         return tuple(sorted(exported_cameras(path)))
-    from conveyor.formats.potatotwin import seasons
+    from conveyor.formats.potatotwin.reader import twin_cameras
 
-    return seasons(path)
+    return twin_cameras(path)
 
 
 def open_source(
@@ -68,7 +72,7 @@ def open_source(
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     ignore_masks: bool = False,
-) -> Source:
+) -> PreparedSource:
     """The frames of one camera of a recording, its depth scale checked against its belt distance.
 
     Args:
@@ -106,7 +110,7 @@ def recording_kind(path: Path) -> Kind:
         with path.open("rb") as file:
             if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
                 return _mcap_kind(path)
-    elif (path / "1_rgbd" / "1_image").is_dir():
+    elif has_images(path):
         return "3dpotatotwin"
     elif (path / "metadata.yaml").is_file():
         return "rosbag"
@@ -155,7 +159,7 @@ def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
         from conveyor.formats.ros2.reader import Ros2ExportSource
 
         return Ros2ExportSource(path, camera)
-    from conveyor.formats.potatotwin import PotatoTwinSource
+    from conveyor.formats.potatotwin.reader import PotatoTwinSource
 
     return PotatoTwinSource(path, camera)
 
@@ -168,7 +172,7 @@ def _folders(path: Path) -> dict[str, Path]:
     if not line.is_file():
         return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
     try:
-        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8"))["cameras"]]
+        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8-sig"))["cameras"]]
     except (ValueError, RecursionError, KeyError, TypeError) as error:
         raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
     for name in names:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from conveyor.formats.scale_check import check_depth_scale
 from conveyor.formats.source import CameraDescription, Refused, Source
-from conveyor.formats.turned import quarter_turn
+from conveyor.formats.turned import QuarterTurn, quarter_turn
 from conveyor.geometry import belt_distance_m as distance_along_axis_m
 from conveyor.messages import Frame
 
@@ -49,8 +49,12 @@ class PreparedSource:
     @property
     def description(self) -> CameraDescription:
         """With name and overrides applied, and turned where the belt runs along the image's columns."""
-        turn = quarter_turn(self._description.belt_from_camera)
-        return turn.description(self._description) if turn else self._description
+        return self.turn.description(self._description) if self.turn else self._description
+
+    @property
+    def turn(self) -> QuarterTurn | None:
+        """What is done to the frames of a belt that runs along the image's columns."""
+        return quarter_turn(self._description.belt_from_camera)
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """The source's frames, with name and overrides, turned where the belt runs along the image's columns.
@@ -59,7 +63,7 @@ class PreparedSource:
             InputError: the depth scale contradicts the belt distance in one of the first frames.
         """
         d, checked = self._description, 0
-        turn = quarter_turn(d.belt_from_camera)
+        turn = self.turn
         for frame in self._inner.frames(run=run, after=after):
             if isinstance(frame, Refused):
                 yield frame

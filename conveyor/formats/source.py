@@ -9,6 +9,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.errors import InputError
+from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 
@@ -23,6 +25,8 @@ class CameraDescription:
         frames: how many frames there are, or None where only reading tells.
         live: frames come at their own pace and are lost when nobody takes them.
         notes: what a user should know about this camera's recording.
+        resting_offset_mm: how far below the belt plane tubers' undersides lie, where the recording says it; positive
+            is below. `resting_sd_mm`: how well that is known, standard deviation.
     """
 
     name: str
@@ -35,6 +39,14 @@ class CameraDescription:
     frames: int | None
     live: bool = False
     notes: tuple[str, ...] = ()
+    resting_offset_mm: float | None = None
+    resting_sd_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a pose that is no rigid transform, whatever format it comes from."""
+        fault = None if self.belt_from_camera is None else pose_fault(self.belt_from_camera)
+        if fault:
+            raise InputError(f"{self.origin}, camera '{self.name}': {fault}")
 
 
 @dataclass(frozen=True, slots=True)

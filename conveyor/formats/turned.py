@@ -43,6 +43,11 @@ class QuarterTurn:
             color_jpeg=None if frame.color_jpeg is None else self._jpeg(frame.color_jpeg),
         )
 
+    def recorded_pose(self, belt_from_turned: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, 4) `belt_from_camera` of the camera as it was recorded, from that of the turned one."""
+        recorded: NDArray[np.float64] = belt_from_turned @ self._camera_from_turned().T
+        return recorded
+
     def _intrinsics(self, k: Intrinsics) -> Intrinsics:
         cx, cy = (k.cy, k.width - 1 - k.cx) if self.quarters == 1 else (k.height - 1 - k.cy, k.cx)
         return Intrinsics(k.height, k.width, k.fy, k.fx, cx, cy)
@@ -50,10 +55,13 @@ class QuarterTurn:
     def _pose(self, belt_from_camera: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
         if belt_from_camera is None:
             return None
+        turned: NDArray[np.float64] = belt_from_camera @ self._camera_from_turned()
+        return turned
+
+    def _camera_from_turned(self) -> NDArray[np.float64]:
         camera_from_turned = np.eye(4)
         camera_from_turned[:2, :2] = [[0, -self.quarters], [self.quarters, 0]]
-        turned: NDArray[np.float64] = belt_from_camera @ camera_from_turned
-        return turned
+        return camera_from_turned
 
     def _image(self, image: NDArray[Image]) -> NDArray[Image]:
         return np.ascontiguousarray(np.rot90(image, self.quarters))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
 from regressor.network.pointraft import NEIGHBOURS
@@ -24,7 +25,6 @@ from regressor.weigh.interval import IntervalRule, calibrate
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE, blend
 
-Z90 = 1.645
 MIN_TUBERS = 20
 LEAST_BIAS = 0.01
 DISTANCE_STEP_M, SITE_STEP_M = 0.05, 0.0005
@@ -113,7 +113,7 @@ def load_share(weight_g: NDArray[np.float64], data: CloudSet) -> float:
     if not bias:
         return 0.05
     shared = float(np.average(np.square(bias) - np.array(chance), weights=weight))
-    return round(max(LEAST_BIAS, Z90 * float(np.sqrt(max(shared, 0.0)))), 4)
+    return round(max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(max(shared, 0.0)))), 4)
 
 
 def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int | None) -> Sidecar:

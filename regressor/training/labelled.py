@@ -1,12 +1,12 @@
 """Views with known weights, from wherever they lie: view packs of the simulator, or a 3DPotatoTwin folder.
 
-A *view pack* is a folder of `views-*.npz` shards (depth crops end to end, with their offsets, crops, intrinsics, scale,
-belt distance and labels) and `meta.json`; several packs may lie side by side in one folder. `read_labelled` tells the
-layouts apart and yields `LabelledView`s of either.
+`read_labelled` tells the layouts apart and yields `LabelledView`s of either; the formats are
+`conveyor.formats.packs.views` and `conveyor.formats.potatotwin`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.twin import TwinView, is_twin, read_twin
+from conveyor.formats.packs.views import PackedView, read_views, view_shards
+from conveyor.formats.potatotwin.layout import is_potatotwin
+from conveyor.formats.potatotwin.views import TwinView, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
-
-PACK_KEYS = (
-    "depth",
-    "depth_offset",
-    "crop",
-    "depth_scale_m",
-    "intrinsics",
-    "image_size",
-    "belt_distance_m",
-    "weight_g",
-    "tuber",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +75,10 @@ def labelled_files(folder: Path) -> list[Path]:
     Raises:
         InputError: neither a view pack nor a 3DPotatoTwin folder.
     """
-    shards = sorted(folder.glob("views-*.npz")) or sorted(folder.glob("*/views-*.npz"))
+    shards = view_shards(folder)
     if shards:
         return shards
-    if is_twin(folder):
+    if is_potatotwin(folder) and (folder / "ground_truth.csv").is_file():
         return [folder / "ground_truth.csv", *sorted((folder / "1_rgbd").rglob("*.p[nl][gy]"))]
     raise InputError(
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
@@ -105,53 +95,33 @@ def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[Labelle
     files = labelled_files(folder)
     if files[0].suffix == ".npz":
         for shard in files:
-            yield from _read_shard(shard)
+            yield from (_from_pack(shard.parent.name, view) for view in read_views(shard))
     else:
         for view in read_twin(folder, split=split):
             yield _from_twin(view)
 
 
-def _read_shard(path: Path) -> Iterator[LabelledView]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {key: file[key] for key in file.files}
-    except (OSError, ValueError) as error:
-        raise InputError(f"shard {path} cannot be read: {error}") from error
-    missing = [key for key in PACK_KEYS if key not in data]
-    if missing:
-        raise InputError(f"shard {path} lacks {missing}; it has {sorted(data)}")
-    count = len(data["weight_g"])
-    nothing = np.full(count, np.nan)
-    belt_sd_m = data.get("belt_sd_m", np.full(count, TYPICAL_BELT_SD_M))
-    names = np.full(count, "unknown")
-    volume, length = data.get("volume_ml", nothing), data.get("length_mm", nothing)
-    cultivar, season = data.get("cultivar", names), data.get("season", names)
-    centre = data.get("v_centre", nothing)
-    for i in range(count):
-        u0, v0, height, width = (int(value) for value in data["crop"][i])
-        fx, fy, cx, cy = (float(value) for value in data["intrinsics"][i])
-        begin, end = int(data["depth_offset"][i]), int(data["depth_offset"][i + 1])
-        if end - begin != height * width:
-            raise InputError(f"shard {path}, view {i}: {end - begin} depths for a crop of {height}x{width}")
-        rows = float(min(data["image_size"][i]))
-        yield LabelledView(
-            depth=data["depth"][begin:end].reshape(height, width),
-            cloud=None,
-            depth_scale_m=float(np.broadcast_to(data["depth_scale_m"], count)[i]),
-            fx=fx,
-            fy=fy,
-            cx=cx - u0,
-            cy=cy - v0,
-            belt_distance_m=float(data["belt_distance_m"][i]),
-            belt_sd_m=float(belt_sd_m[i]),
-            weight_g=float(data["weight_g"][i]),
-            volume_ml=float(volume[i]),
-            length_mm=float(length[i]),
-            tuber=f"{path.parent.name}/{data['tuber'][i]}",
-            cultivar=str(cultivar[i]),
-            season=str(season[i]),
-            row_share=float(centre[i]) / rows,
-        )
+def _from_pack(pack: str, view: PackedView) -> LabelledView:
+    """`pack`: its folder's name, for tubers of several packs have the same numbers."""
+    k = view.intrinsics
+    return LabelledView(
+        depth=view.depth,
+        cloud=None,
+        depth_scale_m=view.depth_scale_m,
+        fx=k.fx,
+        fy=k.fy,
+        cx=k.cx - view.u0,
+        cy=k.cy - view.v0,
+        belt_distance_m=view.belt_distance_m,
+        belt_sd_m=TYPICAL_BELT_SD_M if view.belt_sd_m is None else view.belt_sd_m,
+        weight_g=view.weight_g,
+        volume_ml=math.nan if view.volume_ml is None else view.volume_ml,
+        length_mm=math.nan if view.length_mm is None else view.length_mm,
+        tuber=f"{pack}/{view.tuber}",
+        cultivar=view.cultivar,
+        season=view.season,
+        row_share=math.nan if view.v_centre is None else view.v_centre / min(k.width, k.height),
+    )
 
 
 def _from_twin(view: TwinView) -> LabelledView:

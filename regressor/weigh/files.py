@@ -9,7 +9,9 @@ from typing import Any
 
 from conveyor.errors import InputError
 from conveyor.formats.clouds import read_cloud
-from conveyor.formats.twin import MAX_DEPTH_M, find_intrinsics, pair_of, read_intrinsics, read_pair
+from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrinsics
+from conveyor.formats.potatotwin.layout import pair_of
+from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weighed, Weigher

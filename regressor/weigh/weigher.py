@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
+from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
@@ -21,7 +22,6 @@ from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE, blend
 
 VOLUME_MODEL = "volume"
-INTERVAL_Z = 1.645
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Weigher:
         )
 
     def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
-        factor = float(np.exp(INTERVAL_Z * max(self._volume.residual_ln_sd, 0.05)))
+        factor = float(np.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05)))
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(weight_g / factor, 3),

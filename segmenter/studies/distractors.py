@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conveyor.errors import InputError
+from conveyor.formats.beside import recording_files
 
 WITHIN_M = 0.025
 
@@ -78,11 +79,11 @@ def load_truth(recording: Path, camera: str) -> LoadTruth | None:
     Raises:
         InputError: truth.json cannot be read.
     """
-    path = recording / "truth.json"
-    if not path.is_file():
+    text = recording_files(recording).get("truth.json")
+    if text is None:
         return None
     try:
-        truth = json.loads(path.read_text(encoding="utf-8"))
+        truth = json.loads(text)
         others = truth.get("distractor_places", [] if truth.get("distractors", 0) == 0 else None)
         if others is None:
             return None
@@ -90,7 +91,7 @@ def load_truth(recording: Path, camera: str) -> LoadTruth | None:
         others = [row for row in others if camera in row.get("cameras", [camera])]
         return LoadTruth(_places(tubers), _places(others), tuple(str(row["kind"]) for row in others))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path} cannot be read as the truth of a recording: {error}") from error
+        raise InputError(f"truth.json of {recording} cannot be read as the truth of a recording: {error}") from error
 
 
 def _places(rows: list[dict[str, Any]]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ make of it, with the judge's word, is counted beside it where the recording's tr
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conveyor.errors import InputError
-from conveyor.formats.folder.frames import camera_folders, folder_frames
+from conveyor.formats.cameras import open_cameras
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
@@ -90,12 +91,13 @@ class SegmentationScore:
     """Result for one recording; times are medians, milliseconds of processor time of one core per frame.
 
     `mean_step_ms` is the mean: the judge works in some frames only. `load`: None where the truth does not say where the
-    distractors are.
+    distractors are. `unreadable`: frames that the recording names but cannot give, by reason.
     """
 
     recording: str
     method: str
     frames: int
+    unreadable: dict[str, int]
     instances_given: int
     instances_found: int
     precision: float
@@ -124,10 +126,10 @@ class _Seen:
 
 
 def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -> SegmentationScore:
-    """Score segmentation on all cameras of a folder recording with masks.
+    """Score segmentation on all cameras of a recording with masks.
 
     Args:
-        recording: folder with mask/ images.
+        recording: of any kind, with masks.
         settings: of the core.
         every: use only every n-th frame; the tracker sees no others either.
 
@@ -136,13 +138,14 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
     """
     total, times, sizes = Agreement(), [], set()
     load: LoadScore | None = LoadScore()
-    for folder in camera_folders(recording):
+    unreadable: Counter[str] = Counter()
+    for camera in open_cameras(recording):
         core = Segmenter(settings)
         eyes = Eyes(settings.eyes, settings.split)
         counted: list[tuple[float, float]] = []
         rejected: list[tuple[float, float]] = []
         belt: BeltGeometry | None = None
-        for index, frame in enumerate(folder_frames(folder, masks=True)):
+        for index, frame in enumerate(camera):
             if index % every or frame.mask is None:
                 continue
             belt = belt or _belt(frame)
@@ -157,18 +160,25 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
             rejected += _taken(core)
         counted += [(c.track.place_x_m, c.track.y_m) for c in core.finish()]
         rejected += _taken(core)
-        truth = load_truth(recording, folder.name)
+        unreadable.update(camera.unreadable)
+        truth = load_truth(recording, camera.description.name)
         if truth is None or load is None:
             load = None
         else:
             load.add(truth, np.array(counted).reshape(-1, 2), np.array(rejected).reshape(-1, 2))
     if not times:
-        raise InputError(f"{recording} has no mask/ images to compare with: simulate one with masks")
-    return _summary(recording.name, settings, total, np.array(times), ", ".join(sorted(sizes)), load)
+        raise InputError(f"{recording} has no masks to compare with: simulate a recording with --masks")
+    return _summary(recording.name, settings, total, np.array(times), ", ".join(sorted(sizes)), load, dict(unreadable))
 
 
 def _summary(
-    name: str, settings: Settings, total: Agreement, times: NDArray[np.float64], size: str, load: LoadScore | None
+    name: str,
+    settings: Settings,
+    total: Agreement,
+    times: NDArray[np.float64],
+    size: str,
+    load: LoadScore | None,
+    unreadable: dict[str, int],
 ) -> SegmentationScore:
     hits = len(total.ious)
     heights_ms, split_ms, step_ms = (float(value) for value in np.median(times, axis=0))
@@ -176,6 +186,7 @@ def _summary(
         recording=name,
         method=settings.eyes.method,
         frames=len(times),
+        unreadable=unreadable,
         instances_given=total.truths,
         instances_found=total.found,
         precision=hits / total.found if total.found else 1.0,

@@ -1,4 +1,4 @@
-"""The segmenter's core over a folder recording, without a line: for looking at results and measuring them."""
+"""The segmenter's core over a recording, without a line: for looking at results and measuring them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.belt_findings import belt_findings
-from conveyor.formats.folder.frames import camera_folders, folder_frames
+from conveyor.formats.cameras import CameraFrames, open_cameras
 from conveyor.messages import Track
 from segmenter.frame.picture import picture as draw
 from segmenter.frame.picture import save_picture
@@ -19,10 +19,11 @@ from segmenter.warmup import warm_up
 
 @dataclass(frozen=True, slots=True)
 class CameraResult:
-    """What one camera's frames led to."""
+    """What one camera's frames led to; `unreadable` are frames that the recording names but cannot give, by reason."""
 
     camera: str
     frames: int
+    unreadable: dict[str, int]
     tracks: tuple[Track, ...]
     discarded: dict[str, int]
     refused: dict[str, int]
@@ -44,31 +45,31 @@ def segment_recording(
     masks: bool = False,
     settings: Settings | None = None,
 ) -> list[CameraResult]:
-    """Run the core over every camera of a folder recording.
+    """Run the core over every camera of a recording of any kind.
 
     Raises:
         InputError: the recording cannot be used.
     """
     settings = settings or Settings()
     warm_up(settings.split.pixel_mm)
-    folders = camera_folders(recording)
+    cameras = open_cameras(recording, ignore_masks=not masks)
     results = []
-    for folder in folders:
+    for camera in cameras:
         target = picture
-        if picture is not None and len(folders) > 1:
-            target = picture.with_stem(f"{picture.stem}-{folder.name}")
-        results.append(_camera(folder, settings, masks, target, picture_seq))
+        if picture is not None and len(cameras) > 1:
+            target = picture.with_stem(f"{picture.stem}-{camera.description.name}")
+        results.append(_camera(camera, settings, target, picture_seq))
     return results
 
 
-def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, target_seq: int | None) -> CameraResult:
+def _camera(camera: CameraFrames, settings: Settings, target: Path | None, target_seq: int | None) -> CameraResult:
     core, watch = Segmenter(settings), BeltWatch()
     tracks: list[Track] = []
     frames, elapsed_s = 0, 0.0
     if target is not None and target_seq is None:
-        seqs = [frame.seq for frame in folder_frames(folder)]
+        seqs = [frame.seq for frame in camera]
         target_seq = seqs[len(seqs) // 2]
-    for frame in folder_frames(folder, masks=masks):
+    for frame in camera:
         started = time.perf_counter()
         result = core.step(frame)
         elapsed_s += time.perf_counter() - started
@@ -79,13 +80,14 @@ def _camera(folder: Path, settings: Settings, masks: bool, target: Path | None, 
             save_picture(target, draw(frame, core.instances, core.belt, rejected=core.held_for_distractors))
     tracks += [closed.track for closed in core.finish()]
     return CameraResult(
-        camera=folder.name,
+        camera=camera.description.name,
         frames=frames,
+        unreadable=dict(camera.unreadable),
         tracks=tuple(tracks),
         discarded=dict(core.discarded),
         refused=dict(core.refused),
         looked_at_m=core.looked_at_m,
         travelled_m=core.travelled_m,
         step_ms=1000 * elapsed_s / max(frames, 1),
-        findings=tuple(belt_findings(folder.name, watch.gauges()).values()),
+        findings=tuple(belt_findings(camera.description.name, watch.gauges()).values()),
     )

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
-from conveyor.geometry import Intrinsics
+from conveyor.formats.packs.belts import belt_shards, read_belt
 from segmenter.classes import BELT, GRID_MM, OTHER, STEP, TUBER
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
@@ -70,49 +67,20 @@ def pack_frames(
     Raises:
         InputError: there is none, or a shard cannot be read.
     """
-    shards = sorted(folder.glob("belts-*.npz"))
-    if not shards:
-        raise InputError(f"{folder} holds no belts-*.npz: make some with `tuberline simulate-belts --out {folder}`")
+    shards = belt_shards(folder)
     for number, path in enumerate(shards):
-        try:
-            with np.load(path) as shard:
-                frames = list(_shard(shard, number))
-        except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
-        yield from frames
+        packed = read_belt(path)
+        belt = BeltGeometry(packed.intrinsics, packed.belt_from_camera)
+        for frame in packed.frames:
+            yield LabelledFrame(
+                number, frame.depth, frame.labels, packed.kinds, packed.depth_scale_m, belt, frame.travel_m
+            )
         on_shard(number + 1, len(shards))
 
 
 def load_pack(folder: Path, *, on_shard: Callable[[int, int], None] = lambda done, total: None) -> list[LabelledGrid]:
     """All frames of a pack on the network's grid; raises as `pack_frames`."""
     return [labelled_grid(frame) for frame in pack_frames(folder, on_shard=on_shard)]
-
-
-def pack_origin(folder: Path) -> dict[str, Any]:
-    """What a pack says of itself; nothing where it says nothing.
-
-    Raises:
-        InputError: what it says cannot be read.
-    """
-    path = folder / "meta.json"
-    if not path.is_file():
-        return {}
-    try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
-    return dict(meta) if isinstance(meta, dict) else {}
-
-
-def _shard(shard: np.lib.npyio.NpzFile, number: int) -> Iterator[LabelledFrame]:
-    width, height = (int(n) for n in shard["image_size"])
-    intrinsics = Intrinsics(width, height, *(float(value) for value in shard["intrinsics"]))
-    belt = BeltGeometry(intrinsics, shard["belt_from_camera"])
-    kinds = tuple(str(kind) for kind in shard["kinds"].tolist())
-    scale_m = float(shard["depth_scale_m"])
-    images = zip(_images(shard, "depth"), _images(shard, "labels"), shard["travel_m"].tolist(), strict=True)
-    for depth, labels, travel_m in images:
-        yield LabelledFrame(number, depth, labels, kinds, scale_m, belt, travel_m)
 
 
 def labelled_grid(frame: LabelledFrame) -> LabelledGrid:
@@ -133,12 +101,3 @@ def labelled_grid(frame: LabelledFrame) -> LabelledGrid:
         classes=of_kind[bodies],
         bodies=bodies,
     )
-
-
-def _images(shard: np.lib.npyio.NpzFile, name: str) -> Iterator[NDArray[np.uint16]]:
-    data, offsets = shard[name], shard[f"{name}_offset"]
-    for first, last in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
-        image = cv2.imdecode(data[first:last], cv2.IMREAD_UNCHANGED)
-        if image is None or image.dtype != np.uint16:
-            raise ValueError(f"image {name} at byte {first} is broken")
-        yield np.asarray(image, np.uint16)

@@ -16,6 +16,7 @@ from torch import nn
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.formats.packs.belts import belt_pack_meta
 from segmenter.classes import MULTIPLE
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
@@ -23,7 +24,7 @@ from segmenter.training.cells_net import OPEN_AXES
 from segmenter.training.cells_train import CellsRecipe, agreement, train_cells
 from segmenter.training.classifier_net import JudgeRecipe, judged, scores, train_judge
 from segmenter.training.cut import cut_pack
-from segmenter.training.pack import load_pack, pack_origin
+from segmenter.training.pack import load_pack
 from segmenter.training.samples import Sitter, origin_of, read_sitters, sitter_files
 
 OnStep = Callable[[int, int, float], None]
@@ -111,7 +112,7 @@ def _sidecar(
 
 
 def _origins(folder: Path) -> list[dict[str, Any]]:
-    return [origin_of(path) for path in sitter_files(folder)] or [pack_origin(folder)]
+    return [origin_of(path) for path in sitter_files(folder)] or [belt_pack_meta(folder)]
 
 
 def _sitters(folder: Path) -> list[Sitter]:

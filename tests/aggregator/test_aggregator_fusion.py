@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aggregator.core.fusion import SHARED_SHARE, VOLUME_G_PER_ML, Z90, fuse
+from aggregator.core.fusion import SHARED_SHARE, VOLUME_G_PER_ML, fuse
 from conveyor.messages import WeighedView
+from conveyor.statistics import NORMAL_90
 
 
 def view(weight_g: float, *, half_g: float = 30.0, n: int = 0, method: str = "pointraft") -> WeighedView:
@@ -105,6 +106,6 @@ def test_the_interval_holds_its_promise_for_errors_shared_by_a_tubers_views(rng:
     for _ in range(n):
         shared = rng.normal(0, sd_g * math.sqrt(SHARED_SHARE))
         own = rng.normal(0, sd_g * math.sqrt(1 - SHARED_SHARE), 5)
-        result = fused(*(view(170 + shared + e, half_g=Z90 * sd_g, n=i) for i, e in enumerate(own)))
+        result = fused(*(view(170 + shared + e, half_g=NORMAL_90 * sd_g, n=i) for i, e in enumerate(own)))
         hits += result.low_g <= 170 <= result.high_g
     assert 0.885 < hits / n < 0.93

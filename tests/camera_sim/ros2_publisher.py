@@ -9,7 +9,7 @@ from typing import Any
 
 from conveyor.config import LinkConfig
 from conveyor.session import open_client
-from tests.camera_sim.bag_messages import COMPRESSED, IMAGE, INFO, STORE
+from tests.formats.bag_messages import COMPRESSED, IMAGE, INFO, STORE
 
 QOS = "::,10:,:,:,,"
 

@@ -20,8 +20,8 @@ from tests.conftest import wait_until
 pytest.importorskip("rosbags.typesys")
 
 from camera_sim.live import ros2 as ros2_live
-from tests.camera_sim.bag_messages import HEIGHT, compressed_depth, depth_mm, image, info, stamp_ns
 from tests.camera_sim.ros2_publisher import Ros2Camera, ros2_session
+from tests.formats.bag_messages import HEIGHT, compressed_depth, depth_mm, image, info, stamp_ns
 
 TOPIC = "/camera/camera/depth/image_rect_raw"
 ONE, TWO = b"\x01" * 16, b"\x02" * 16

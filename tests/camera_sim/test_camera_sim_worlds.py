@@ -20,9 +20,10 @@ from camera_sim.sim.source import simulated_sources, truth_of
 from camera_sim.sim.stereo import EASY, StereoNoise
 from camera_sim.sim.surface import FLAT
 from camera_sim.sim.view_setting import TUBERS_PER_RECORDING, ViewPlan
-from camera_sim.sim.viewpack import pack_views
+from camera_sim.sim.viewpack import packed
 from camera_sim.sim.views import ViewSimulator
 from conveyor.formats import open_source
+from conveyor.formats.packs.views import pack_views
 from conveyor.messages import Frame
 from tuberline.demo import DEMO_LAYOUT, DEMO_SETTINGS
 
@@ -55,7 +56,7 @@ def digest_of_recording(folder: Path) -> str:
 def test_views_of_the_old_presets_are_what_they_were(preset: str) -> None:
     plan = ViewPlan(seed=3, views_per_tuber=4, preset=preset, distance_range_m=(0.3, 0.55), fine_unit_share=0.2)
     simulator = ViewSimulator(plan)
-    arrays = pack_views([view for tuber in range(12) for view in simulator.views(tuber)])
+    arrays = pack_views([packed(view) for tuber in range(12) for view in simulator.views(tuber)])
     digest = hashlib.sha256()
     for name in ARRAYS_BEFORE:
         digest.update(name.encode() + arrays[name].tobytes())
@@ -185,7 +186,7 @@ def test_a_flat_recording_states_nothing_and_one_that_was_lowered_does(
 def test_a_recording_of_views_says_what_was_true_and_what_was_stated() -> None:
     plan = ViewPlan(seed=9, views_per_tuber=2, preset="harsh")
     simulator = ViewSimulator(plan)
-    arrays = pack_views([view for tuber in range(0, 200, 9) for view in simulator.views(tuber)])
+    arrays = pack_views([packed(view) for tuber in range(0, 200, 9) for view in simulator.views(tuber)])
     own_mm = arrays["resting_mm"] - arrays["resting_recording_mm"]
     level = arrays["surface"] == "flat"
     assert level.sum() > 5

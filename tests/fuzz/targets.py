@@ -48,7 +48,7 @@ def folder(folder: Path) -> tuple[list[bytes], Read]:
 def mcap(folder: Path) -> tuple[list[bytes], Read]:
     """Our own recordings in MCAP, and bags of ROS 2 and Foxglove messages in it."""
     from conveyor.formats.mcap.writer import McapFrameWriter
-    from tests.camera_sim import bag_messages as bags
+    from tests.formats import bag_messages as bags
     from tests.fuzz.test_fuzz_files import frame, read_all
 
     path = folder / "recording.mcap"
@@ -84,7 +84,7 @@ def cdr(folder: Path) -> tuple[list[bytes], Read]:
     from conveyor.formats.rosbag.depth import depth_pixels
     from conveyor.formats.rosbag.foxglove import from_json, from_protobuf
     from conveyor.formats.rosbag.messages import RosCompressed, RosImage
-    from tests.camera_sim import bag_messages as bags
+    from tests.formats import bag_messages as bags
 
     def pixels(message: object) -> object:
         return depth_pixels(message) if isinstance(message, RosImage | RosCompressed) else message

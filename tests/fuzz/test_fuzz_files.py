@@ -135,7 +135,7 @@ def test_a_picture_that_says_it_is_huge(folder: Path, lie: str) -> None:
 
 def test_a_damaged_ros_bag(tmp_path: Path) -> None:
     """Five kinds of exceptions of the library's came through; found by fuzzing with atheris."""
-    bags = pytest.importorskip("tests.camera_sim.test_camera_sim_rosbag")
+    bags = pytest.importorskip("tests.formats.test_formats_rosbag")
     good = bags._ros1(tmp_path / "good.bag", unit_m=0.001).read_bytes()
     path = tmp_path / "recording.bag"
     seen: set[str] = set()
@@ -260,7 +260,7 @@ def test_a_truth_with_an_odd_weight(weight: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lie", ['"sec": ' + "9" * 30, '"sec": -1', '"sec": 1e400'])
 def test_a_foxglove_message_of_no_time(lie: str) -> None:
-    bags = pytest.importorskip("tests.camera_sim.bag_messages")
+    bags = pytest.importorskip("tests.formats.bag_messages")
     good = bags.foxglove_json(0)[0].decode()
     bad = good.replace(f'"sec": {bags.stamp_ns(0) // 10**9}', lie).encode()
     assert outcome(lambda: from_json("image", bad)) == "MessageError"

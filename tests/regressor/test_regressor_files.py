@@ -13,7 +13,8 @@ import torch
 
 from conveyor.errors import InputError
 from conveyor.formats.clouds import read_cloud
-from conveyor.formats.twin import read_intrinsics, read_pair
+from conveyor.formats.potatotwin.intrinsics import read_intrinsics
+from conveyor.formats.potatotwin.pairs import read_pair
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.network.pointraft import PointRaft
 from regressor.training.labelled import read_labelled

@@ -11,7 +11,6 @@ import pytest
 from segmenter_scene import SMALL, Scene, scattered
 
 from conveyor.errors import InputError
-from conveyor.formats.folder.frames import camera_folders, folder_frames
 from tuberline.cli.segmentation import calibrate_belt, evaluate_segmentation, segment
 
 STEP_M = 0.0133
@@ -71,18 +70,18 @@ def test_calibrate_belt_measures_distance_and_tilt(recording: Path, capsys: pyte
 
 
 def test_errors_name_the_file_and_what_it_lacks(recording: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no folder recording: it has no <camera>/camera\.json"):
-        camera_folders(tmp_path)
+    with pytest.raises(InputError, match=r"no recording Tuberline knows; looked for: a folder recording"):
+        segment(tmp_path)
     broken = tmp_path / "broken"
     (broken / "depth").mkdir(parents=True)
-    (broken / "camera.json").write_text('{"width": 424, "height": 240, "depth_scale_m": 0.001}')
-    with pytest.raises(InputError, match=r"camera\.json lacks fx, fy, cx, cy"):
-        next(folder_frames(broken))
-    (broken / "camera.json").write_text((recording / "front" / "camera.json").read_text())
     (broken / "frames.csv").write_text("seq,captured_ns,travel_m\n0,0,\n")
+    (broken / "camera.json").write_text('{"name": "front", "width": 424, "height": 240, "depth_scale_m": 0.001}')
+    with pytest.raises(InputError, match=r"(?s)camera\.json cannot be used.*fx: missing.*cy: missing"):
+        segment(broken)
+    (broken / "camera.json").write_text((recording / "front" / "camera.json").read_text())
     (broken / "depth" / "000000.png").write_bytes(b"\x89PNG\r\n\x1a\n torn")
-    with pytest.raises(InputError, match=r"000000\.png cannot be read as an image: it is missing or damaged"):
-        next(folder_frames(broken))
+    with pytest.raises(InputError, match=r"no frame can be read; the first: .*000000\.png is truncated"):
+        segment(broken)
     (broken / "frames.csv").write_text("number\n1\n")
-    with pytest.raises(InputError, match=r"frames\.csv must have the columns seq, captured_ns, travel_m"):
-        next(folder_frames(broken))
+    with pytest.raises(InputError, match=r"frames\.csv line 1: the header must be 'seq,captured_ns,travel_m'"):
+        segment(broken)

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import viewer_line as line
-from test_viewer_rvl import decode_rvl
 
 from conveyor import topics
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
+from conveyor.formats.rvl import decode_ros_rvl
 
 pytest.importorskip("rerun")
 pytestmark = pytest.mark.graph
@@ -105,7 +105,7 @@ def check_file(path: Path, tubers: list[line.Potato], *, shown: int, superseded:
     pictures = column(path, "/belt/camera/front/image/depth", "EncodedDepthImage:blob", "frame")
     assert shown - superseded <= len(pictures) <= shown
     seq, blob = pictures[-1]
-    depth = decode_rvl(bytes(blob[0]))
+    depth = decode_ros_rvl(bytes(blob[0]))
     assert np.array_equal(depth, line.frame(seq, tubers).depth[::stride, ::stride])
 
 

@@ -10,6 +10,7 @@ import viewer_line as line
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Counters, Travel
+from conveyor.statistics import NORMAL_90
 from viewer.rerun.belt_scene import RIDE_ON_M, BeltScene
 from viewer.rerun.health_scene import HealthScene
 from viewer.rerun.load_scene import LoadScene, page
@@ -150,7 +151,7 @@ def test_totals_say_weight_count_interval_and_missed_belt() -> None:
     measured = one(entries, Measured).primitive
     assert isinstance(measured, Measured)
     assert measured.value == pytest.approx(report.weight_g / 1000)
-    assert measured.sigma == pytest.approx((report.high_g - report.low_g) / 3.29 / 1000)
+    assert measured.sigma == pytest.approx((report.high_g - report.low_g) / (2 * NORMAL_90) / 1000)
     bars = one(entries, Bars).primitive
     assert isinstance(bars, Bars)
     assert (sum(bars.counts), bars.step) == (12, 50.0)

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from segmenter.calibrate import BeltCalibration
+    from segmenter.studies.offline import CameraResult
 
 
 def segmenter(*, config: Path, camera: str, run: str | None = None) -> None:
@@ -39,12 +46,12 @@ def segment(
     masks: bool = False,
     json: bool = False,
 ) -> None:
-    """Segment and track a folder recording without a line: what is counted where, and a picture of one frame.
+    """Segment and track a recording without a line: what is counted where, and a picture of one frame.
 
     Parameters
     ----------
     recording
-        Folder recording (one folder per camera).
+        Recording of any kind that `replay` takes.
     picture
         PNG to draw the chosen frame into, one per camera (the camera's name is added where there are several).
     frame
@@ -72,6 +79,7 @@ def segment(
         )
     console = Console(stderr=True)
     console.print(table)
+    _warn_of_unreadable(console, results)
     for finding in (finding for r in results for finding in r.findings):
         console.print(f"warning: {finding}", markup=False, highlight=False)
 
@@ -90,7 +98,7 @@ def evaluate_segmentation(
     Parameters
     ----------
     recording
-        Folder recording with mask/ images.
+        Recording with masks, of any kind that `replay` takes.
     every
         Use every n-th frame only.
     method
@@ -131,7 +139,7 @@ def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) 
     Parameters
     ----------
     recording
-        Folder recording (one folder per camera).
+        Recording of any kind that `replay` takes.
     frames
         How many of the first frames to use.
     json
@@ -161,4 +169,14 @@ def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) 
             f"{r.belt_share:.0%}",
             off,
         )
-    Console(stderr=True).print(table)
+    console = Console(stderr=True)
+    console.print(table)
+    _warn_of_unreadable(console, results)
+
+
+def _warn_of_unreadable(console: Console, results: Sequence[CameraResult | BeltCalibration]) -> None:
+    for r in results:
+        if r.unreadable:
+            reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(r.unreadable.items()))
+            text = f"warning: camera {r.camera}: frames that cannot be read: {reasons} (`tuberline info` says why)"
+            console.print(text, markup=False, highlight=False)

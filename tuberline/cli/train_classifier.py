@@ -24,9 +24,9 @@ def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
     force
         Overwrite a file that is there.
     """
-    from segmenter.training.pack import pack_origin
+    from conveyor.formats.packs.belts import belt_pack_meta
 
-    origins = {folder: pack_origin(folder) for folder in data}
+    origins = {folder: belt_pack_meta(folder) for folder in data}
     paths: dict[Path, Path] = {}
     for folder, origin in origins.items():
         path = out / f"portraits-{origin.get('seed', folder.name)}.npz"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from conveyor.messages import Totals, Tuber
+from conveyor.statistics import NORMAL_90
 from viewer.rerun.primitives import Bars, Color, Entry, Measured, Moment, Number, Page, PlotStyle, Primitive
 
 TOTAL_COLOR: Color = (120, 200, 255)
 COUNT_COLOR: Color = (110, 220, 110)
 BARS_COLOR: Color = (240, 190, 90)
-SIGMAS_OF_90_PERCENT = 2 * 1.645
+SIGMAS_OF_90_PERCENT = 2 * NORMAL_90
 DEFAULT_STEP_G = 50.0
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from conveyor.errors import ConfigError
-from conveyor.formats.rvl_encoder import MEDIA_TYPE, encode_rvl
+from conveyor.formats.rvl import MEDIA_TYPE, encode_ros_rvl
 from viewer.rerun.primitives import (
     Bars,
     BeltAxes,
@@ -114,7 +114,7 @@ def _lens(primitive: Lens) -> list[Any]:
 def _depth(primitive: DepthPicture) -> list[Any]:
     return [
         rr.EncodedDepthImage(
-            encode_rvl(primitive.depth),
+            encode_ros_rvl(primitive.depth),
             media_type=MEDIA_TYPE,
             meter=1.0 / primitive.depth_scale_m,
             colormap="turbo",

@@ -1,4 +1,4 @@
-"""The plain folder recording: its files and the checks on them (docs: FORMATS, section 1)."""
+"""The plain folder recording: its files and the checks on them (docs/formats.md)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from conveyor.errors import InputError
+from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
 
@@ -34,6 +35,8 @@ class CameraFile(BaseModel):
     belt_distance_m: float | None = Field(None, gt=0, le=10)
     belt_from_camera: list[list[float]] | None = None
     fps: float = Field(30.0, gt=0, le=1000)
+    resting_offset_mm: float | None = Field(None, ge=-50, le=50)
+    resting_sd_mm: float | None = Field(None, ge=0, le=50)
 
     @field_validator("belt_from_camera", mode="before")
     @classmethod
@@ -68,8 +71,9 @@ def read_camera_file(path: Path) -> CameraFile:
         camera = CameraFile.model_validate(raw)
     except ValidationError as error:
         raise InputError(f"{path} cannot be used:\n{_faults(error)}") from error
-    if camera.belt_from_camera is not None:
-        _check_transform(path, camera.belt_from_camera)
+    fault = None if camera.belt_from_camera is None else pose_fault(camera.belt_from_camera)
+    if fault:
+        raise InputError(f"{path}: {fault}")
     return camera
 
 
@@ -87,19 +91,6 @@ def _faults(error: ValidationError) -> str:
     return "\n".join(lines)
 
 
-def _check_transform(path: Path, rows: list[list[float]]) -> None:
-    matrix = np.asarray(rows, dtype=object)
-    if matrix.shape != (4, 4):
-        raise InputError(f"{path}: belt_from_camera must be 4 rows of 4 numbers, got {matrix.shape}")
-    transform = np.asarray(rows, float)
-    rigid = np.allclose(transform[:3, :3] @ transform[:3, :3].T, np.eye(3), atol=1e-3)
-    if not rigid or np.linalg.det(transform[:3, :3]) < 0 or not np.allclose(transform[3], [0, 0, 0, 1]):
-        raise InputError(
-            f"{path}: belt_from_camera is no rigid transform (rotation rows must be orthonormal and right-handed, the "
-            f"last row 0 0 0 1), got {rows}"
-        )
-
-
 def describe(camera: CameraFile, *, origin: str, frames: int | None) -> CameraDescription:
     """The description of a recorded camera."""
     return CameraDescription(
@@ -111,13 +102,16 @@ def describe(camera: CameraFile, *, origin: str, frames: int | None) -> CameraDe
         belt_from_camera=None if camera.belt_from_camera is None else np.asarray(camera.belt_from_camera, float),
         fps=camera.fps,
         frames=frames,
+        resting_offset_mm=camera.resting_offset_mm,
+        resting_sd_mm=camera.resting_sd_mm,
     )
 
 
 def camera_json(description: CameraDescription) -> dict[str, Any]:
-    """camera.json of a description."""
+    """camera.json of a description; what is not known of the resting level is left out."""
     k = description.intrinsics
     matrix = description.belt_from_camera
+    resting = {"resting_offset_mm": description.resting_offset_mm, "resting_sd_mm": description.resting_sd_mm}
     return {
         "name": description.name,
         "width": k.width,
@@ -130,6 +124,7 @@ def camera_json(description: CameraDescription) -> dict[str, Any]:
         "belt_distance_m": description.belt_distance_m,
         "belt_from_camera": None if matrix is None else matrix.tolist(),
         "fps": description.fps,
+        **{key: value for key, value in resting.items() if value is not None},
     }
 
 

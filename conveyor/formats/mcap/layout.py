@@ -1,7 +1,8 @@
 """Our MCAP recordings: a channel per camera, a message per frame, as it goes over the wire.
 
 Topic `camera/<camera>/frame`, message encoding `tuberline`, log time = capture time, MCAP sequence = frame number.
-Chunks are compressed with zstd. `truth.json` and `line.json` of a folder recording travel as attachments.
+Chunks are compressed with zstd. `truth.json` and `line.json` of a folder recording travel as attachments. The metadata
+record `tuberline.format` states the format's version; a file without one is version 1.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 import re
 
 PROFILE = "tuberline"
+FORMAT_VERSION = 1
+FORMAT_METADATA, FORMAT_NAME = "tuberline.format", "MCAP recording"
 ENCODING = "tuberline"
 SCHEMA_NAME = "tuberline.Frame"
 SCHEMA_ENCODING = "text"

@@ -16,8 +16,18 @@ from mcap.reader import SeekingReader
 from mcap.stream_reader import CRCValidationError
 
 from conveyor.errors import InputError, MessageError
-from conveyor.formats.mcap.layout import ATTACHMENTS, ENCODING, camera_of, topic_of
+from conveyor.formats.mcap.layout import (
+    ATTACHMENTS,
+    ENCODING,
+    FORMAT_METADATA,
+    FORMAT_NAME,
+    FORMAT_VERSION,
+    camera_of,
+    topic_of,
+)
+from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
+from conveyor.formats.versions import check_version
 from conveyor.messages import Frame
 
 DAMAGE = (
@@ -28,21 +38,26 @@ DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class McapChannel:
-    """A camera's channel: its name, its frame rate where it was written down, and its number of messages."""
+    """A camera's channel: its name, its number of messages, and what else was written down of the camera."""
 
     camera: str
-    fps: float | None
     messages: int
+    fps: float | None
+    resting_offset_mm: float | None
+    resting_sd_mm: float | None
 
 
 def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     """The cameras of the file at `path` by name; empty where it holds none of ours.
 
     Raises:
-        InputError: no MCAP file, or one whose writer was killed.
+        InputError: no MCAP file, one whose writer was killed, or one of a newer version.
     """
     with open_mcap(path) as reader:
         summary = reader.get_summary()
+        stated = [record.metadata for record in reader.iter_metadata() if record.name == FORMAT_METADATA]
+    for metadata in stated:
+        check_version(metadata.get("version"), newest=FORMAT_VERSION, what=FORMAT_NAME, where=path)
     if summary is None:
         raise InputError(f"{path} was not closed: its writer was killed. Mend it with `tuberline recover {path}`")
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
@@ -50,9 +65,17 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     for number, channel in summary.channels.items():
         camera = camera_of(channel.topic)
         if camera is not None and channel.message_encoding == ENCODING:
-            fps = channel.metadata.get("fps")
-            found.append(McapChannel(camera, float(fps) if fps else None, int(counts.get(number, 0))))
+            said = [_number(channel.metadata, key, path) for key in ("fps", "resting_offset_mm", "resting_sd_mm")]
+            found.append(McapChannel(camera, int(counts.get(number, 0)), *said))
     return tuple(sorted(found, key=lambda channel: channel.camera))
+
+
+def _number(metadata: dict[str, str], key: str, path: Path) -> float | None:
+    text = metadata.get(key)
+    try:
+        return float(text) if text else None
+    except ValueError as error:
+        raise InputError(f"{path}: a channel's {key} is '{text}', not a number") from error
 
 
 def foreign_channels(path: Path) -> bool:
@@ -85,11 +108,24 @@ class McapSource:
         return self._description
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """Frames in file order; one that does not decode is refused by its number and the rest goes on.
+        """Frames in file order; what does not decode, or has no rigid pose, is refused and the rest goes on.
 
         Raises:
             InputError: a chunk is damaged.
         """
+        rigid = self._description.belt_from_camera
+        for item in self._decoded(run, after):
+            pose = item.belt_from_camera if isinstance(item, Frame) else None
+            if pose is not None and (rigid is None or not np.array_equal(pose, rigid)):
+                fault = pose_fault(pose)
+                if fault:
+                    text = f"frame {item.seq} of camera '{self._camera}' in {self._path}: {fault}"
+                    yield Refused(item.seq, "bad_pose", text)
+                    continue
+                rigid = pose
+            yield item
+
+    def _decoded(self, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         with open_mcap(self._path) as reader:
             for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
                 if message.sequence <= after:
@@ -109,7 +145,7 @@ class McapSource:
 
     def _describe(self, channel: McapChannel) -> CameraDescription:
         first, times = None, []
-        for frame in self.frames(run="described"):
+        for frame in self._decoded("described"):
             if isinstance(frame, Frame):
                 first = first or frame
                 times.append(frame.captured_ns)
@@ -126,6 +162,8 @@ class McapSource:
             belt_from_camera=first.belt_from_camera,
             fps=channel.fps or rate_of(times),
             frames=channel.messages,
+            resting_offset_mm=channel.resting_offset_mm,
+            resting_sd_mm=channel.resting_sd_mm,
         )
 
 

@@ -12,7 +12,16 @@ from mcap.writer import CompressionType, Writer
 
 from conveyor import __version__
 from conveyor.errors import InputError
-from conveyor.formats.mcap.layout import ENCODING, PROFILE, SCHEMA_ENCODING, SCHEMA_NAME, SCHEMA_TEXT, topic_of
+from conveyor.formats.mcap.layout import (
+    ENCODING,
+    FORMAT_METADATA,
+    FORMAT_VERSION,
+    PROFILE,
+    SCHEMA_ENCODING,
+    SCHEMA_NAME,
+    SCHEMA_TEXT,
+    topic_of,
+)
 from conveyor.messages import Frame
 
 CHUNK_BYTES = 1 << 20
@@ -35,6 +44,7 @@ class McapFrameWriter:
         self._file = open_new(self._path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=f"tuberline {__version__}")
+        self._writer.add_metadata(FORMAT_METADATA, {"version": str(FORMAT_VERSION)})
         self._schema = self._writer.register_schema(SCHEMA_NAME, SCHEMA_ENCODING, SCHEMA_TEXT)
         return self
 
@@ -46,11 +56,20 @@ class McapFrameWriter:
         if self._file is not None:
             self._file.close()
 
-    def add_camera(self, camera: str, *, fps: float | None = None) -> None:
+    def add_camera(
+        self,
+        camera: str,
+        *,
+        fps: float | None = None,
+        resting_offset_mm: float | None = None,
+        resting_sd_mm: float | None = None,
+    ) -> None:
         """Open the channel of a camera; done on its first frame where it was not done before."""
-        if camera not in self._channels:
-            metadata = {"camera": camera} | ({} if fps is None else {"fps": repr(fps)})
-            self._channels[camera] = self._writer.register_channel(topic_of(camera), ENCODING, self._schema, metadata)
+        if camera in self._channels:
+            return
+        said = {"fps": fps, "resting_offset_mm": resting_offset_mm, "resting_sd_mm": resting_sd_mm}
+        metadata = {"camera": camera} | {key: repr(value) for key, value in said.items() if value is not None}
+        self._channels[camera] = self._writer.register_channel(topic_of(camera), ENCODING, self._schema, metadata)
 
     def write(self, frame: Frame) -> None:
         """Append `frame`; full chunks reach the disk within a second."""

@@ -1,4 +1,4 @@
-"""Writing a recording as ROS 2 topics in MCAP (layout: `ros2_format`)."""
+"""Writing a recording as ROS 2 topics in MCAP (layout: `conveyor.formats.ros2.layout`)."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.formats.folder.layout import camera_json
+from conveyor.formats.mcap.layout import FORMAT_METADATA, FORMAT_VERSION
 from conveyor.formats.mcap.writer import CHUNK_BYTES, open_new
 from conveyor.formats.ros2.layout import METADATA, MILLIMETRE_M, PROFILE, CameraTopics, topics_of_camera
 from conveyor.formats.rosbag.bags import ros2_typestore
@@ -40,6 +41,7 @@ class Ros2McapWriter:
         self._file = open_new(self._path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile=PROFILE, library=f"tuberline {__version__}")
+        self._writer.add_metadata(FORMAT_METADATA, {"version": str(FORMAT_VERSION)})
         return self
 
     def __exit__(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.png16 import Refusal, is_whole_png
 from conveyor.formats.rosbag.messages import RosCalibration, RosCompressed, RosImage
-from conveyor.formats.rvl import decode_rvl
+from conveyor.formats.rvl import decode_ros_rvl
 from conveyor.geometry import Intrinsics
 
 SHORT_ENCODINGS = ("16UC1", "mono16", "Z16")
@@ -97,8 +97,10 @@ def _compressed(message: RosCompressed) -> NDArray[np.uint16] | Refusal:
     if len(message.data) <= _HEADER.size:
         return Refusal("truncated", f"has {len(message.data)} bytes, less than its header")
     _, quant_a, quant_b = _HEADER.unpack_from(message.data)
-    data = np.frombuffer(message.data, np.uint8)[0 if plain_png else _HEADER.size :]
-    image = decode_rvl(data.tobytes()) if "rvl" in message.format.partition(";")[2] else _png(data)
+    if "rvl" in message.format.partition(";")[2]:
+        image = decode_ros_rvl(message.data)
+    else:
+        image = _png(np.frombuffer(message.data, np.uint8)[0 if plain_png else _HEADER.size :])
     if isinstance(image, Refusal) or depth_encoding(message) != FLOAT_ENCODING:
         return image
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,7 +20,7 @@ from conveyor.messages import Frame
 
 pytest.importorskip("rosbags.typesys")
 
-from tests.camera_sim.bag_messages import (
+from tests.formats.bag_messages import (
     COMPRESSED,
     HEIGHT,
     IMAGE,

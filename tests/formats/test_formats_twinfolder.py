@@ -12,8 +12,9 @@ from camera_sim.sim.twinfolder import write_twin_folder
 from camera_sim.sim.views import ViewPlan, ViewSimulator
 from conveyor.errors import InputError
 from conveyor.formats import describe_recording, open_source
-from conveyor.formats.clouds import read_ply
-from conveyor.formats.twin import BELT_DISTANCE_M, is_twin, read_twin
+from conveyor.formats.ply import read_ply
+from conveyor.formats.potatotwin.layout import BELT_DISTANCES_M, is_potatotwin
+from conveyor.formats.potatotwin.views import read_twin
 from conveyor.geometry import deproject
 from conveyor.messages import Frame
 from tuberline.cli.recordings import simulate_views
@@ -30,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_same_clouds_and_weights_come_back(folder: Path) -> None:
-    assert is_twin(folder)
+    assert is_potatotwin(folder)
     simulator = ViewSimulator(PLAN)
     wanted = [view for n in range(TUBERS) for view in sorted(simulator.views(n), key=lambda v: round(v.v_centre))]
     read = list(read_twin(folder))
@@ -47,7 +48,7 @@ def test_the_same_clouds_and_weights_come_back(folder: Path) -> None:
         )
         np.testing.assert_allclose(read_ply(cloud), points, atol=1e-9)
         assert twin.weight_g == pytest.approx(view.tuber.weight_g, abs=0.005)
-        assert twin.belt_distance_m == view.belt_distance_m == BELT_DISTANCE_M[twin.season]
+        assert twin.belt_distance_m == view.belt_distance_m == BELT_DISTANCES_M[twin.season]
         assert twin.length_mm == pytest.approx(view.tuber.axes_mm[0], abs=0.005)
 
 
@@ -59,7 +60,7 @@ def test_the_splits_part_the_tubers(folder: Path) -> None:
 
 def test_it_is_a_recording_too(folder: Path) -> None:
     cameras = describe_recording(folder).cameras
-    assert {camera.name for camera in cameras} <= set(BELT_DISTANCE_M)
+    assert {camera.name for camera in cameras} <= set(BELT_DISTANCES_M)
     for camera in cameras:
         frames = list(open_source(folder, camera=camera.name).frames(run="x"))
         assert all(isinstance(frame, Frame) and np.array_equal(frame.mask > 0, frame.depth > 0) for frame in frames)

@@ -13,7 +13,7 @@ import numpy as np
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from conveyor.formats.rvl_encoder import encode_rvl
+from conveyor.formats.rvl import encode_rvl
 
 WIDTH, HEIGHT = 32, 24
 START_NS, STEP_NS = 1_700_000_000_000_000_000, 33_333_333
@@ -70,7 +70,7 @@ def compressed_depth(n: int, *, form: str = "16UC1; compressedDepth png") -> byt
         metres = np.maximum(depth_mm(n), 1) / 1000.0
         pixels = np.where(depth_mm(n) > 0, quant_a / metres + quant_b, 0).astype(np.uint16)
     # An RVL blob of the viewer has the transport's twelve bytes before it, as that of ROS.
-    packed = encode_rvl(pixels)[12:] if form.endswith("rvl") else cv2.imencode(".png", pixels)[1].tobytes()
+    packed = encode_rvl(pixels) if form.endswith("rvl") else cv2.imencode(".png", pixels)[1].tobytes()
     header = struct.pack("<iff", 0, quant_a, quant_b) if "compressedDepth" in form else b""
     data = np.frombuffer(header + packed, np.uint8)
     return _serialised(COMPRESSED, {"format": form, "data": data}, n)

@@ -1,0 +1,71 @@
+"""All cameras of a recording, for commands that work without a line: what `replay` takes, they take."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.detect import camera_names, open_source
+from conveyor.formats.prepared import PreparedSource
+from conveyor.formats.source import CameraDescription, Refused
+from conveyor.messages import Frame
+
+
+class CameraFrames:
+    """Readable frames of one camera. What cannot be read is counted, and the first text is kept.
+
+    Attributes:
+        unreadable: frames of the last reading that were refused, by reason.
+        first_fault: what the first of them said.
+    """
+
+    def __init__(self, source: PreparedSource) -> None:
+        self._source = source
+        self.unreadable: Counter[str] = Counter()
+        self.first_fault = ""
+
+    @property
+    def description(self) -> CameraDescription:
+        """Of the camera, turned where the belt runs along the image's columns."""
+        return self._source.description
+
+    def recorded_pose(self, belt_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, 4) of the camera as it was recorded: what its camera.json takes, for a pose found in these frames."""
+        turn = self._source.turn
+        return turn.recorded_pose(belt_from_camera) if turn else belt_from_camera
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Frames in their order, from the first.
+
+        Raises:
+            InputError: the depth scale contradicts the belt distance, or not one frame can be read.
+        """
+        self.unreadable.clear()
+        readable = 0
+        for item in self._source.frames(run="offline"):
+            if isinstance(item, Refused):
+                self.unreadable[item.reason] += 1
+                self.first_fault = self.first_fault or item.text
+            else:
+                readable += 1
+                yield item
+        if not readable:
+            first = f"; the first: {self.first_fault}" if self.first_fault else ""
+            raise InputError(f"{self.description.origin}: no frame can be read{first}")
+
+
+def open_cameras(recording: Path, *, ignore_masks: bool = False) -> list[CameraFrames]:
+    """Every camera of a recording of any kind, in its own order, each opened as `replay` opens it.
+
+    Raises:
+        InputError: no recording of a known kind, or one that cannot be used.
+    """
+    names = camera_names(recording)
+    if not names:
+        raise InputError(f"{recording} holds no frames of any camera")
+    return [CameraFrames(open_source(recording, camera=name, ignore_masks=ignore_masks)) for name in names]

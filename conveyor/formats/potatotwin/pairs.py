@@ -1,0 +1,96 @@
+"""A depth image and the RGBA image whose alpha is the tuber's mask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.png16 import Refusal, is_whole_png, read_png16
+from conveyor.formats.potatotwin.layout import pair_of
+from conveyor.geometry import Intrinsics
+
+MAX_DEPTH_M = 0.5
+"""Beyond it the reference takes nothing for a tuber."""
+INSIDE = 255
+"""Only full alpha is the tuber. The reference divides the mask by 255 in whole numbers before it deprojects, so what an
+edge blends (alpha 1 to 254) is outside; half of such a pixel's depth is belt, and it would pull the rim down."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """`depth` (H, W) uint16, units of the intrinsics file; `mask` (H, W) bool; `bgr` (H, W, 3) uint8."""
+
+    depth: NDArray[np.uint16]
+    mask: NDArray[np.bool_]
+    bgr: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class MaskedDepth:
+    """A tuber's depth crop. `depth` (h, w) uint16 is zero outside the mask; `intrinsics` are of the crop."""
+
+    depth: NDArray[np.uint16]
+    intrinsics: Intrinsics
+
+
+def read_images(depth_path: Path, rgb_path: Path, intrinsics: Intrinsics) -> Pair | Refusal:
+    """Both images of a pair, or why not; the text names the file."""
+    depth = read_png16(depth_path)
+    if isinstance(depth, Refusal):
+        return Refusal(depth.reason, f"{depth_path} {depth.text}")
+    rgba = _read_rgba(rgb_path)
+    if rgba is None:
+        return Refusal("no_mask", f"{rgb_path} is no whole RGBA image of 8 bits whose alpha is the tuber's mask")
+    size = (intrinsics.height, intrinsics.width)
+    if depth.shape != size or rgba.shape[:2] != size:
+        return Refusal(
+            "wrong_size",
+            f"{depth_path} is {depth.shape}, {rgb_path.name} is {rgba.shape[:2]}, the intrinsics are for {size} "
+            "(rows, columns)",
+        )
+    return Pair(depth, rgba[..., 3] == INSIDE, rgba[..., :3])
+
+
+def read_pair(path: Path, *, intrinsics: Intrinsics, depth_scale_m: float, max_depth_m: float) -> MaskedDepth:
+    """The masked depth of a pair, cropped to its mask. As in the reference: alpha exactly 255, 0 < z < `max_depth_m`.
+
+    Raises:
+        InputError: unreadable, wrong type, other size, empty mask.
+    """
+    depth_path, rgb_path = pair_of(path)
+    pair = read_images(depth_path, rgb_path, intrinsics)
+    if isinstance(pair, Refusal):
+        raise InputError(pair.text)
+    depth = pair.depth
+    inside = pair.mask & (depth > 0) & (depth.astype(np.float64) * depth_scale_m < max_depth_m)
+    if not inside.any():
+        raise InputError(f"{rgb_path}: no pixel has alpha {INSIDE} and a depth in 0..{max_depth_m} m")
+    rows, columns = np.nonzero(inside.any(1))[0], np.nonzero(inside.any(0))[0]
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    crop = np.where(inside, depth, 0)[box].astype(np.uint16)
+    shifted = Intrinsics(
+        width=crop.shape[1],
+        height=crop.shape[0],
+        fx=intrinsics.fx,
+        fy=intrinsics.fy,
+        cx=intrinsics.cx - float(columns[0]),
+        cy=intrinsics.cy - float(rows[0]),
+    )
+    return MaskedDepth(crop, shifted)
+
+
+def _read_rgba(path: Path) -> NDArray[np.uint8] | None:
+    """(H, W, 4) uint8; None: missing, cut short, or without alpha."""
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError:
+        return None
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if is_whole_png(data) else None
+    if image is None or image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4:
+        return None
+    return np.asarray(image, np.uint8)

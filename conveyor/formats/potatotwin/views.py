@@ -1,0 +1,108 @@
+"""The tubers of a 3DPotatoTwin folder as labelled views: what training and studies read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.ply import read_ply
+from conveyor.formats.potatotwin.intrinsics import folder_intrinsics
+from conveyor.formats.potatotwin.layout import (
+    BELT_DISTANCES_M,
+    INTRINSICS,
+    RGBD,
+    TRUTH,
+    TruthRow,
+    ViewFile,
+    cloud_files,
+    depth_files,
+    labels_of_split,
+    read_truth,
+)
+from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
+from conveyor.geometry import Intrinsics
+
+IMAGE_ROWS = 720
+"""Of the data set's camera, where clouds come without intrinsics."""
+
+
+@dataclass(frozen=True, slots=True)
+class TwinView:
+    """One frame of one tuber: a depth crop with its intrinsics (principal point of the crop), or a cloud.
+
+    `volume_ml` and `length_mm` are NaN where the table does not say; `row_share` is the tuber's image row by all rows.
+    """
+
+    label: str
+    depth: NDArray[np.uint16] | None
+    cloud: NDArray[np.float64] | None
+    depth_scale_m: float
+    intrinsics: Intrinsics | None
+    belt_distance_m: float
+    weight_g: float
+    volume_ml: float
+    length_mm: float
+    cultivar: str
+    season: str
+    row_share: float
+
+
+def read_twin(folder: Path, *, split: str | None = None) -> Iterator[TwinView]:
+    """Frames of all tubers in the order of ground_truth.csv, by row; clouds of those that have no images.
+
+    Raises:
+        InputError: missing or broken table, intrinsics or image; a tuber without a weight or a belt distance.
+    """
+    if not (folder / TRUTH).is_file():
+        raise InputError(f"table {folder / TRUTH} does not exist: without it no weight is known")
+    chosen = labels_of_split(folder, split) if split else None
+    has_camera = (folder / RGBD / INTRINSICS).is_dir()
+    camera: tuple[Intrinsics, float] | None = folder_intrinsics(folder) if has_camera else None
+    for label, truth in read_truth(folder).items():
+        if chosen is None or label in chosen:
+            for view in depth_files(folder, label) or cloud_files(folder, label):
+                yield _view(folder, view, truth, camera)
+
+
+def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsics, float] | None) -> TwinView:
+    belt_distance_m, weight_g = _known(folder, view, truth)
+    depth = cloud = crop = None
+    scale_m = 0.001
+    if view.path.suffix == ".png":
+        intrinsics, scale_m = camera or folder_intrinsics(folder)
+        masked = read_pair(view.path, intrinsics=intrinsics, max_depth_m=MAX_DEPTH_M, depth_scale_m=scale_m)
+        depth, crop = masked.depth, masked.intrinsics
+    else:
+        cloud = read_ply(view.path)
+    return TwinView(
+        label=truth.label,
+        depth=depth,
+        cloud=cloud,
+        depth_scale_m=scale_m,
+        intrinsics=crop,
+        belt_distance_m=belt_distance_m,
+        weight_g=weight_g,
+        volume_ml=math.nan if truth.volume_ml is None else truth.volume_ml,
+        length_mm=math.nan if truth.length_mm is None else truth.length_mm,
+        cultivar=truth.cultivar,
+        season=truth.season,
+        row_share=view.row / (camera[0].height if camera else IMAGE_ROWS),
+    )
+
+
+def _known(folder: Path, view: ViewFile, truth: TruthRow) -> tuple[float, float]:
+    """(belt distance in metres, weight in grams), without which nothing can be learnt from a view."""
+    if truth.belt_distance_m is None:
+        raise InputError(
+            f"{view.path}: growing season '{truth.season}' has no known belt distance; known: {BELT_DISTANCES_M}; "
+            f"another one stands in a column belt_distance_m of {TRUTH}"
+        )
+    if truth.weight_g is None:
+        raise InputError(f"{folder / TRUTH}: label '{truth.label}' has no number in column 'weight_g_inctack'")
+    return truth.belt_distance_m, truth.weight_g

@@ -1,0 +1,7 @@
+"""Small recordings for these tests."""
+
+from __future__ import annotations
+
+from tests.small_recordings import small_recording, small_settings
+
+__all__ = ["small_recording", "small_settings"]
