@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tuberline.replay import replay_recording
+from tuberline.replayer import replay_recording
 
 
 def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = False) -> None:
