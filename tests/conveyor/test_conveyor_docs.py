@@ -22,7 +22,7 @@ from tuberline.cli.reference import pages
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-GENERATED = ("commands.md", "topics.md")
+GENERATED = ("api.md", "commands.md", "topics.md")
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 CODE = re.compile(r"`([^`\n]+)`")
 STOP = re.compile(r"\s*(?:\||;|&&|&(?=\s|$)|>|<(?=\s)|#(?=\s)|\s{3,}(?!-)).*")

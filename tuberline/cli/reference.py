@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 from tuberline.cli import build_app
+from tuberline.cli.api_page import api_page
 from tuberline.cli.topics import markdown_table
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 TOPICS_HEAD = """# Topics
 
 Made from `conveyor/topics.py` by `make docs`. Publishers, subscribers, recorder, health and access control come from
@@ -21,6 +23,7 @@ COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
 def pages() -> dict[str, str]:
     """Text of each page by its name in docs/."""
     return {
+        "api.md": api_page(DOCS / "examples"),
         "commands.md": COMMANDS_HEAD + _commands() + "\n",
         "topics.md": TOPICS_HEAD + markdown_table(),
     }
