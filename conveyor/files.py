@@ -35,9 +35,7 @@ _MENDS = {
 def told(error: OSError, where: Path | str | None = None) -> str:
     """A fault of the operating system in one sentence: path, cause, how to mend it."""
     place = error.filename if error.filename is not None else where
-    reason = error.strerror or str(error) or type(error).__name__
-    mend = _MENDS.get(error.errno or 0, "")
-    return f"{place if place is not None else 'a file or device'}: {reason}" + (f"; {mend}" if mend else "")
+    return f"{place if place is not None else 'a file or device'}: {cause(error)}"
 
 
 @contextmanager
@@ -59,15 +57,20 @@ def whole_output(target: Path) -> Iterator[Path]:
         for made in sorted(scratch.iterdir()):
             _move(made, target.parent / made.name)
     except OSError as error:
-        raise InputError(f"{target} cannot be written: {_cause(error)}") from error
+        raise InputError(f"{target} cannot be written: {cause(error)}") from error
+    except InputError as error:
+        if scratch is None or str(scratch) not in str(error):
+            raise
+        raise InputError(str(error).replace(str(scratch), str(target.parent))) from error
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _cause(error: OSError) -> str:
+def cause(error: OSError) -> str:
+    """Why the operating system refused, and how to mend it."""
     mend = _MENDS.get(error.errno or 0, "")
-    return (error.strerror or str(error)) + (f"; {mend}" if mend else "")
+    return (error.strerror or str(error) or type(error).__name__) + (f"; {mend}" if mend else "")
 
 
 def _move(made: Path, to: Path) -> None:

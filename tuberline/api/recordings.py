@@ -152,4 +152,4 @@ def check_ranges(**values: float) -> None:
     for name, value in values.items():
         low, high = SCENE_RANGES[name]
         if not low <= value <= high:
-            raise InputError(f"{name.replace('_', '-')} {value:g}: allowed is {low:g} to {high:g}")
+            raise InputError(f"{name} {value:g}: allowed is {low:g} to {high:g}")

@@ -118,7 +118,7 @@ def _prose(thing: object) -> str:
 def _wrapped(block: str) -> str:
     indent = "  " if block.startswith("* ") else ""
     return "\n".join(
-        textwrap.wrap(_plain(block), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        textwrap.wrap(shown(block), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     )
 
 
@@ -130,6 +130,6 @@ def _item(text: str) -> str:
     return f"* {text}"
 
 
-def _plain(text: str) -> str:
+def shown(text: str) -> str:
     """Angle brackets are shown instead of being taken for HTML, outside of code."""
     return "".join(part if n % 2 else part.replace("<", "&lt;") for n, part in enumerate(re.split(r"(`[^`]*`)", text)))

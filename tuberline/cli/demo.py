@@ -49,7 +49,9 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     if rrd:
         console.print(f"what happened, frame by frame: rerun {rrd}", highlight=False)
     else:
-        console.print("install tuberline[viewer] to get a Rerun recording of the run too", highlight=False)
+        console.print(
+            "install tuberline[viewer] to get a Rerun recording of the run too", markup=False, highlight=False
+        )
     console.print(f"the run took {took_s:.1f} s", highlight=False)
 
 

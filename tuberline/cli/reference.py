@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from tuberline.cli import build_app
-from tuberline.cli.api_page import api_page
+from tuberline.cli.api_page import api_page, shown
 from tuberline.cli.topics import markdown_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -41,6 +41,6 @@ def _commands() -> str:
     """
     program, sys.argv = sys.argv, ["tuberline"]
     try:
-        return build_app().generate_docs(output_format="markdown").rstrip()
+        return shown(build_app(all_listed=True).generate_docs(output_format="markdown").rstrip())
     finally:
         sys.argv = program
