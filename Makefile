@@ -21,7 +21,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Pages of docs/ that are made from the code.
+# Pages of docs/ and the model card, made from the code and from the results saved in docs/results.
 docs: $(STAMP)
 	$(BIN)/python -c 'from pathlib import Path; from tuberline.cli.reference import write_pages; write_pages(Path("docs"))'
 

@@ -22,7 +22,8 @@ from tuberline.cli.reference import pages
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-GENERATED = ("api.md", "commands.md", "topics.md")
+GENERATED = ("../regressor/weights/MODEL_CARD.md", "api.md", "commands.md", "evaluation.md", "topics.md")
+REFERENCE = ("api.md", "commands.md", "topics.md")
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 CODE = re.compile(r"`([^`\n]+)`")
 STOP = re.compile(r"\s*(?:\||;|&&|&(?=\s|$)|>|<(?=\s)|#(?=\s)|\s{3,}(?!-)).*")
@@ -61,7 +62,7 @@ def app() -> App:
     return build_app()
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if Path(name).name not in GENERATED])
+@pytest.mark.parametrize("name", [name for name in NAMES if Path(name).name not in REFERENCE])
 def test_every_command_that_is_written_down_parses(name: str, app: App) -> None:
     refused = [
         f"{line} ({reason})"

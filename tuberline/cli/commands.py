@@ -77,6 +77,7 @@ LAB: Commands = {
     "ablate": ("tuberline.cli.ablate:ablate", "Train or load the paper's ablations and compare them."),
     "drift": ("tuberline.cli.drift:drift", "Evaluate weights on views that drift from training."),
     "evaluation-page": ("tuberline.cli.pages:evaluation_page", "Make the page of results from saved ones."),
+    "model-card": ("tuberline.cli.pages:model_card", "Make the card of weights from saved results."),
     "simulate-views": ("tuberline.cli.simulate_views:simulate_views", "Make single views with known weights."),
     "simulate-belts": ("tuberline.cli.simulate_belts:simulate_belts", "Make labelled frames of belts, for train-eyes."),
     "cut-portraits": ("tuberline.cli.train_classifier:cut_portraits", "Cut belts into what train-eyes learns from."),

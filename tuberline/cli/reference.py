@@ -22,7 +22,14 @@ COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
 
 def pages() -> dict[str, str]:
     """Text of each page by its name in docs/."""
+    from regressor.studies.card import model_card
+    from regressor.studies.page import saved_page
+    from regressor.studies.saved import Saved
+
+    results = Saved(DOCS / "results")
     return {
+        "../regressor/weights/MODEL_CARD.md": model_card(results),
+        "evaluation.md": saved_page(results, image="images/evaluation-field.png"),
         "api.md": api_page(DOCS / "examples"),
         "commands.md": COMMANDS_HEAD + _commands() + "\n",
         "topics.md": TOPICS_HEAD + markdown_table(),
