@@ -75,16 +75,16 @@ def _takes_and_gives(sidecar: Sidecar) -> str:
     belt, length, weight = sidecar.belt_distance_m, sidecar.length_mm, sidecar.weight_g
     takes = (
         f"One view of one tuber: the depth inside its mask, camera to belt {belt.low:.3f} to {belt.high:.3f} m, "
-        f"outline {length.low:.0f} to {length.high:.0f} mm, {weight.low:.0f} to {weight.high:.0f} g; outside of these a weight "
-        f"is flagged. Height above the belt is clamped at {1000 * sidecar.input.max_height_m:.0f} mm (the paper: 80). "
+        f"outline {length.low:.0f} to {length.high:.0f} mm, {weight.low:.0f} to {weight.high:.0f} g; outside of "
+        f"these a weight is flagged. Height above the belt is clamped at {1000 * sidecar.input.max_height_m:.0f} mm (the paper: 80). "
         "It gives grams with a conformal 90 % interval whose width follows the view."
     )
     share = sidecar.volume_share
     blended = (
         f"What is weighed is the geometric mean of the network ({100 * (1 - share):.0f} %) and the visible-volume rule "
         f"({100 * share:.0f} %), a share chosen on the validation set; the tables show the network alone as well. "
-        f"Views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of their error's standard deviation, tubers of a load "
-        f"{100 * sidecar.shared_bias_share:.1f} % of its weight."
+        f"Views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of their error's standard deviation, "
+        f"tubers of a load {100 * sidecar.shared_bias_share:.1f} % of its weight."
     )
     return f"## What it takes and gives\n\n{_wrapped(takes)}\n\n{_wrapped(blended)}"
 
@@ -94,8 +94,8 @@ def _measured(saved: Saved, sidecar: Sidecar) -> str:
         "## Measured",
         _wrapped(
             "On simulated tubers never trained on and in no choice, whole path from depth crop to grams as the line "
-            "runs it. Baselines are cross-validated on the very set they are judged on. By group, with ablations, drift and "
-            "speed: docs/evaluation.md, made from the same files."
+            "runs it. Baselines are cross-validated on the very set they are judged on. By group, with "
+            "ablations, drift and speed: docs/evaluation.md, made from the same files."
         ),
     ]
     for name, title in SETS.items():

@@ -160,5 +160,6 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 def test_the_site_has_every_page_and_no_other() -> None:
     config = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))["project"]
     listed = set(re.findall(r"[\w-]+\.md", str(config["nav"])))
-    assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
+    # docs/results is what the page of results is made from.
+    assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md") if "results" not in page.parts}
     assert config["theme"]["font"] is False, "nothing is loaded from elsewhere"
