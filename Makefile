@@ -8,7 +8,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench docs docs-site chaos soak fuzz install clean
+.PHONY: demo test lint bench docs docs-site wheel chaos soak fuzz install clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -29,6 +29,11 @@ docs: $(STAMP)
 docs-site: docs
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	$(BIN)/zensical build --strict
+
+# The wheel in dist/, installed into an empty environment and tried there.
+wheel: $(STAMP)
+	$(BIN)/python -m pip wheel . --quiet --no-deps --no-build-isolation --wheel-dir dist
+	$(BIN)/python -m pytest -m slow tests/tuberline/test_tuberline_wheel.py
 
 # `make bench` lists the benchmarks, `make bench BENCH="site --help"` runs one.
 bench: $(STAMP)

@@ -76,7 +76,8 @@ def _takes_and_gives(sidecar: Sidecar) -> str:
     takes = (
         f"One view of one tuber: the depth inside its mask, camera to belt {belt.low:.3f} to {belt.high:.3f} m, "
         f"outline {length.low:.0f} to {length.high:.0f} mm, {weight.low:.0f} to {weight.high:.0f} g; outside of "
-        f"these a weight is flagged. Height above the belt is clamped at {1000 * sidecar.input.max_height_m:.0f} mm (the paper: 80). "
+        "these a weight is flagged. Height above the belt is clamped at "
+        f"{1000 * sidecar.input.max_height_m:.0f} mm (the paper: 80). "
         "It gives grams with a conformal 90 % interval whose width follows the view."
     )
     share = sidecar.volume_share
