@@ -75,6 +75,8 @@ def test_processors_and_locked_memory() -> None:
     short = only(check_processors(config, cores=4))
     assert (short.level, short.text) == (Level.WARNING, "4 cores for 2 segmenters and 4 regressor threads")
     assert "lower regressor.processes to 2" in short.mend
+    one = parse_config({"cameras": {"a": {}}, "regressor": {"processes": 1}}, where="test")
+    assert only(check_processors(one, cores=1)).mend.startswith("run regressors on another machine"), "1 is set already"
     assert "8 MiB" in only(check_locked_memory(8 << 20)).text
     assert "unlimited" in only(check_locked_memory(resource.RLIM_INFINITY)).text
 

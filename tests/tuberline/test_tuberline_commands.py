@@ -169,6 +169,13 @@ def test_bash_completes_what_is_begun(tmp_path: Path) -> None:
         assert expected <= {word.strip() for word in done.stdout.split("\n")}, done.stdout + done.stderr
 
 
+def test_a_log_gets_no_bars(tmp_path: Path) -> None:
+    done = tuberline("simulate", "--out", tmp_path / "belt", "--tubers", "1", "--fps", "5", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert json.loads(done.stdout)["tubers"] == 1
+
+
 def tuberline(*words: object) -> subprocess.CompletedProcess[str]:
     """A command line as a user types it."""
     return subprocess.run(

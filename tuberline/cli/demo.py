@@ -28,10 +28,12 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     console = Console(stderr=json)
     recording = out / "recording"
     if not (recording / "truth.json").is_file():
+        from conveyor.files import whole_output
         from tuberline.demo import demo_recording
 
         console.print(f"simulating a two-lane belt under two overlapping cameras into {recording} ...", highlight=False)
-        demo_recording(recording)
+        with whole_output(recording) as partial:
+            demo_recording(partial)
     run_dir = next_run(out)
     rrd = run_dir / "demo.rrd" if has_rerun() else None
     started = time.monotonic()

@@ -49,18 +49,17 @@ def evaluate(
     import torch
     from rich.console import Console
     from rich.markdown import Markdown
-    from rich.progress import Progress, TextColumn
 
     from conveyor.files import whole_output
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
     from regressor.weigh.weigher import Weigher
+    from tuberline.cli.progress import progress_bar
 
     if plots and importlib.util.find_spec("matplotlib") is None:
         raise InputError("plots need matplotlib: install the extra 'train', or give --no-plots")
     torch.set_num_threads(1)
-    console = Console(stderr=True)
-    with Progress(TextColumn("{task.description}"), console=console) as bar:
+    with progress_bar(total_known=False) as bar:
         task = bar.add_task("reading views")
         result = run(
             data,

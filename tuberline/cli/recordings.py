@@ -96,15 +96,13 @@ def convert(
     json
         Say what was written as JSON.
     """
-    from rich.progress import Progress
-
     from conveyor.files import whole_output
     from conveyor.formats.conversion import convert_recording
-    from tuberline.cli.progress import console
+    from tuberline.cli.progress import progress_bar
 
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
-    with whole_output(target) as partial, Progress(console=console()) as progress:
+    with whole_output(target) as partial, progress_bar() as progress:
         task = progress.add_task("frames", total=None)
         done = convert_recording(
             source,

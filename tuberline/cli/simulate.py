@@ -77,8 +77,6 @@ def simulate(
     json
         Say what was made as JSON.
     """
-    from rich.progress import Progress
-
     from camera_sim.sim.faults import check_faults
     from camera_sim.sim.optics import optics_named
     from camera_sim.sim.presets import PRESETS
@@ -86,7 +84,7 @@ def simulate(
     from camera_sim.sim.scenes import SceneSettings, layout_named
     from conveyor.files import whole_output
     from tuberline.api.recordings import check_ranges
-    from tuberline.cli.progress import console
+    from tuberline.cli.progress import progress_bar
 
     layout, faults = layout_named(scene), check_faults(inject)
     check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
@@ -103,7 +101,7 @@ def simulate(
         unit_m=float(depth_unit_mm) / 1000,
         given_travel=travel,
     )
-    with whole_output(out) as partial, Progress(console=console()) as progress:
+    with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("frames", total=None)
         truth = record_scene(
             partial,

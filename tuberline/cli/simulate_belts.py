@@ -40,18 +40,16 @@ def simulate_belts(
     force
         Overwrite a pack that is there.
     """
-    from rich.progress import Progress
-
     from camera_sim.sim.beltpack import write_belt_pack
     from conveyor.files import whole_output
-    from tuberline.cli.progress import console
+    from tuberline.cli.progress import progress_bar
 
     for name, value in (("--belts", belts), ("--frames", frames), ("--tubers", tubers)):
         if value < 1:
             raise InputError(f"{name} {value}: must be at least 1")
     if any(out.glob("belts-*.npz")) and not force:
         raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
-    with whole_output(out) as partial, Progress(console=console()) as progress:
+    with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("belts", total=belts)
         made = write_belt_pack(
             partial,

@@ -49,14 +49,12 @@ def simulate_views(
     force
         Overwrite views that are there.
     """
-    from rich.progress import Progress
-
     from camera_sim.sim.optics import optics_named
     from camera_sim.sim.twinfolder import write_twin_folder
     from camera_sim.sim.viewpack import write_view_pack
     from camera_sim.sim.views import ViewPlan
     from conveyor.files import whole_output
-    from tuberline.cli.progress import console
+    from tuberline.cli.progress import progress_bar
 
     if tubers < 1 or views < 1:
         raise InputError(f"--tubers {tubers} --views {views}: both must be at least 1")
@@ -75,7 +73,7 @@ def simulate_views(
         distance_range_m=(0.30, 0.55) if mixed else None,
         fine_unit_share=0.2 if mixed else 0.0,
     )
-    with whole_output(out) as partial, Progress(console=console()) as progress:
+    with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("views", total=tubers)
         if layout == "potatotwin":
             made = write_twin_folder(partial, plan, tubers=tubers, on_tuber=lambda _: progress.advance(task))
