@@ -8,7 +8,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench docs docs-site chaos soak fuzz install clean
+.PHONY: demo test lint bench docs docs-site wheel chaos soak fuzz install clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -21,7 +21,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Pages of docs/ that are made from the code.
+# Pages of docs/ and the model card, made from the code and from the results saved in docs/results.
 docs: $(STAMP)
 	$(BIN)/python -c 'from pathlib import Path; from tuberline.cli.reference import write_pages; write_pages(Path("docs"))'
 
@@ -29,6 +29,11 @@ docs: $(STAMP)
 docs-site: docs
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	$(BIN)/zensical build --strict
+
+# The wheel in dist/, installed into an empty environment and tried there.
+wheel: $(STAMP)
+	$(BIN)/python -m pip wheel . --quiet --no-deps --no-build-isolation --wheel-dir dist
+	$(BIN)/python -m pytest -m slow tests/tuberline/test_tuberline_wheel.py
 
 # `make bench` lists the benchmarks, `make bench BENCH="site --help"` runs one.
 bench: $(STAMP)

@@ -107,7 +107,7 @@ def _time(case: Case, out: Path, settings: Settings) -> dict[str, Any]:
 def _compare_graph(case: Case, out: Path) -> None:
     """The same recording through `tuberline replay`: real processes over Zenoh must count the same."""
     from aggregator.scoring.score import score_run
-    from tuberline.replay import replay_recording
+    from tuberline.replayer import replay_recording
 
     recording = case.recording(out / "recordings")
     run = out / "graph" / case.name

@@ -30,7 +30,7 @@ from camera_sim.sim.scenes import SceneSettings
 from conveyor.config import dump_toml
 from conveyor.errors import TuberlineError
 from tuberline.processes import line_processes
-from tuberline.replay import fingerprint, prepare_out, recording_cameras, replay_config
+from tuberline.replayer import fingerprint, prepare_out, recording_cameras, replay_config
 
 ROLES = {"camera": "field", "segmenter": "field", "regressor": "weigh", "aggregator": "yard", "router": "yard"}
 FAR_HOSTS = ("field", "weigh")

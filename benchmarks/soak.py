@@ -29,7 +29,7 @@ from typing import Any
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict
 from conveyor.config import dump_toml
 from tuberline.processes import line_processes
-from tuberline.replay import prepare_out, recording_cameras, replay_config
+from tuberline.replayer import prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 SAMPLE_S = 5.0

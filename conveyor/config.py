@@ -10,6 +10,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from conveyor.errors import ConfigError, TuberlineError
@@ -274,30 +275,4 @@ def _with_base(section: Any, base: Path) -> Any:
 
 def dump_toml(config: LineConfig) -> str:
     """The effective config as TOML, to stand beside the results; `load_config` reads it back to an equal one."""
-    lines: list[str] = []
-    _dump_table(config.model_dump(mode="json", exclude_none=True), (), lines)
-    return "\n".join(lines).lstrip("\n") + "\n"
-
-
-def _dump_table(table: dict[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
-    if path:
-        lines += ["", f"[{'.'.join(path)}]"]
-    lines += [f"{key} = {_toml(value)}" for key, value in table.items() if not isinstance(value, dict)]
-    for key, value in table.items():
-        if isinstance(value, dict):
-            _dump_table(
-                value,
-                (*path, key if key.replace("_", "a").replace("-", "a").isalnum() else f'"{key}"'),
-                lines,
-            )
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value)
+    return tomli_w.dumps(config.model_dump(mode="json", exclude_none=True))

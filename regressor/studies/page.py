@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
-from conveyor.errors import InputError
 from regressor.studies import ablate, drift, report
+from regressor.studies.saved import Saved, read_json, read_text
 
 INTRODUCTION = """# Evaluation of the shipped weights
 
 Simulated tubers that neither training nor any choice has seen. `field` has tumbling poses, 2-3 mm of belt-height error
 and more noise; `easy` has resting poses and a well calibrated belt. How far this carries over to a real harvester is
-not known; the one real cloud at hand is in the model card, `regressor/weights/MODEL_CARD.md`, with the commands that
-make these sets.
+not known; the one real cloud at hand is in the model card, `regressor/weights/MODEL_CARD.md`.
 
-Each table is made by the command above it, and this page by `tuberline evaluation-page` from what those commands saved.
+    tuberline simulate-views --out packs/test-field --tubers 1200 --views 3 --seed 515151 --preset field
+    tuberline simulate-views --out packs/test-easy --tubers 1200 --views 3 --seed 515152 --preset easy
+
+Each table is made by the command above it; what those commands saved lies in `docs/results`, and this page and the
+model card are both made from it (`make docs`).
 """
 
 
@@ -55,8 +56,25 @@ def evaluation_page(
     if drift:
         parts.append(_section("Domain drift", "tuberline drift --data PACK --out drift", _drift(drift)))
     if speed:
-        parts.append(_section("Speed", "python -m benchmarks regressor --out speed", _text(speed / "speed.md")))
+        parts.append(_section("Speed", "python -m benchmarks regressor --out speed", read_text(speed / "speed.md")))
     return "\n".join(parts)
+
+
+def saved_page(saved: Saved, *, image: str | None) -> str:
+    """The page's Markdown from a folder of saved results.
+
+    Raises:
+        InputError: it lacks field/ or easy/, or a part of it cannot be read.
+    """
+    return evaluation_page(
+        saved.folder / "field",
+        saved.folder / "easy",
+        one_season=saved.part("season"),
+        ablation=saved.part("ablation"),
+        drift=saved.part("drift"),
+        speed=saved.part("speed"),
+        image=image,
+    )
 
 
 def _section(title: str, command: str, body: str) -> str:
@@ -64,25 +82,10 @@ def _section(title: str, command: str, body: str) -> str:
 
 
 def _evaluation(folder: Path, name: str) -> str:
-    body = report.markdown(_json(folder / "metrics.json"), title=name).partition("\n")[2]
+    body = report.markdown(read_json(folder / "metrics.json"), title=name).partition("\n")[2]
     return body.replace("\n## As weighed, by group", f"\n### {name}: as weighed, by group")
 
 
 def _drift(folder: Path) -> str:
-    measured = _json(folder / "drift.json")
+    measured = read_json(folder / "drift.json")
     return f"Weights `{measured['model']}` on `{measured['data']}`.\n\n{drift.markdown(measured)}"
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        loaded: dict[str, Any] = json.loads(_text(path))
-    except ValueError as error:
-        raise InputError(f"{path} is not JSON: {error}") from error
-    return loaded
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}; make it first, see --help") from error

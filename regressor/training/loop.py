@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from regressor.network.networks import Network
 from regressor.training.train import Training, predict
 
@@ -94,9 +96,10 @@ def _log(training: Training, path: Path, val_loss: float, val_mae_g: float) -> N
 
 def save_state(training: Training, path: Path) -> None:
     """Write the state atomically: a crash leaves the former one."""
-    partial = path.with_suffix(".partial")
-    torch.save(training.state(), partial)
-    partial.replace(path)
+    data = io.BytesIO()
+    torch.save(training.state(), data)  # into memory: on a full disk torch raises what is no error of a disk
+    with whole_output(path) as partial:
+        partial.write_bytes(data.getbuffer())
 
 
 def load_state(path: Path) -> dict[str, Any]:

@@ -73,7 +73,7 @@ def _weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResul
         return FileResult(path, 0, None, None, error=f"{path}: {refusal}")
     except InputError as error:
         return FileResult(path, 0, None, None, error=str(error))
-    fault = _distance_fault(path, cloud)
+    fault = distance_fault(path, cloud)
     if fault:
         return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=fault)
     weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m)
@@ -103,13 +103,15 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
     )
 
 
-def _distance_fault(path: Path, cloud: PreparedCloud) -> str:
-    """A cloud that floats high above the belt, or lies wholly below it, was read with a wrong scale or distance."""
+def distance_fault(where: Path | str, cloud: PreparedCloud) -> str:
+    """What is wrong with a cloud that floats high above the belt or lies wholly below it, as after reading it with a
+    wrong scale or distance; empty where nothing is.
+    """
     lowest_m = cloud.height_m - float(cloud.points[:, 2].max() - cloud.points[:, 2].min())
     nearest_m = cloud.belt_distance_m - cloud.height_m
     if cloud.height_m > 0.003 and lowest_m < 0.12:
         return ""
     return (
-        f"{path}: its nearest point is {nearest_m:.3f} m from the camera and the belt {cloud.belt_distance_m:.3f} m: "
+        f"{where}: its nearest point is {nearest_m:.3f} m from the camera and the belt {cloud.belt_distance_m:.3f} m: "
         "check --belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
     )

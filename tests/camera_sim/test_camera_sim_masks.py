@@ -7,7 +7,7 @@ from pathlib import Path
 from camera_sim.configured import configured_source
 from conveyor.formats import open_source
 from conveyor.messages import Frame
-from tuberline.replay import replay_config
+from tuberline.replayer import replay_config
 
 
 def test_masks_are_left_out_where_the_replay_says_so_and_nothing_else(small_recording: Path, tmp_path: Path) -> None:

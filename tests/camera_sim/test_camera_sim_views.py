@@ -11,7 +11,7 @@ import pytest
 from camera_sim.sim.optics import D405_1280
 from camera_sim.sim.views import ViewPlan, ViewSimulator
 from conveyor.errors import InputError
-from tuberline.cli.recordings import simulate_views
+from tuberline.cli.simulate_views import simulate_views
 
 
 @pytest.fixture(scope="module")

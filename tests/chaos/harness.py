@@ -20,7 +20,7 @@ from conveyor.config import LineConfig, dump_toml
 from conveyor.observer import Observer
 from tests.belts import tuberline
 from tuberline.processes import line_processes
-from tuberline.replay import fingerprint, prepare_out, recording_cameras, replay_config
+from tuberline.replayer import fingerprint, prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 Disturbance = Callable[["DisturbedLine"], None]

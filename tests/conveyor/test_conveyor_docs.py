@@ -21,8 +21,9 @@ from tuberline.cli.reference import pages
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
-GENERATED = ("commands.md", "topics.md")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
+GENERATED = ("../regressor/weights/MODEL_CARD.md", "api.md", "commands.md", "evaluation.md", "topics.md")
+REFERENCE = ("api.md", "commands.md", "topics.md")
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 CODE = re.compile(r"`([^`\n]+)`")
 STOP = re.compile(r"\s*(?:\||;|&&|&(?=\s|$)|>|<(?=\s)|#(?=\s)|\s{3,}(?!-)).*")
@@ -61,7 +62,7 @@ def app() -> App:
     return build_app()
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if Path(name).name not in GENERATED])
+@pytest.mark.parametrize("name", [name for name in NAMES if Path(name).name not in REFERENCE])
 def test_every_command_that_is_written_down_parses(name: str, app: App) -> None:
     refused = [
         f"{line} ({reason})"
@@ -159,5 +160,6 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 def test_the_site_has_every_page_and_no_other() -> None:
     config = tomllib.loads((ROOT / "zensical.toml").read_text(encoding="utf-8"))["project"]
     listed = set(re.findall(r"[\w-]+\.md", str(config["nav"])))
-    assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")}
+    # docs/results is what the page of results is made from.
+    assert listed == {str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md") if "results" not in page.parts}
     assert config["theme"]["font"] is False, "nothing is loaded from elsewhere"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,25 +15,126 @@ import conveyor.messages as messages
 from conveyor.topics import TOPICS, Delivery
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("camera_sim", "segmenter", "regressor", "aggregator", "viewer", "conveyor")
+ROLES = ("camera_sim", "segmenter", "regressor", "aggregator", "viewer")
+PACKAGES = (*ROLES, "conveyor", "tuberline")
+LABORATORY = ("training", "studies", "scoring", "sim")
+"""Parts of the roles that no node imports: what trains, studies, judges and simulates."""
+NODES = (
+    "camera_sim.node",
+    "camera_sim.recorder",
+    "segmenter.node",
+    "regressor.serve.node",
+    "aggregator.node",
+    "viewer.node",
+    "tuberline.cli.router",
+)
+MOST_LINES_OF_A_FILE = 400
+MOST_LINES_OF_A_FUNCTION = 70
+"""Beside its docstring: that of a command is its help, and every option stands in it."""
+LONGER_FILES: dict[str, int] = {}
+LONGER_FUNCTIONS: dict[str, int] = {}
+"""Exceptions, with their length; aim at none."""
+SOURCES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in PACKAGES
+    for path in (ROOT / package).rglob("*.py")
+}
+"""Every module of ours by its name."""
 
 
-def imports(path: Path) -> set[str]:
-    """Top-level names of everything a file imports, anywhere in it."""
+@cache
+def imports(path: Path, *, types: bool) -> frozenset[str]:
+    """Full names of everything a file imports, anywhere in it; of `from a import b` both a and a.b.
+
+    Without `types` those imports are left out that only a type checker follows.
+    """
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for_types_alone = {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if node in for_types_alone and not types:
+            continue
         if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            names.add(node.module.split(".")[0])
-    return names
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path} imports relatively"
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return frozenset(names)
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_package_imports_another_beside_conveyor(package: str) -> None:
-    allowed = {package, "conveyor"}
-    for path in (ROOT / package).rglob("*.py"):
-        assert not (imports(path) & set(PACKAGES)) - allowed, path
+def tops(path: Path) -> set[str]:
+    """Packages that a file imports."""
+    return {name.split(".")[0] for name in imports(path, types=True)}
+
+
+def reached(module: str) -> dict[str, str]:
+    """Modules of ours that `module` imports, and those import, and so on; each with the one that first did."""
+    found, waiting = {module: ""}, [module]
+    while waiting:
+        here = waiting.pop()
+        parents = {here.rsplit(".", n)[0] for n in range(1, here.count(".") + 1)}
+        for name in sorted(
+            {name for name in imports(SOURCES[here], types=False) | parents if name in SOURCES} - set(found)
+        ):
+            found[name] = here
+            waiting.append(name)
+    return found
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_roles_import_conveyor_and_nothing_else_of_ours(role: str) -> None:
+    for module, path in SOURCES.items():
+        if module.split(".")[0] == role:
+            assert tops(path) & set(PACKAGES) <= {role, "conveyor"}, path
+
+
+def test_the_ground_imports_nothing_above_it() -> None:
+    for module, path in SOURCES.items():
+        if module.split(".")[0] == "conveyor":
+            assert tops(path) & set(PACKAGES) <= {"conveyor"}, path
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_no_node_imports_the_laboratory(node: str) -> None:
+    modules = reached(node)
+    assert len(modules) > 5, "the walk found the node's own modules"
+    for module, by in modules.items():
+        assert not set(module.split(".")) & set(LABORATORY), f"{node} reaches {module} through {by}"
+
+
+def test_the_walk_finds_what_it_looks_for() -> None:
+    assert "camera_sim.sim.record" in reached("tuberline.api.recordings"), "imports inside functions count"
+    assert reached("regressor.training.run")["regressor.training.loop"] == "regressor.training.run"
+
+
+def test_files_and_functions_stay_short() -> None:
+    files = {
+        str(path.relative_to(ROOT)): lines
+        for path in SOURCES.values()
+        if (lines := path.read_text(encoding="utf-8").count("\n")) > MOST_LINES_OF_A_FILE
+    }
+    assert files == LONGER_FILES
+    functions = {
+        f"{path.relative_to(ROOT)}:{name}": lines
+        for path in SOURCES.values()
+        for name, lines in function_lines(path)
+        if lines > MOST_LINES_OF_A_FUNCTION
+    }
+    assert functions == LONGER_FUNCTIONS
+
+
+def function_lines(path: Path) -> Iterator[tuple[str, int]]:
+    """Name and length of each function in a file, without its docstring."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            about = node.body[0] if ast.get_docstring(node) is not None else None
+            docstring = (about.end_lineno or 0) - about.lineno + 1 if about else 0
+            yield node.name, (node.end_lineno or 0) - node.lineno + 1 - docstring
 
 
 def test_help_loads_nothing_heavy() -> None:

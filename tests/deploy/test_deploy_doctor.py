@@ -30,8 +30,11 @@ from conveyor.node import Node
 from conveyor.observer import Observer
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import site_config
-from tuberline.cli.doctor import Live, bundle, doctor, examine, health, look
+from tuberline.cli.address import LineAddress
+from tuberline.cli.doctor import bundle, doctor
+from tuberline.cli.health import health
 from tuberline.doctor import Finding, Level, worst
+from tuberline.doctor.examine import Live, examine, look
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
 from tuberline.doctor.link import check_certificates, check_port
 from tuberline.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
@@ -72,6 +75,8 @@ def test_processors_and_locked_memory() -> None:
     short = only(check_processors(config, cores=4))
     assert (short.level, short.text) == (Level.WARNING, "4 cores for 2 segmenters and 4 regressor threads")
     assert "lower regressor.processes to 2" in short.fix
+    one = parse_config({"cameras": {"a": {}}, "regressor": {"processes": 1}}, where="test")
+    assert only(check_processors(one, cores=1)).fix.startswith("run regressors on another machine"), "1 is set already"
     assert "8 MiB" in only(check_locked_memory(8 << 20)).text
     assert "unlimited" in only(check_locked_memory(resource.RLIM_INFINITY)).text
 
@@ -180,11 +185,11 @@ def test_doctor_examines_a_running_line(line: Path, camera: Node, capsys: pytest
 
 @pytest.mark.graph
 def test_health_is_a_yes_or_one_clear_no(line: Path, camera: Node, capsys: pytest.CaptureFixture[str]) -> None:
-    health(config=line)
-    health(config=line, node="camera/front", timeout_s=60.0)
+    health(address=LineAddress(line))
+    health(address=LineAddress(line), node="camera/front", timeout_s=60.0)
     assert "camera/front is well" in capsys.readouterr().out
     with pytest.raises(LinkError, match="camera/rear of line 'north' is not alive; alive: camera/front"):
-        health(config=line, node="camera/rear", timeout_s=0.5)
+        health(address=LineAddress(line), node="camera/rear", timeout_s=0.5)
 
 
 @pytest.mark.graph

@@ -8,10 +8,10 @@ import pytest
 
 from conveyor.config import parse_config
 from conveyor.messages import Counters
-from tuberline.cli.doctor import examine
-from tuberline.cli.recordings import simulate
+from tuberline.cli.simulate import simulate
 from tuberline.doctor import Level
 from tuberline.doctor.belt import check_belt_seen, check_running_belts
+from tuberline.doctor.examine import examine
 
 
 @pytest.mark.parametrize(

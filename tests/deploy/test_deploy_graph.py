@@ -12,7 +12,7 @@ import pytest
 
 from conveyor.config import parse_config
 from tests.deploy.deploy_site import make_certs
-from tuberline.replay import replay_recording
+from tuberline.replayer import replay_recording
 
 pytestmark = pytest.mark.graph
 

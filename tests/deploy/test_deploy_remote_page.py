@@ -21,7 +21,7 @@ from conveyor.config import dump_toml
 from tests.deploy.remote_browser import Browser, chromium
 from tests.deploy.remote_site import PASSWORD, USER, remote_proxy
 from tuberline.processes import line_processes
-from tuberline.replay import prepare_out, recording_cameras, replay_config
+from tuberline.replayer import prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import Supervisor
 from viewer.page.snapshot import snapshot
 from viewer.page.watch import LineWatch

@@ -17,7 +17,7 @@ from conveyor.formats.potatotwin.layout import BELT_DISTANCES_M, is_potatotwin
 from conveyor.formats.potatotwin.views import read_twin
 from conveyor.geometry import deproject
 from conveyor.messages import Frame
-from tuberline.cli.recordings import simulate_views
+from tuberline.cli.simulate_views import simulate_views
 
 PLAN = ViewPlan(seed=5, views_per_tuber=2, preset="easy", optics=D405_848)
 TUBERS = 5

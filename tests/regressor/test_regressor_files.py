@@ -21,7 +21,7 @@ from regressor.training.labelled import read_labelled
 from regressor.weigh.files import FileOptions, weigh_files
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m
-from tuberline.cli.model import import_checkpoint
+from tuberline.cli.checkpoints import import_checkpoint
 
 POINTS = np.array([[0.0, 0.1, 0.3], [0.25, -0.5, 0.125], [1.5, 2.0, -3.0]])
 

@@ -10,12 +10,12 @@ from conveyor.access import access_control
 from conveyor.config import load_config
 
 
-def access(path: Path, /, *, form: Literal["rules", "router", "zenohd"] = "rules", certs: Path | None = None) -> None:
+def access(config: Path, *, form: Literal["rules", "router", "zenohd"] = "rules", certs: Path | None = None) -> None:
     """Print who may do what on a line, as Zenoh's router takes it (JSON is JSON5).
 
     Parameters
     ----------
-    path
+    config
         The line's TOML file.
     form
         rules: the section access_control alone. router: all settings of `tuberline router`. zenohd: the same for
@@ -25,9 +25,9 @@ def access(path: Path, /, *, form: Literal["rules", "router", "zenohd"] = "rules
     """
     from tuberline.zenohd import router_file, settings_text
 
-    config = load_config(path)
+    line = load_config(config)
     if form == "rules":
-        result: dict[str, Any] = {"access_control": access_control(config)}
+        result: dict[str, Any] = {"access_control": access_control(line)}
     else:
-        result = router_file(config, certs=certs, zenohd=form == "zenohd")
+        result = router_file(line, certs=certs, zenohd=form == "zenohd")
     sys.stdout.write(settings_text(result))

@@ -20,7 +20,7 @@ class LineAddress:
     config
         The line's TOML file.
     connect
-        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config.
+        Endpoint of its router, e.g. tcp/10.0.0.1:7447; instead of a config, or of the one that the config names.
     line
         Name of the line, where no config says it.
     """
@@ -32,6 +32,12 @@ class LineAddress:
     def loaded(self) -> LineConfig:
         """The line's settings, defaults where there is no config."""
         return load_config(self.config) if self.config else LineConfig()
+
+    def watched(self) -> LineConfig:
+        """The line's settings with the router and the name that were given beside them."""
+        settings = self.loaded()
+        link = settings.link.model_copy(update={"router": self.connect} if self.connect else {})
+        return settings.model_copy(update={"link": link, "name": self.line or settings.name})
 
     def link(self) -> tuple[LinkConfig, str]:
         """How to reach the line, and its name."""

@@ -23,13 +23,13 @@ certs = App(name="certs", help="A site's own certificates: make them, add one, s
 
 @certs.command
 def make(
-    path: Path, /, *, out: Path | None = None, host: tuple[str, ...] = (), days: int = 730, renew: bool = False
+    config: Path, *, out: Path | None = None, host: tuple[str, ...] = (), days: int = 730, renew: bool = False
 ) -> None:
     """Make what a line lacks: an authority, the router's certificate and one for every node that may connect.
 
     Parameters
     ----------
-    path
+    config
         The line's TOML file.
     out
         Folder of the certificates; default: link.certs of that file. Make it on one machine, keep ca.key there.
@@ -42,13 +42,13 @@ def make(
     """
     from tuberline.certs import issue, make_authority
 
-    config = load_config(path)
-    folder = _folder(config, out)
-    made = [] if (folder / CA_FILE).exists() else [make_authority(folder, site=config.name)]
-    for identity in (Identity("router"), *line_identities(config)):
+    line = load_config(config)
+    folder = _folder(line, out)
+    made = [] if (folder / CA_FILE).exists() else [make_authority(folder, site=line.name)]
+    for identity in (Identity("router"), *line_identities(line)):
         if renew or not (folder / f"{identity.stem}.pem").exists():
-            hosts = router_hosts(config, host) if identity.role == "router" else ()
-            made.append(issue(folder, identity, line=config.name, hosts=hosts, days=days, renew=renew))
+            hosts = router_hosts(line, host) if identity.role == "router" else ()
+            made.append(issue(folder, identity, line=line.name, hosts=hosts, days=days, renew=renew))
     _print(made, json=False)
     sys.stdout.write(
         f"{len(made)} made in {folder}. Each node needs {CA_FILE} and its own .pem and .key, nothing else; "
@@ -57,14 +57,14 @@ def make(
 
 
 @certs.command
-def add(node: str, path: Path, /, *, out: Path | None = None, days: int = 730, renew: bool = False) -> None:
+def add(node: str, config: Path, *, out: Path | None = None, days: int = 730, renew: bool = False) -> None:
     """Make the certificate of one more node, e.g. regressor/barn or viewer/office.
 
     Parameters
     ----------
     node
         ROLE/NAME, or ROLE alone for a certificate that all of a role share.
-    path
+    config
         The line's TOML file.
     out
         Folder of the certificates; default: link.certs of that file.
@@ -75,13 +75,13 @@ def add(node: str, path: Path, /, *, out: Path | None = None, days: int = 730, r
     """
     from tuberline.certs import issue
 
-    config = load_config(path)
+    line = load_config(config)
     identity = Identity.parse(node)
-    hosts = router_hosts(config, ()) if identity.role == "router" else ()
-    _print([issue(_folder(config, out), identity, line=config.name, hosts=hosts, days=days, renew=renew)], json=False)
-    if identity.role != "router" and identity not in line_identities(config):
+    hosts = router_hosts(line, ()) if identity.role == "router" else ()
+    _print([issue(_folder(line, out), identity, line=line.name, hosts=hosts, days=days, renew=renew)], json=False)
+    if identity.role != "router" and identity not in line_identities(line):
         sys.stderr.write(
-            f"{node} is not among those that [access] of {path} lets in: add it there and restart the router\n"
+            f"{node} is not among those that [access] of {config} lets in: add it there and restart the router\n"
         )
 
 

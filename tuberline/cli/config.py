@@ -14,31 +14,31 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 
 
 @config.command
-def check(path: Path, /) -> None:
+def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
     Parameters
     ----------
-    path
+    config
         The line's TOML file.
     """
-    line = load_config(path)
+    line = load_config(config)
     cameras = ", ".join(sorted(line.cameras)) or "none"
-    sys.stdout.write(f"{path} is fine: line '{line.name}', cameras {cameras}\n")
+    sys.stdout.write(f"{config} is fine: line '{line.name}', cameras {cameras}\n")
 
 
 @config.command
-def show(path: Path | None = None, /, *, json: bool = False) -> None:
+def show(config: Path | None = None, *, json: bool = False) -> None:
     """Print the effective configuration: the file's settings and every default.
 
     Parameters
     ----------
-    path
+    config
         The line's TOML file; without it the defaults alone.
     json
         JSON instead of TOML.
     """
-    line = load_config(path) if path else LineConfig()
+    line = load_config(config) if config else LineConfig()
     sys.stdout.write(line.model_dump_json(indent=2) + "\n" if json else dump_toml(line))
 
 

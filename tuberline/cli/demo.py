@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tuberline.replay import replay_recording
+from tuberline.replayer import replay_recording
 
 
 def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = False) -> None:
@@ -28,10 +28,12 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     console = Console(stderr=json)
     recording = out / "recording"
     if not (recording / "truth.json").is_file():
+        from conveyor.files import whole_output
         from tuberline.demo import demo_recording
 
         console.print(f"simulating a two-lane belt under two overlapping cameras into {recording} ...", highlight=False)
-        demo_recording(recording)
+        with whole_output(recording) as partial:
+            demo_recording(partial)
     run_dir = next_run(out)
     rrd = run_dir / "demo.rrd" if has_rerun() else None
     started = time.monotonic()
@@ -49,7 +51,9 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     if rrd:
         console.print(f"what happened, frame by frame: rerun {rrd}", highlight=False)
     else:
-        console.print("install tuberline[viewer] to get a Rerun recording of the run too", highlight=False)
+        console.print(
+            "install tuberline[viewer] to get a Rerun recording of the run too", markup=False, highlight=False
+        )
     console.print(f"the run took {took_s:.1f} s", highlight=False)
 
 

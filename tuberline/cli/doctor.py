@@ -1,44 +1,42 @@
-"""`tuberline doctor`, `tuberline health`, `tuberline bundle`: what is wrong, is it well, and what to send for help."""
+"""`tuberline doctor` and `tuberline bundle`: what is wrong, and what to send for help."""
 
 from __future__ import annotations
 
 import json as json_module
 import sys
-import time
-from collections.abc import Callable
-from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
-from typing import Any
 
-from conveyor import __version__
-from conveyor.config import LineConfig, load_config
-from conveyor.errors import InputError, LinkError, TuberlineError
-from conveyor.messages import Counters
-from conveyor.observer import Observer
 from tuberline.cli.address import LineAddress
 from tuberline.doctor import Finding, Level, worst
-from tuberline.doctor.finding import fault, ok
-
-LISTEN_S = 2.5
-LOOK_AT_FRAMES = 5
+from tuberline.doctor.examine import examine, look
 
 
-def doctor(*, config: Path, json: bool = False, offline: bool = False) -> None:
+def doctor(
+    config: Path,
+    *,
+    connect: str | None = None,
+    line: str | None = None,
+    json: bool = False,
+    offline: bool = False,
+) -> None:
     """Look for what is wrong with a line and this machine; each finding says how to fix it. Exits with 1 on a fault.
 
     Parameters
     ----------
     config
         The line's TOML file.
+    connect
+        Endpoint of its router, instead of the one that the file names.
+    line
+        Name of the line, instead of the one in the file.
     json
         For machines.
     offline
         Leave out what needs the running line.
     """
-    findings = examine(load_config(config), offline=offline)
+    findings = examine(LineAddress(config, connect, line).watched(), offline=offline)
     if json:
         report = {"worst": worst(findings).value, "findings": [asdict(finding) for finding in findings]}
         sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
@@ -48,58 +46,29 @@ def doctor(*, config: Path, json: bool = False, offline: bool = False) -> None:
         sys.exit(1)
 
 
-def health(
-    *, config: Path | None = None, connect: str | None = None, node: str | None = None, timeout_s: float = 5.0
-) -> None:
-    """Say whether the router answers and, if named, one node is alive and makes progress; exit code 2 if not.
-
-    Parameters
-    ----------
-    config
-        The line's TOML file.
-    connect
-        Endpoint of its router; instead of a config.
-    node
-        ROLE/NAME, e.g. camera/front.
-    timeout_s
-        How long to look for it.
-    """
-    link, line = LineAddress(config, connect).link()
-    with Observer(link.model_copy(update={"connect_timeout_s": timeout_s}), line=line) as observer:
-        if node is None:
-            sys.stdout.write(f"router at {link.router} answers\n")
-            return
-        deadline = time.monotonic() + timeout_s
-        while not (node in observer.alive() and node in observer.nodes()):
-            if time.monotonic() > deadline:
-                known = ", ".join(sorted(observer.alive())) or "none"
-                raise LinkError(f"{node} of line '{line}' is not alive; alive: {known}")
-            time.sleep(0.05)
-        counters = observer.nodes()[node]
-    if counters.status != "ok":
-        raise LinkError(f"{node} is {counters.status} after {counters.uptime_s:.0f} s (pid {counters.pid})")
-    sys.stdout.write(f"{node} is well: up {counters.uptime_s:.0f} s\n")
-
-
-def bundle(*, config: Path, out: Path | None = None) -> None:
+def bundle(config: Path, *, connect: str | None = None, line: str | None = None, out: Path | None = None) -> None:
     """Pack what a helper needs to see into one archive: config, logs, summary, versions, counters. No private keys.
 
     Parameters
     ----------
     config
         The line's TOML file.
+    connect
+        Endpoint of its router, instead of the one that the file names.
+    line
+        Name of the line, instead of the one in the file.
     out
         The archive; default: tuberline-<line>-<time>.tar.gz here.
     """
     from tuberline.doctor.bundle import write_bundle
 
-    line = load_config(config)
-    live = look(line)
-    findings = examine(line, live=live)
-    path = out or Path(f"tuberline-{line.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
+    watched = LineAddress(config, connect, line).watched()
+    live = look(watched)
+    findings = examine(watched, live=live)
+    path = out or Path(f"tuberline-{watched.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
     members = write_bundle(
         path,
-        line,
+        watched,
         reports={
             "doctor.json": [asdict(finding) for finding in findings],
             "counters.json": {name: asdict(counters) for name, counters in sorted(live.nodes.items())},
@@ -108,159 +77,6 @@ def bundle(*, config: Path, out: Path | None = None) -> None:
         },
     )
     sys.stdout.write(f"{path}: {len(members)} files, {path.stat().st_size / 1e6:.2f} MB, no private keys\n")
-
-
-@dataclass(slots=True)
-class Live:
-    """What was heard of the running line; `unreachable` says why nothing was."""
-
-    nodes: dict[str, Counters] = field(default_factory=dict)
-    alive: set[str] = field(default_factory=set)
-    clocks_s: dict[str, float] = field(default_factory=dict)
-    totals: dict[str, Any] | None = None
-    weights: list[Finding] = field(default_factory=list)
-    unreachable: str = ""
-
-
-def look(config: LineConfig, *, listen_s: float = LISTEN_S) -> Live:
-    """Listen to the line for a moment."""
-    from tuberline.doctor.line import ClockWatch
-
-    link = config.link.model_copy(update={"connect_timeout_s": 3.0})
-    try:
-        with Observer(link, line=config.name) as observer:
-            clocks = ClockWatch(observer)
-            time.sleep(listen_s)
-            totals = observer.totals()
-            return Live(
-                nodes=observer.nodes(),
-                alive=observer.alive(),
-                clocks_s=clocks.offsets_s(),
-                totals=asdict(totals) if totals else None,
-                weights=_running_weights(observer),
-            )
-    except TuberlineError as error:
-        return Live(unreachable=str(error))
-
-
-def examine(config: LineConfig, *, offline: bool = False, live: Live | None = None) -> list[Finding]:
-    """All findings, the machine's first."""
-    from tuberline.doctor import link, machine
-
-    findings = machine.check_disk(config.aggregator.out, what="the ledger")
-    if config.segmenter.state_dir:
-        findings += machine.check_disk(config.segmenter.state_dir, what="the camera log")
-    findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
-    findings += link.check_certificates(config, now=datetime.now(UTC))
-    findings += _weights(config)
-    heard = Live() if offline else live or look(config)
-    findings += _cameras(config, alive=heard.alive)
-    if not offline:
-        findings += link.check_port(config.link) + _running(config, heard)
-    return findings
-
-
-def _running(config: LineConfig, live: Live) -> list[Finding]:
-    from tuberline.doctor.belt import check_running_belts
-    from tuberline.doctor.line import check_clocks, check_nodes, check_versions
-
-    if live.unreachable:
-        return [fault("line", live.unreachable, "see the findings on the router's port and the certificates")]
-    if not live.alive and not live.nodes:
-        return [
-            fault(
-                "nodes", f"nobody of line '{config.name}' is there", "start it: `tuberline run` or its systemd target"
-            )
-        ]
-    return [
-        *check_nodes(config, live.nodes, alive=live.alive),
-        *check_running_belts(config, live.nodes, alive=live.alive),
-        *live.weights,
-        *check_versions({name: c for name, c in live.nodes.items() if name in live.alive}, own=__version__),
-        *check_clocks({name: s for name, s in live.clocks_s.items() if name in live.alive}, live.nodes),
-    ]
-
-
-def _running_weights(observer: Observer) -> list[Finding]:
-    """All regressors of the line weigh with the same weights, and with those of the config."""
-    from regressor.serve.link import states
-
-    found = states(observer.session, observer.line)
-    if not found:
-        return []
-    told = ", ".join(f"{name} {state.model}" for name, state in found.items())
-    refusals = [
-        fault("weights in use", f"{name} refuses {s.refused}", "`tuberline weights list`, then use or rollback")
-        for name, s in found.items()
-        if s.refused
-    ]
-    if refusals:
-        return refusals
-    if len({state.digest for state in found.values()}) > 1:
-        return [fault("weights in use", told, "give all of them the same: `tuberline weights use FILE`")]
-    n = max(state.n for state in found.values())
-    since = f", given to the running line by order {n}" if n else ", as their config says"
-    return [ok("weights in use", told + since)]
-
-
-def _weights(config: LineConfig) -> list[Finding]:
-    def load() -> str:
-        from regressor.serve.check import check_weights
-        from regressor.weigh.weigher import Weigher
-
-        weigher = Weigher.load(config.regressor.weights)
-        worst_off = max(abs(a.weight_g / a.true_g - 1) for a in check_weights(weigher, config))
-        where = config.regressor.weights or "the shipped ones"
-        return f"{where}: {weigher.sidecar.model_id}, reference clouds within {100 * worst_off:.0f} %"
-
-    return [_tried("weights", load, "set regressor.weights to a .safetensors or .pth that `tuberline evaluate` takes")]
-
-
-def _cameras(config: LineConfig, *, alive: set[str]) -> list[Finding]:
-    found = []
-    for name, camera in sorted(config.cameras.items()):
-        if camera.source != "recording" and f"camera/{name}" in alive:
-            found.append(ok(f"camera {name}", "in use by its node, not touched"))
-            continue
-        try:
-            found += _camera(config, name)
-        except TuberlineError as error:
-            fix = f"correct [cameras.{name}] in the config, or the recording or device it names"
-            found.append(fault(f"camera {name}", str(error), fix))
-    return found
-
-
-def _camera(config: LineConfig, name: str) -> list[Finding]:
-    """Look through a camera: does it give frames, and where do they show the belt?"""
-    from camera_sim.configured import configured_source
-    from conveyor.formats import Refused
-    from conveyor.geometry import belt_distance_m
-    from segmenter.frame.plane import fit_plane
-    from tuberline.doctor.belt import check_belt_seen
-
-    source = configured_source(config, name)
-    frames: Any = source.frames(run="doctor")
-    with closing(frames):  # a device is let go again
-        taken = list(islice(frames, LOOK_AT_FRAMES))
-    if not taken or isinstance(taken[0], Refused):
-        why = f": {taken[0].text}" if taken else ""
-        raise InputError(f"{source.description.origin} gives no frame{why}")
-    usable = [frame for frame in taken if not isinstance(frame, Refused)]
-    first = usable[0]
-    fits = [fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics) for frame in usable]
-    given_m = first.belt_distance_m if first.belt_from_camera is None else belt_distance_m(first.belt_from_camera)
-    seen_m = [fit.distance_m for fit in fits if fit is not None]
-    return [
-        ok(f"camera {name}", f"{first.depth.shape[1]}x{first.depth.shape[0]} from {source.description.origin}"),
-        check_belt_seen(name, given_m=given_m, seen_m=seen_m, frames=len(usable)),
-    ]
-
-
-def _tried(check: str, work: Callable[[], str], fix: str) -> Finding:
-    try:
-        return ok(check, work())
-    except TuberlineError as error:
-        return fault(check, str(error), fix)
 
 
 def _print(findings: list[Finding]) -> None:

@@ -209,7 +209,7 @@ def _print(found: Graph) -> None:
 
     console = Console(highlight=False)
     if not found.nodes:
-        console.print(f"[red]nobody of line '{found.line}' is there[/]: start it, or mend --line")
+        console.print(f"[red]no process of line '{found.line}' is running[/]: start it, or correct --line")
         return
     usual = {what: _usual(found.nodes, what) for what in ("host", "version", "run")}
     console.print("  ".join(f"{what} {value}" for what, value in usual.items()))

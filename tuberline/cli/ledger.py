@@ -1,4 +1,4 @@
-"""The aggregator's commands: its process, the score of a run, its audit, and the ledger's care."""
+"""`tuberline ledger`: check, repair or export a ledger."""
 
 from __future__ import annotations
 
@@ -7,95 +7,6 @@ import sys
 from pathlib import Path
 
 from cyclopts import App
-
-
-def aggregator(*, config: Path, run: str | None = None, fingerprint: str = "", new_run: bool = False) -> None:
-    """Count every tuber once and keep the line's ledger.
-
-    Parameters
-    ----------
-    config
-        The line's TOML file.
-    run
-        Id of this run; default: the time of its start. An unfinished run of the ledger is gone on with.
-    fingerprint
-        Of the recording that is replayed: the same one is not counted twice into one ledger.
-    new_run
-        Count a recording again that the ledger already holds, as a run of its own.
-    """
-    from datetime import UTC, datetime
-
-    from aggregator.node import run_aggregator
-    from conveyor.config import load_config
-    from conveyor.errors import ConfigError
-
-    line = load_config(config)
-    if not line.cameras:
-        raise ConfigError(f"config {config} names no camera: nothing would be counted; add [cameras.<name>]")
-    run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    run_aggregator(line, run=run_id, fingerprint="" if new_run else fingerprint)
-
-
-def score(run_dir: Path, /, *, truth: Path, match_mm: float = 25.0, run: str | None = None, json: bool = False) -> None:
-    """Compare a run with the truth: count, per-tuber weights, total weight.
-
-    Parameters
-    ----------
-    run_dir
-        Folder of a run (with its ledger.db), or the ledger itself.
-    truth
-        The recording's truth.json.
-    match_mm
-        A counted tuber and a true one farther apart than this are two.
-    run
-        Which run, where the ledger holds several.
-    json
-        Print the score as JSON on stdout.
-    """
-    from aggregator.scoring.score import score_run
-
-    result = score_run(run_dir, truth=truth, match_mm=match_mm, run=run)
-    if json:
-        sys.stdout.write(json_module.dumps(result.as_dict(), indent=2) + "\n")
-        return
-    from rich.console import Console
-
-    from tuberline.cli.ledger_tables import score_table
-
-    Console().print(score_table(result))
-
-
-def audit(run_dir: Path, /, *, run: str | None = None, json: bool = False) -> None:
-    """Print the balance sheet of a finished or a running line; exit with 1 if an equation does not hold.
-
-    Parameters
-    ----------
-    run_dir
-        Folder of a run (with its ledger.db), or the ledger itself.
-    run
-        Which run, where the ledger holds several.
-    json
-        Print the balance sheet as JSON on stdout.
-    """
-    from aggregator.ledger.audit import audit_run
-    from aggregator.ledger.reader import ledger_file, reading, the_run
-
-    path = ledger_file(run_dir)
-    with reading(path) as db:
-        found = audit_run(db, the_run(db, path, run))
-    if json:
-        sys.stdout.write(json_module.dumps(found.as_dict(), indent=2) + "\n")
-    else:
-        from rich.console import Console
-
-        from tuberline.cli.ledger_tables import audit_table, camera_table
-
-        console = Console()
-        console.print(camera_table(found))
-        console.print(audit_table(found))
-    if not found.balanced:
-        sys.exit(1)
-
 
 ledger = App(name="ledger", help="Check, repair or export a ledger.")
 

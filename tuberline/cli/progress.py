@@ -1,10 +1,19 @@
-"""Progress for people goes to stderr, results to stdout."""
+"""Progress for people goes to stderr, results to stdout; a log gets no bars."""
 
 from __future__ import annotations
 
 from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 
 def console() -> Console:
     """A console on stderr."""
     return Console(stderr=True)
+
+
+def progress_bar(*, total_known: bool = True) -> Progress:
+    """A bar with the time that remains, or words alone where nobody knows how much there is; nothing in a log."""
+    shown = console()
+    words = TextColumn("{task.description}")
+    columns = (words, BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) if total_known else (words,)
+    return Progress(*columns, console=shown, disable=not shown.is_terminal)

@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 from tuberline.cli import build_app
+from tuberline.cli.api_page import api_page, shown
 from tuberline.cli.topics import markdown_table
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 TOPICS_HEAD = """# Topics
 
 Made from `conveyor/topics.py` by `make docs`. Publishers, subscribers, recorder, health and access control come from
@@ -20,7 +22,15 @@ COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
 
 def pages() -> dict[str, str]:
     """Text of each page by its name in docs/."""
+    from regressor.studies.card import model_card
+    from regressor.studies.page import saved_page
+    from regressor.studies.saved import Saved
+
+    results = Saved(DOCS / "results")
     return {
+        "../regressor/weights/MODEL_CARD.md": model_card(results),
+        "evaluation.md": saved_page(results, image="images/evaluation-field.png"),
+        "api.md": api_page(DOCS / "examples"),
         "commands.md": COMMANDS_HEAD + _commands() + "\n",
         "topics.md": TOPICS_HEAD + markdown_table(),
     }
@@ -38,6 +48,6 @@ def _commands() -> str:
     """
     program, sys.argv = sys.argv, ["tuberline"]
     try:
-        return build_app().generate_docs(output_format="markdown").rstrip()
+        return shown(build_app(all_listed=True).generate_docs(output_format="markdown").rstrip())
     finally:
         sys.argv = program

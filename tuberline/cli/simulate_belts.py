@@ -40,22 +40,19 @@ def simulate_belts(
     force
         Overwrite a pack that is there.
     """
-    from rich.progress import Progress
-
     from camera_sim.sim.beltpack import write_belt_pack
-    from tuberline.cli.progress import console
+    from conveyor.files import whole_output
+    from tuberline.cli.progress import progress_bar
 
     for name, value in (("--belts", belts), ("--frames", frames), ("--tubers", tubers)):
         if value < 1:
             raise InputError(f"{name} {value}: must be at least 1")
     if any(out.glob("belts-*.npz")) and not force:
         raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
-    for old in out.glob("belts-*.npz"):
-        old.unlink()
-    with Progress(console=console()) as progress:
+    with whole_output(out) as partial, progress_bar() as progress:
         task = progress.add_task("belts", total=belts)
         made = write_belt_pack(
-            out,
+            partial,
             belts=belts,
             frames=frames,
             tubers=tubers,
@@ -64,4 +61,6 @@ def simulate_belts(
             command=" ".join(["tuberline", *sys.argv[1:]]),
             on_belt=lambda _: progress.advance(task),
         )
+        for old in out.glob("belts-*.npz"):
+            old.unlink()
     sys.stdout.write(f"{made} frames of {belts} belts in {out}\n")

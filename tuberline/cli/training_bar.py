@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from typing import Any, Self
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
 from regressor.training.train import Training
+from tuberline.cli.progress import progress_bar
 
 
 class TrainingBar:
     """A progress bar in plain words on stderr."""
 
     def __init__(self) -> None:
-        self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True)
-        )
+        self._bar = progress_bar()
         self._task = self._bar.add_task("reading views", total=None)
 
     def __enter__(self) -> Self:

@@ -10,8 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from conveyor.config import LineConfig, ViewerConfig, load_config
+from conveyor.config import ViewerConfig, load_config
 from conveyor.errors import ConfigError
+from tuberline.cli.address import LineAddress
 from viewer.rerun.profiles import PROFILES, ProfileName
 
 if TYPE_CHECKING:
@@ -84,8 +85,7 @@ def viewer(
 
 
 def watch(
-    router: str | None = None,
-    /,
+    connect: str | None = None,
     *,
     config: Path | None = None,
     line: str | None = None,
@@ -98,7 +98,7 @@ def watch(
 
     Parameters
     ----------
-    router
+    connect
         Endpoint of the line's router, e.g. tcp/10.0.0.1:7447.
     config
         The line's TOML file instead (with its certificates); the endpoint overrides its own.
@@ -113,14 +113,12 @@ def watch(
     page_port
         Port of the page; default: a free one.
     """
-    if router is None and config is None:
+    if connect is None and config is None:
         raise ConfigError("watch which line? Give its router (tuberline watch tcp/HOST:7447) or --config line.toml")
     from viewer.node import Target, run_viewer
     from viewer.rerun.launch import Ports, RerunProgram, free_port
 
-    loaded = load_config(config) if config else LineConfig()
-    link = loaded.link.model_copy(update={"router": router} if router else {})
-    watched = loaded.model_copy(update={"link": link, "name": line or loaded.name})
+    watched = LineAddress(config, connect, line).watched()
     page = web or not _has_display()
     ports = Ports(hub_port or free_port(), page_port or free_port())
     with RerunProgram(ports, page=page) as program:

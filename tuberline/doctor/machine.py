@@ -60,14 +60,13 @@ def check_processors(config: LineConfig, *, cores: int | None = None) -> list[Fi
     segmenters, workers = len(config.cameras), config.regressor.processes * config.regressor.threads
     text = f"{have} cores for {segmenters} segmenters and {workers} regressor threads"
     if segmenters + workers > have:
-        return [
-            warning(
-                "processors",
-                text,
-                f"lower regressor.processes to {max(1, have - segmenters)}, or run regressors on another machine: "
-                "under overload fewer views per tuber are weighed, never fewer tubers",
-            )
-        ]
+        fitting = max(1, have - segmenters)
+        lower = f"lower regressor.processes to {fitting}, or run" if config.regressor.processes > fitting else "run"
+        fix = (
+            f"{lower} regressors on another machine: under overload fewer views per tuber are weighed, never fewer "
+            "tubers"
+        )
+        return [warning("processors", text, fix)]
     return [ok("processors", text)]
 
 

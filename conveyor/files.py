@@ -1,0 +1,82 @@
+"""Files that are written whole or not at all, and what is said where they cannot be.
+
+What is made is made in a folder beside its place and moved there when it is complete, so that a full disk, a signal or
+a fault leaves nothing half-written that looks like a result.
+"""
+
+from __future__ import annotations
+
+import errno
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from conveyor.errors import InputError
+
+_MENDS = {
+    errno.ENOSPC: "free space on that disk, or choose another place",
+    errno.EDQUOT: "the quota is used up: free space, or choose another place",
+    errno.EFBIG: "files there must not become so large: raise the limit, or choose another place",
+    errno.EROFS: "that file system is read-only: choose another place, or mount it for writing",
+    errno.EACCES: "this user has no right to it: choose another place, or mend the rights",
+    errno.EPERM: "this user has no right to it: choose another place, or mend the rights",
+    errno.ENOENT: "check the name and that its folder exists",
+    errno.ENOTDIR: "a part of that path is a file: choose another name",
+    errno.EISDIR: "that is a folder: name a file",
+    errno.EADDRINUSE: "another program listens there: stop it, or choose another port",
+    errno.EADDRNOTAVAIL: "this machine has no such address: choose one of its own",
+    errno.EMFILE: "too many files are open: raise the limit (ulimit -n)",
+    errno.EIO: "the disk reports a fault: check it before you go on",
+}
+
+
+def told(error: OSError, where: Path | str | None = None) -> str:
+    """A fault of the operating system in one sentence: path, cause, how to mend it."""
+    place = error.filename if error.filename is not None else where
+    return f"{place if place is not None else 'a file or device'}: {cause(error)}"
+
+
+@contextmanager
+def whole_output(target: Path) -> Iterator[Path]:
+    """A path to write a file or a folder to, which becomes `target` when the block ends well.
+
+    The path has the name of `target` and lies in a folder of its own beside it. All that is written into that folder
+    (a truth beside a recording, a sidecar beside a network) is moved with it. Where `target` is a folder that is there
+    already, what was made is put into it. Where the block raises, all of it is removed.
+
+    Raises:
+        InputError: the disk is full, or the place cannot be written; the text says which, why, and how to mend it.
+    """
+    scratch: Path | None = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}.partial-", dir=target.parent))
+        yield scratch / target.name
+        for made in sorted(scratch.iterdir()):
+            _move(made, target.parent / made.name)
+    except OSError as error:
+        raise InputError(f"{target} cannot be written: {cause(error)}") from error
+    except InputError as error:
+        if scratch is None or str(scratch) not in str(error):
+            raise
+        raise InputError(str(error).replace(str(scratch), str(target.parent))) from error
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def cause(error: OSError) -> str:
+    """Why the operating system refused, and how to mend it."""
+    mend = _MENDS.get(error.errno or 0, "")
+    return (error.strerror or str(error) or type(error).__name__) + (f"; {mend}" if mend else "")
+
+
+def _move(made: Path, to: Path) -> None:
+    """Into its place; a folder into one that is there is put in file by file."""
+    if made.is_dir() and to.is_dir():
+        for inner in sorted(made.iterdir()):
+            _move(inner, to / inner.name)
+    else:
+        made.replace(to)

@@ -1,0 +1,185 @@
+"""`import tuberline`: light, typed, and equal to what a line does with the same cloud; every example runs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tuberline
+from conveyor.messages import View
+from regressor.weigh.weigher import Weigher, weigh_view
+from tests.regressor.ellipsoids import ellipsoid_view
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+HEAVY = ("torch", "cv2", "zenoh", "numba", "scipy", "numpy", "pydantic", "rerun")
+
+
+@pytest.fixture(scope="module")
+def view() -> View:
+    """A view as the segmenter sends it."""
+    return ellipsoid_view((0.042, 0.033, 0.028))
+
+
+def cloud_of(view: View) -> np.ndarray:
+    """(N, 3) points of the view, camera frame, metres."""
+    from conveyor.geometry import deproject
+
+    return deproject(view.depth, depth_scale_m=view.depth_scale_m, intrinsics=view.intrinsics, u0=view.u0, v0=view.v0)
+
+
+def test_importing_it_loads_nothing_heavy_and_using_a_name_gives_it() -> None:
+    code = (
+        f"import sys, tuberline\nheavy = sorted(set({HEAVY}) & set(sys.modules))\n"
+        "assert not heavy, heavy\nassert set(tuberline.__all__) <= set(dir(tuberline))\n"
+        "for name in tuberline.__all__:\n    getattr(tuberline, name)\n"
+        "import tuberline.replayer\nassert callable(tuberline.replay) and callable(tuberline.weigh)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=_env())
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(AttributeError, match=r"no public name 'wiegh'; it has: .*weigh"):
+        _ = tuberline.wiegh  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_runs_alone(path: Path, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(path)], capture_output=True, text=True, check=False, timeout=170, cwd=tmp_path, env=_env()
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " g" in done.stdout, "it says grams"
+    assert list(tmp_path.iterdir()) == [], "an example leaves nothing behind"
+
+
+def test_a_depth_crop_weighs_what_the_line_weighs(view: View) -> None:
+    booked = weigh_view(Weigher.load(), view, regressor="r1")
+    weight = tuberline.weigh_depth(
+        view.depth,
+        intrinsics=view.intrinsics,
+        depth_scale_m=view.depth_scale_m,
+        belt_from_camera=view.belt_from_camera,
+        u0=view.u0,
+        v0=view.v0,
+        belt_sd_mm=1000 * view.belt_sd_m,
+    )
+    assert (weight.weight_g, weight.low_g, weight.high_g) == (booked.weight_g, booked.low_g, booked.high_g)
+    assert (weight.model, weight.flags, weight.method) == (booked.model, booked.flags, "pointraft")
+
+
+def test_a_mask_is_the_crop(view: View) -> None:
+    full = np.full((720, 1280), 345, np.uint16)
+    rows, columns = view.depth.shape
+    there = np.zeros(full.shape, bool)
+    there[view.v0 : view.v0 + rows, view.u0 : view.u0 + columns] = view.depth > 0
+    full[there] = view.depth[view.depth > 0]
+    weight = tuberline.weigh_depth(
+        full, mask=there, intrinsics=view.intrinsics, depth_scale_m=0.001, belt_distance_m=0.345
+    )
+    crop = tuberline.weigh_depth(
+        view.depth, intrinsics=view.intrinsics, depth_scale_m=0.001, belt_distance_m=0.345, u0=view.u0, v0=view.v0
+    )
+    assert weight == crop
+
+
+def test_a_cloud_weighs_the_same_from_an_array_and_a_file(view: View, tmp_path: Path) -> None:
+    cloud = cloud_of(view)
+    np.save(tmp_path / "tuber.npy", cloud)
+    from_array = tuberline.weigh(cloud, belt_distance_m=0.345)
+    assert from_array == tuberline.weigh(tmp_path / "tuber.npy", belt_distance_m=0.345)
+    assert from_array.low_g < from_array.weight_g < from_array.high_g
+    wider = tuberline.weigh(cloud, belt_distance_m=0.345, belt_sd_mm=8.0)
+    assert wider.weight_g == from_array.weight_g
+    assert wider.high_g - wider.low_g > from_array.high_g - from_array.low_g
+
+
+def test_what_cannot_be_weighed_is_refused_in_words(view: View) -> None:
+    cloud = cloud_of(view)
+    refusals = {
+        "belt_distance_m is 345": lambda: tuberline.weigh(cloud, belt_distance_m=345),
+        "belt_sd_mm is -1": lambda: tuberline.weigh(cloud, belt_distance_m=0.345, belt_sd_mm=-1),
+        "fewer than 30 points": lambda: tuberline.weigh(cloud[:20], belt_distance_m=0.345),
+        "not an array of shape": lambda: tuberline.weigh(cloud[:, :2], belt_distance_m=0.345),
+        "not finite": lambda: tuberline.weigh(cloud * np.nan, belt_distance_m=0.345),
+        "its nearest point is": lambda: tuberline.weigh(cloud, belt_distance_m=0.9),
+        "does not exist": lambda: tuberline.weigh("nothing.ply", belt_distance_m=0.345),
+        "one of them": lambda: tuberline.weigh_depth(view.depth, intrinsics=view.intrinsics, depth_scale_m=0.001),
+        "depth_scale_m is 1": lambda: tuberline.weigh_depth(
+            view.depth, intrinsics=view.intrinsics, depth_scale_m=1, belt_distance_m=0.345
+        ),
+        "expected uint16": lambda: tuberline.weigh_depth(
+            view.depth.astype(float), intrinsics=view.intrinsics, depth_scale_m=0.001, belt_distance_m=0.345
+        ),
+        "is no recording": lambda: tuberline.open_recording(ROOT / "tuberline"),
+        "there is no ledger": lambda: tuberline.read_ledger("nothing"),
+        "tubers 0: allowed is 1": lambda: tuberline.simulate("nothing", tubers=0),
+    }
+    for words, attempt in refusals.items():
+        with pytest.raises(tuberline.TuberlineError, match=words):
+            attempt()
+    assert not Path("nothing").exists()
+
+
+def test_prepared_inputs_give_the_networks_grams(view: View) -> None:
+    import torch
+
+    weights = tuberline.load_weights()
+    inputs = tuberline.prepare(cloud_of(view), 0.345, weights=weights)
+    assert inputs.points.shape == (1024, 3)
+    assert inputs.points.dtype == np.float32
+    assert inputs.groups is not None
+    assert inputs.groups.shape == (256, 3)
+    assert inputs.height_m == pytest.approx(0.056, abs=0.001)
+    with torch.no_grad():
+        grams = weights.network([torch.from_numpy(inputs.points)], torch.tensor([inputs.height_m]))
+    weight = tuberline.weigh(cloud_of(view), belt_distance_m=0.345, weights=weights)
+    assert weight.network_g == pytest.approx(grams.item(), abs=0.01)
+
+
+def test_a_recording_is_read_frame_by_frame_and_a_bad_frame_is_not_passed_over(recording: Path, tmp_path: Path) -> None:
+    import shutil
+
+    from conveyor.formats import Refused
+
+    opened = tuberline.open_recording(recording)
+    names = [camera.name for camera in opened.cameras]
+    assert names == ["left", "right"]
+    assert sum(1 for _ in opened.frames()) == sum(camera.frames or 0 for camera in opened.cameras)
+    assert {frame.camera for frame in opened.frames("right")} == {"right"}
+    truth = opened.truth()
+    assert truth is not None
+    assert len(truth["tubers"]) == 24
+    copy = shutil.copytree(recording / "left", tmp_path / "left")
+    first = next(iter(opened.frames("left"))).seq
+    (copy / "depth" / f"{first + 2:06d}.png").write_bytes(b"no picture")
+    damaged = tuberline.open_recording(tmp_path)
+    with pytest.raises(tuberline.TuberlineError, match="png"):
+        list(damaged.frames())
+    refused: list[Refused] = []
+    kept = list(damaged.frames(on_refused=refused.append))
+    assert [item.seq for item in refused] == [first + 2]
+    assert len(kept) == sum(1 for _ in opened.frames("left")) - 1
+
+
+def test_a_ledger_is_read_as_the_summary_says(run_dir: Path) -> None:
+    import json
+
+    ledger = tuberline.read_ledger(run_dir)
+    summary = json.loads((run_dir / "summary.json").read_text(encoding="utf-8"))
+    assert ledger.summary == summary
+    assert ledger.totals is not None
+    assert ledger.totals.count == len(ledger.tubers) == summary["totals"]["count"]
+    assert sum(tuber.weight_g for tuber in ledger.tubers) == pytest.approx(ledger.totals.as_weighed_g, abs=0.01)
+    assert ledger.as_dicts()[0]["tuber_id"] == 1
+    assert ledger == tuberline.read_ledger(run_dir / "ledger.db", run=ledger.run)
+
+
+def _env() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

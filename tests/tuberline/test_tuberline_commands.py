@@ -1,0 +1,192 @@
+"""The command line: help on one screen, no option that says nothing, one way to address a line, tab completion."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cyclopts import App
+from rich.console import Console
+
+from tuberline.cli import build_app
+from tuberline.cli.commands import FORMER, GROUPS, LAB, PARTS
+
+ROOT = Path(__file__).resolve().parents[2]
+WATCHES = (
+    "status",
+    "top",
+    "graph",
+    "health",
+    "metrics",
+    "page",
+    "watch",
+    "doctor",
+    "bundle",
+    "weights list",
+    "weights use",
+)
+"""Commands that look at a line."""
+TAKES_A_CONFIG = (*WATCHES, "run", "access", "certs make", "certs add", "config check", "config show", *PARTS)
+
+
+def help_of(*words: str, width: int = 80) -> str:
+    """What `--help` prints at `width` columns."""
+    text = io.StringIO()
+    build_app().help_print([*words], console=Console(file=text, width=width, no_color=True))
+    return text.getvalue()
+
+
+def leaves(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Every command that does something, as words."""
+    for name in app:
+        if name.startswith("-") or name in ("lab", "parts"):
+            continue
+        inner = [word for word in app[name] if not word.startswith("-")]
+        if inner:
+            yield from leaves(app[name], (*path, name))
+        else:
+            yield (*path, name)
+
+
+ALL = sorted(leaves(build_app()))
+
+
+def test_help_is_one_screen_of_what_a_user_needs() -> None:
+    lines = help_of().rstrip().splitlines()
+    assert 24 <= len(lines) <= 40, len(lines)
+    assert max(map(len, lines)) <= 80
+    listed = {line.split()[0] for line in lines if line.startswith("  ")}
+    assert {name for group in GROUPS.values() for name in group} | {"lab", "parts", "completion"} <= listed
+    assert not listed & {*LAB, *PARTS, *FORMER}
+    for title in GROUPS:
+        assert f"{title}:" in lines
+
+
+@pytest.mark.parametrize(("listing", "commands"), [("lab", LAB), ("parts", PARTS)])
+def test_the_rest_is_listed_one_step_further_and_works_by_its_own_name(
+    listing: str, commands: dict[str, object]
+) -> None:
+    shown = {line.split()[0] for line in help_of(listing).splitlines() if line.startswith("  ")}
+    assert set(commands) <= shown
+    app = build_app()
+    for name in commands:
+        assert app[name].help == app[listing][name].help
+    done = subprocess.run(
+        [sys.executable, "-m", "tuberline", listing], capture_output=True, text=True, check=False, env=_env()
+    )
+    assert done.returncode == 0
+    assert next(iter(commands)) in done.stdout
+
+
+@pytest.mark.parametrize("words", ALL, ids=" ".join)
+def test_help_shows_every_word_and_no_empty_option(words: tuple[str, ...]) -> None:
+    text = help_of(*words, width=200)
+    for nonsense in ("--no-no-", "--empty-", "[default: False]", "[default: None]", "[default: ()]"):
+        assert nonsense not in text, nonsense
+    assert f"Usage: tuberline {' '.join(words)}" in text
+
+
+def test_angle_and_square_brackets_are_shown() -> None:
+    assert "<name>.recovered.mcap" in help_of("recover")
+    assert "tuberline-<line>-<time>.tar.gz" in help_of("bundle", width=200)
+    commands = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert "default: &lt;name>.recovered.mcap" in commands
+
+
+@pytest.mark.parametrize("words", WATCHES)
+def test_commands_that_look_at_a_line_take_the_same_address(words: str) -> None:
+    text = help_of(*words.split(), width=200)
+    for option in ("--config", "--connect", "--line"):
+        assert option in text, option
+
+
+@pytest.mark.parametrize("words", [words for words in TAKES_A_CONFIG if words != "topics"])
+def test_a_lines_file_is_given_by_config_everywhere(words: str) -> None:
+    assert "--config" in help_of(*words.split(), width=200)
+
+
+def test_the_first_word_may_be_the_lines_file_where_it_always_was(tmp_path: Path) -> None:
+    line = tmp_path / "line.toml"
+    line.write_text('name = "north"\n', encoding="utf-8")
+    for words in (("config", "check"), ("config", "show"), ("access",)):
+        by_place, by_name = tuberline(*words, line), tuberline(*words, "--config", line)
+        assert by_place.returncode == by_name.returncode == 0, by_place.stderr
+        assert by_place.stdout == by_name.stdout
+
+
+def test_the_two_exports_are_told_apart(tmp_path: Path) -> None:
+    assert "ONNX" in help_of("export-onnx")
+    assert "JSON lines" in help_of("ledger", "export")
+    done = tuberline("export", "--out", tmp_path / "net.txt")
+    assert done.returncode == 2
+    assert "`export` is now `tuberline export-onnx`" in done.stderr
+    assert "must end in .onnx" in done.stderr
+
+
+def test_health_says_as_json_why_not(free_port: int) -> None:
+    done = tuberline("health", "--connect", f"tcp/127.0.0.1:{free_port}", "--timeout-s", "0.5", "--json")
+    assert done.returncode == 2
+    report = json.loads(done.stdout)
+    assert (report["well"], report["router"]) == (False, f"tcp/127.0.0.1:{free_port}")
+    assert report["why"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_options(shell: str, tmp_path: Path) -> None:
+    script = tuberline("completion", shell).stdout
+    for word in ("replay", "simulate-views", "ledger", "--json"):
+        assert word.removeprefix("--") in script, word
+    path = tmp_path / f"completion.{shell}"
+    path.write_text(script, encoding="utf-8")
+    program = shutil.which(shell)
+    if program is None:
+        pytest.skip(f"{shell} is not installed: its script was made and not run")
+    done = subprocess.run([program, "-n", str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_bash_completes_what_is_begun(tmp_path: Path) -> None:
+    if shutil.which("bash") is None:
+        pytest.skip("bash is not installed")
+    (tmp_path / "script").write_text(tuberline("completion", "bash").stdout, encoding="utf-8")
+    ask = (
+        f"source {tmp_path}/script; COMP_WORDS=(tuberline {{}}); COMP_CWORD={{}}; COMP_LINE='tuberline {{}}'; "
+        "COMP_POINT=${{#COMP_LINE}}; f=$(complete -p tuberline | sed 's/.*-F \\([^ ]*\\).*/\\1/'); $f; "
+        'printf "%s\\n" "${{COMPREPLY[@]}}"'
+    )
+    for words, expected in ((("simul",), {"simulate", "simulate-views"}), (("simulate", "--see"), {"--seed"})):
+        line = " ".join(words)
+        done = subprocess.run(
+            ["bash", "-c", ask.format(line, len(words), line)], capture_output=True, text=True, check=False
+        )
+        assert expected <= {word.strip() for word in done.stdout.split("\n")}, done.stdout + done.stderr
+
+
+def test_a_log_gets_no_bars(tmp_path: Path) -> None:
+    done = tuberline("simulate", "--out", tmp_path / "belt", "--tubers", "1", "--fps", "5", "--json")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert json.loads(done.stdout)["tubers"] == 1
+
+
+def tuberline(*words: object) -> subprocess.CompletedProcess[str]:
+    """A command line as a user types it."""
+    return subprocess.run(
+        [sys.executable, "-m", "tuberline", *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=_env(),
+        timeout=120,
+    )
+
+
+def _env() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "COLUMNS": "80"}

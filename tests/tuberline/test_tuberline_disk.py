@@ -1,0 +1,171 @@
+"""A disk that is full or read-only: one sentence that names the place, the cause and the mend; nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conveyor.errors import InputError
+from conveyor.files import told, whole_output
+
+ROOT = Path(__file__).resolve().parents[2]
+ENV = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
+SMALL_FILES = 30_000
+"""Bytes: under the limit of file sizes that stands for a full disk where no file system may be mounted."""
+BELT = ("--tubers", "2", "--scene", "singulated", "--fps", "5", "--seed", "5")
+WRITERS = {
+    "simulate": lambda out, belt: ("simulate", "--out", out / "belt", *BELT),
+    "simulate-mcap": lambda out, belt: ("simulate", "--out", out / "belt.mcap", *BELT),
+    "simulate-views": lambda out, belt: ("simulate-views", "--out", out / "views", "--tubers", "60", "--views", "1"),
+    "convert": lambda out, belt: ("convert", belt, out / "belt.mcap"),
+    "convert-ros2": lambda out, belt: ("convert", belt, out / "belt.mcap", "--format", "ros2"),
+    "export-onnx": lambda out, belt: ("export-onnx", "--out", out / "net.onnx"),
+}
+
+
+def tuberline(*args: object, limit: int | None = None, stdout: int | None = subprocess.PIPE) -> tuple[int, str]:
+    """(exit code, stderr) of a command line; `limit`: no file may become larger, bytes."""
+
+    def limited() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    done = subprocess.run(
+        [sys.executable, "-m", "tuberline", *map(str, args)],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+        env=ENV,
+        preexec_fn=limited,
+        timeout=170,
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.fixture(scope="module")
+def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small recording."""
+    out = tmp_path_factory.mktemp("belt") / "belt"
+    code, said = tuberline("simulate", "--out", out, *BELT)
+    assert code == 0, said
+    return out
+
+
+@pytest.fixture(scope="module")
+def tiny_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A file system of 300 kB; skipped where none may be mounted."""
+    place = tmp_path_factory.mktemp("tiny")
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=300k", "tmpfs", str(place)], capture_output=True, check=False
+    )
+    if done.returncode != 0:
+        pytest.skip(
+            f"no file system may be mounted here ({done.stderr.decode().strip()}); the limit of sizes stands for it"
+        )
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def assert_one_sentence(code: int, said: str, *words: str) -> None:
+    lines = [line for line in said.splitlines() if line.startswith("tuberline: ")]
+    assert "Traceback" not in said, said
+    assert "Exception ignored" not in said, said
+    assert (code, len(lines)) in ((1, 1), (2, 1)), said
+    for word in words:
+        assert re.search(word, lines[0]), lines[0]
+    assert ".partial-" not in lines[0], "the user's own path is named"
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_files_that_cannot_grow_leave_nothing_behind(name: str, tmp_path: Path, belt: Path) -> None:
+    command = [*WRITERS[name](tmp_path, belt)]
+    target = next(arg for arg in command if isinstance(arg, Path) and arg.parent == tmp_path)
+    limit = SMALL_FILES if "export" not in name else 3_000_000
+    code, said = tuberline(*command, limit=limit)
+    assert_one_sentence(code, said, str(target), "cannot be written")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["simulate", "convert"])
+def test_a_full_disk_is_told_and_left_clean(name: str, tiny_disk: Path, belt: Path) -> None:
+    code, said = tuberline(*WRITERS[name](tiny_disk, belt))
+    assert_one_sentence(code, said, str(tiny_disk), "cannot be written", "space|full")
+    assert list(tiny_disk.iterdir()) == []
+
+
+def test_what_is_there_stays_when_its_successor_cannot_be_written(belt: Path) -> None:
+    before = {path: path.read_bytes() for path in belt.rglob("*") if path.is_file()}
+    code, said = tuberline("simulate", "--out", belt, *BELT, "--force", limit=SMALL_FILES)
+    assert_one_sentence(code, said, str(belt))
+    assert {path: path.read_bytes() for path in belt.rglob("*") if path.is_file()} == before
+
+
+def test_a_place_where_nothing_can_be_made_is_named(belt: Path) -> None:
+    for command in (
+        ("simulate", "--out", "/proc/belt", *BELT),
+        ("convert", belt, "/proc/belt.mcap"),
+        ("export-onnx", "--out", "/proc/net.onnx"),
+    ):
+        code, said = tuberline(*command)
+        assert_one_sentence(code, said, "/proc/", "cannot be written")
+
+
+def test_an_output_that_takes_nothing_is_told(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.linspace(-0.04, 0.04, 60), np.linspace(-0.03, 0.03, 60))
+    on_top = (x / 0.04) ** 2 + (y / 0.03) ** 2 < 1
+    np.save(tmp_path / "tuber.npy", np.stack([x[on_top], y[on_top], np.full(on_top.sum(), 0.30)], axis=1))
+    with open("/dev/full", "w") as full:
+        for command in (
+            ("weigh", tmp_path / "tuber.npy", "--belt-distance-m", "0.345", "--json"),
+            ("topics", "--json"),
+        ):
+            code, said = tuberline(*command, stdout=full.fileno())
+            assert code == 1, said
+            assert_one_sentence(code, said, "output: No space left on device; free space")
+
+
+def test_whole_output_moves_all_or_nothing(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "kept").write_text("kept")
+    with whole_output(tmp_path / "there") as partial:
+        (partial / "deep").mkdir(parents=True)
+        (partial / "deep" / "new").write_text("new")
+        assert [path.name for path in (tmp_path / "there").iterdir()] == ["kept"]
+    assert {path.name for path in (tmp_path / "there").rglob("*")} == {"kept", "deep", "new"}
+    with whole_output(tmp_path / "a" / "b.mcap") as partial:
+        partial.write_text("frames")
+        partial.with_suffix(".truth.json").write_text("truth")
+    assert {path.name for path in (tmp_path / "a").iterdir()} == {"b.mcap", "b.truth.json"}
+    for fault, said in (
+        (ZeroDivisionError("a bug"), "a bug"),
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), f"{tmp_path}/never cannot be written: No space.*free space"),
+    ):
+        with pytest.raises((ZeroDivisionError, InputError), match=said):
+            _write_half(tmp_path / "never", fault)
+    assert {path.name for path in tmp_path.iterdir()} == {"there", "a"}
+
+
+def _write_half(path: Path, fault: Exception) -> None:
+    with whole_output(path) as partial:
+        partial.write_text("half")
+        raise fault
+
+
+def test_every_sentence_has_path_cause_and_mend() -> None:
+    assert told(FileNotFoundError(errno.ENOENT, "No such file or directory", "a/b")) == (
+        "a/b: No such file or directory; check the name and that its folder exists"
+    )
+    assert told(OSError(errno.EADDRINUSE, "Address already in use"), "port 9180").startswith(
+        "port 9180: Address already"
+    )
+    assert told(OSError("odd")) == "a file or device: odd"

@@ -1,0 +1,123 @@
+"""Run the whole line on a recording; read what a run left."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
+from aggregator.ledger.schema import SUMMARY, checksum
+from conveyor.errors import LedgerError
+from conveyor.messages import Totals, Tuber
+from conveyor.messages.base import plain
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """One run as its ledger has it.
+
+    Attributes:
+        path: the ledger, an SQLite file.
+        run: id of the run.
+        line: name of the line.
+        cameras: names of its cameras.
+        tubers: every tuber once, by tuber_id, each with weight_g, low_g, high_g (grams), place_x_m, place_y_m (metres
+            on the belt), length_mm, width_mm, height_mm, views, method, model, flags, cameras and crossed_ns.
+        totals: of the finished run: count, weight_g, low_g, high_g, coverage (share of the belt looked at),
+            estimated_weight_g and so on; None while the run goes on, or where it was cut off.
+        summary: all that summary.json says; None like `totals`.
+    """
+
+    path: Path
+    run: str
+    line: str
+    cameras: tuple[str, ...]
+    tubers: tuple[Tuber, ...]
+    totals: Totals | None
+    summary: dict[str, Any] | None
+
+    def as_dicts(self) -> list[dict[str, Any]]:
+        """The tubers as plain values, e.g. for pandas.DataFrame."""
+        return [plain(tuber) for tuber in self.tubers]
+
+
+def replay(
+    recording: str | Path,
+    *,
+    out: str | Path,
+    speed: float = 0.0,
+    regressors: int = 2,
+    weights: str | Path | None = None,
+    ignore_masks: bool = False,
+) -> Ledger:
+    """Count and weigh everything in a recording, with all processes of a real line on this machine.
+
+    Args:
+        recording: of any known format; all its cameras are used.
+        out: folder for ledger.db, summary.json and tubers.csv; must not hold a run yet.
+        speed: times real time; 0 as fast as the line takes it. Nothing is lost at any speed.
+        regressors: number of weighing processes, at least 1.
+        weights: a .safetensors or the authors' .pth; None takes the shipped ones.
+        ignore_masks: find the tubers on depth though the recording has masks of its own.
+
+    Returns:
+        The ledger of the run.
+
+    Raises:
+        TuberlineError: recording or weights unusable, `out` holds a run already, or a process gave up; the text has
+            its last words.
+    """
+    from tuberline.replayer import replay_recording
+
+    replay_recording(
+        Path(recording),
+        out=Path(out),
+        speed=speed,
+        regressors=regressors,
+        weights=Path(weights) if weights is not None else None,
+        ignore_masks=ignore_masks,
+    )
+    return read_ledger(out)
+
+
+def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
+    """Read a run's ledger; also while it is being written.
+
+    Args:
+        path: folder of the run (with its ledger.db), or the ledger itself.
+        run: which run, where the ledger holds several.
+
+    Raises:
+        TuberlineError: no ledger, a damaged one, one of another version, or several runs to choose from.
+    """
+    file = ledger_file(Path(path))
+    with reading(file) as db:
+        chosen = the_run(db, file, run)
+        tubers = tuple(read_tubers(db, chosen.run))
+        found = db.execute(f"{SUMMARY.select} WHERE run = ?", (chosen.run,)).fetchone()
+    summary = _summary(file, found) if found else None
+    return Ledger(
+        path=file,
+        run=chosen.run,
+        line=chosen.line,
+        cameras=chosen.cameras,
+        tubers=tubers,
+        totals=_totals(summary["totals"]) if summary else None,
+        summary=summary,
+    )
+
+
+def _summary(path: Path, found: tuple[Any, ...]) -> dict[str, Any]:
+    *columns, crc = found
+    if checksum(columns) != crc:
+        raise LedgerError(
+            f"ledger {path}: the summary of run {columns[0]} is damaged; see `tuberline ledger check {path}`"
+        )
+    summary: dict[str, Any] = json.loads(columns[1])
+    return summary
+
+
+def _totals(values: dict[str, Any]) -> Totals:
+    return Totals(**{**values, "histogram": tuple(values["histogram"])})

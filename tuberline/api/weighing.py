@@ -1,0 +1,250 @@
+"""Weigh one cloud or one depth image, load weights, prepare what the network takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from conveyor.formats.clouds import read_cloud
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network.fast import groups_tensor
+from regressor.network.grouping import SharedGroups, group_prefix, group_random
+from regressor.network.pointraft import PointRaft
+from regressor.network.sampling import farthest_points
+from regressor.weigh.files import distance_fault
+from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
+from regressor.weigh.weigher import Weigher
+
+BELT_DISTANCE_M = (0.05, 5.0)
+BELT_SD_MM = (0.0, 100.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Weight:
+    """The weight of one tuber seen once.
+
+    Attributes:
+        weight_g: grams, as a line would book this view.
+        low_g, high_g: the two ends of the 90 % interval of this view, grams.
+        network_g: what PointRAFT alone says, grams; None where it was not asked or failed.
+        volume_g: what the visible volume alone says, grams.
+        method: 'pointraft' (the network with the volume rule), or 'volume'.
+        model: name and digest of the weights, e.g. 'tuberline-sim@c9225214'.
+        flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
+            'volume_disagrees', 'network_failed'.
+    """
+
+    weight_g: float
+    low_g: float
+    high_g: float
+    network_g: float | None
+    volume_g: float
+    method: Literal["pointraft", "volume"]
+    model: str
+    flags: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Trained weights, loaded. Not for several threads at once: load them in each.
+
+    Attributes:
+        network: the network with these weights, in evaluation mode.
+        sidecar: what is known about them: ranges, interval, how they were trained.
+    """
+
+    network: PointRaft = field(repr=False)
+    sidecar: Sidecar = field(repr=False)
+    weigher: Weigher = field(repr=False)
+
+    @property
+    def model(self) -> str:
+        """Name and the first eight digits of the digest, as it stands in ledgers."""
+        return self.sidecar.model_id
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkInputs:
+    """One tuber as PointRAFT takes it.
+
+    Attributes:
+        points: (n, 3) float32, n <= 1024, metres, level frame (z away from the camera along the belt's normal),
+            centred on the mean of the cleaned cloud, in the order of farthest-point sampling from its first point.
+        height_m: of the highest point above the belt, metres, clamped to what the weights were trained with.
+        groups: (256, 3) float32, what a network of `tuberline export-onnx` takes as `groups`: 64 neighbours, 64
+            first-stage and 128 second-stage centroids. None for a cloud so wide (0.2 m) that its points do not all
+            share their neighbours; such a cloud is not for the exported network.
+    """
+
+    points: NDArray[np.float32]
+    height_m: float
+    groups: NDArray[np.float32] | None
+
+
+def load_weights(path: str | Path | None = None) -> Weights:
+    """Load PointRAFT weights; the shipped ones where no path is given.
+
+    Args:
+        path: a .safetensors file with its .json beside it, or the authors' .pth.
+
+    Raises:
+        TuberlineError: missing, unreadable, damaged, or weights of another network or of another target.
+    """
+    network, sidecar = load_checkpoint(Path(path) if path is not None else None)
+    return Weights(network, sidecar, Weigher(network, sidecar))
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> Weights:
+    return load_weights()
+
+
+def weigh(
+    cloud: NDArray[np.floating] | str | Path,
+    *,
+    belt_distance_m: float,
+    belt_sd_mm: float = 2.0,
+    weights: Weights | None = None,
+) -> Weight:
+    """Weigh one tuber from the point cloud of its visible side.
+
+    Args:
+        cloud: (N, 3) in metres, at least 30 points of one tuber and nothing else, in the frame of a camera that looks
+            straight down on the belt (x right, y down in the image, z away from the camera); or a .ply, .npy or .npz
+            file of it.
+        belt_distance_m: from the camera to the belt along the optical axis, metres: 0.05 to 5.
+        belt_sd_mm: how well that distance is known, standard deviation in millimetres: 0 to 100. It widens the
+            interval and does not move the weight.
+        weights: from `load_weights`; None takes the shipped ones, which are loaded once.
+
+    Returns:
+        Grams with the 90 % interval and flags. The same cloud gives the same bits.
+
+    Raises:
+        TuberlineError: a cloud that cannot be weighed (empty, too few points, not finite, not (N, 3)), that floats
+            above the belt or lies below it, or a distance out of range.
+    """
+    prepared = _prepared(cloud, belt_distance_m)
+    return _weighed(prepared, belt_sd_mm, weights)
+
+
+def weigh_depth(
+    depth: NDArray[np.uint16],
+    *,
+    intrinsics: Intrinsics,
+    depth_scale_m: float,
+    belt_distance_m: float | None = None,
+    belt_from_camera: NDArray[np.float64] | None = None,
+    mask: NDArray[np.bool_] | None = None,
+    u0: int = 0,
+    v0: int = 0,
+    belt_sd_mm: float = 2.0,
+    weights: Weights | None = None,
+) -> Weight:
+    """Weigh one tuber from a depth image, or from a crop of one: what a line does with a view.
+
+    Args:
+        depth: (h, w) uint16 in units of `depth_scale_m` metres, 0 = no depth.
+        intrinsics: of the full image, pixels.
+        depth_scale_m: metres per unit: 0.001 where a unit is a millimetre, 0.0001 for the D405's own.
+        belt_distance_m: from the camera to the belt along the optical axis, metres, of a camera that looks straight
+            down; or else give `belt_from_camera`.
+        belt_from_camera: (4, 4) rigid transform from the camera's frame to the belt's, of a tilted camera.
+        mask: (h, w) bool, the pixels of the tuber; None takes all that have depth.
+        u0, v0: column and row of the crop's first pixel in the full image.
+        belt_sd_mm, weights: as for `weigh`.
+
+    Returns:
+        As for `weigh`.
+
+    Raises:
+        TuberlineError: a depth image that cannot be weighed, neither or both of the belt's two forms, or a value out
+            of range.
+    """
+    if depth.ndim != 2 or depth.dtype != np.uint16:
+        raise InputError(f"depth is {depth.dtype} {depth.shape}; expected uint16 of shape (h, w)")
+    if mask is not None and mask.shape != depth.shape:
+        raise InputError(f"mask is {mask.shape}, the depth image {depth.shape}: they must have the same shape")
+    if (belt_distance_m is None) == (belt_from_camera is None):
+        raise InputError("give belt_distance_m (a camera that looks straight down) or belt_from_camera, one of them")
+    if not 0 < depth_scale_m <= 0.01:
+        raise InputError(f"depth_scale_m is {depth_scale_m}; allowed is above 0 to 0.01 metres per unit")
+    if belt_distance_m is not None:
+        belt_from_camera = straight_down_belt_from_camera(
+            _in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
+        )
+    assert belt_from_camera is not None
+    prepared = prepare_depth(
+        depth if mask is None else np.where(mask, depth, 0).astype(np.uint16),
+        depth_scale_m=depth_scale_m,
+        fx=intrinsics.fx,
+        fy=intrinsics.fy,
+        cx=intrinsics.cx - u0,
+        cy=intrinsics.cy - v0,
+        belt_from_camera=np.asarray(belt_from_camera, np.float64),
+    )
+    return _weighed(prepared, belt_sd_mm, weights)
+
+
+def prepare(
+    cloud: NDArray[np.floating] | str | Path, belt_distance_m: float, *, weights: Weights | None = None
+) -> NetworkInputs:
+    """Make of one cloud what PointRAFT takes: cleaned, level, centred, sampled.
+
+    Args:
+        cloud, belt_distance_m: as for `weigh`.
+        weights: for which; they say how sampling starts and where the height is clamped. None: the shipped ones.
+
+    Raises:
+        TuberlineError: as for `weigh`.
+    """
+    prepared = _prepared(cloud, belt_distance_m)
+    sidecar = (weights or _shipped()).sidecar
+    count = min(len(prepared.points), sidecar.input.points)
+    if sidecar.start.kind == "prefix":
+        groups = group_prefix(prepared.points, points=sidecar.input.points)
+    else:
+        groups = group_random(prepared.points, seed=sidecar.start.seed, points=sidecar.input.points)
+    return NetworkInputs(
+        points=prepared.points[farthest_points(prepared.points, count)],
+        height_m=prepared.clamped_height_m(sidecar.input.max_height_m),
+        groups=groups_tensor(groups) if isinstance(groups, SharedGroups) else None,
+    )
+
+
+def _prepared(cloud: NDArray[np.floating] | str | Path, belt_distance_m: float) -> PreparedCloud:
+    _in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
+    points = read_cloud(Path(cloud)) if isinstance(cloud, str | Path) else cloud
+    return prepare_cloud(points, belt_distance_m=belt_distance_m)
+
+
+def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None) -> Weight:
+    _in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
+    fault = distance_fault("the cloud", prepared)
+    if fault:
+        raise InputError(fault)
+    found = (weights or _shipped()).weigher.weigh(prepared, belt_sd_m=belt_sd_mm / 1000)
+    return Weight(
+        weight_g=found.weight_g,
+        low_g=found.low_g,
+        high_g=found.high_g,
+        network_g=found.network_g,
+        volume_g=found.volume_g,
+        method=found.method,
+        model=found.model,
+        flags=found.flags,
+    )
+
+
+def _in_range(name: str, value: float, bounds: tuple[float, float]) -> float:
+    low, high = bounds
+    if not low <= value <= high:
+        raise InputError(f"{name} is {value}; allowed is {low:g} to {high:g}")
+    return value

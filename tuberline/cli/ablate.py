@@ -1,0 +1,80 @@
+"""`tuberline ablate`: the paper's ablations."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Literal
+
+
+def ablate(
+    *names: str,
+    data: Path,
+    val: Path,
+    test: Path,
+    out: Path,
+    epochs: float | None = None,
+    minutes: float | None = None,
+    lr: float | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
+    device: Literal["cpu", "cuda"] = "cpu",
+    max_views: int | None = None,
+    cache: Path | None = None,
+    seed: int = 133,
+) -> None:
+    """Train the paper's ablations and the other networks with one recipe and compare them in one table.
+
+    Parameters
+    ----------
+    names
+        Of full, no-height (PointNet++), pointnet, no-dropout, 512-points, 2048-points; default: all.
+    data
+        Training views, as for `train`.
+    val
+        Validation views.
+    test
+        Views to compare on.
+    out
+        Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained again.
+    epochs
+        Per variant.
+    minutes
+        Per variant, by the clock.
+    lr
+        First learning rate (1e-3).
+    compute, device
+        As for `train`.
+    max_views
+        Compare on the first so many.
+    cache
+        Folder of prepared clouds, shared by the variants; default: in --out.
+    seed
+        Of everything random.
+    """
+    import torch
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from regressor.studies.ablate import VARIANTS, markdown, read_table
+    from regressor.studies.ablate import ablate as run
+    from regressor.training.recipe import recipe_named
+    from regressor.training.run import RunOptions
+    from tuberline.cli.training_bar import TrainingBar
+
+    torch.set_num_threads(1)
+    given = {"epochs": epochs, "minutes": minutes, "lr": lr, "compute": compute, "device": device, "seed": seed}
+    settings = recipe_named("tuberline", shear=None, **given)
+    command = shlex.join(["tuberline", *sys.argv[1:]])
+    options = RunOptions(data, val, out, "ablation", False, 2.0, 1e9, 2000, command, cache)
+    with TrainingBar() as bar:
+        run(
+            names or tuple(VARIANTS),
+            settings,
+            options,
+            test=test,
+            max_views=max_views,
+            on_step=lambda name, training: bar.step(training, name),
+        )
+    table, words = read_table(out)
+    Console().print(Markdown(markdown(table, recipe=words)))

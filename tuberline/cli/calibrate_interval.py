@@ -1,0 +1,39 @@
+"""`tuberline calibrate-interval`: the intervals of saved weights."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+
+def calibrate_interval(
+    weights: Path, /, *, data: Path, cache: Path | None = None, max_views: int | None = None
+) -> None:
+    """Calibrate the intervals of saved weights on views with known weights; rewrites the sidecar, not the tensors.
+
+    A training does the same at its end on its validation views. Give tubers that no training has seen, as the line
+    meets them; never the set that the weights are judged on.
+
+    Parameters
+    ----------
+    weights
+        The .safetensors file; its .json sidecar lies beside it.
+    data
+        A folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin folder.
+    cache
+        Folder of prepared clouds, to save the preparing; default: none.
+    max_views
+        Taken evenly over the set.
+    """
+    import torch
+
+    from regressor.training.calibration import recalibrate
+
+    torch.set_num_threads(1)
+    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views)
+    figures = sidecar.metrics["calibration"]
+    sys.stderr.write(
+        f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "
+        f"tubers; views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of an error, tubers of a load "
+        f"{100 * sidecar.shared_bias_share:.1f} % of its weight\n"
+    )

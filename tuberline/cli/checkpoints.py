@@ -1,0 +1,77 @@
+"""`tuberline import-checkpoint` and `export-onnx`: weights from and for other programs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+from conveyor.errors import InputError
+
+
+def import_checkpoint(
+    path: Path, /, *, out: Path, name: str | None = None, start: Literal["random", "prefix"] = "random", seed: int = 0
+) -> None:
+    """Take over the authors' checkpoint (pointraft_potato.pth) as .safetensors with a sidecar.
+
+    Parameters
+    ----------
+    path
+        The .pth file.
+    out
+        The .safetensors file to write; its sidecar goes beside it.
+    name
+        Of the weights, as it will stand in ledgers; default: the file's name.
+    start
+        Where sampling starts. The authors' network was trained with random starts: keep 'random' for it.
+    seed
+        Of the random starts.
+    """
+    from conveyor.files import whole_output
+    from regressor.network.checkpoint import StartPolicy, load_checkpoint, save_checkpoint
+
+    if out.suffix != ".safetensors":
+        raise InputError(f"--out {out} must end in .safetensors")
+    model, sidecar = load_checkpoint(path)
+    changes = {"name": name or sidecar.name, "start": StartPolicy(kind=start, seed=seed)}
+    with whole_output(out) as partial:
+        written = save_checkpoint(partial, model.state_dict(), sidecar.model_copy(update=changes))
+    sys.stderr.write(f"{out}: {written.model_id}, {len(model.state_dict())} entries, start policy '{start}'\n")
+
+
+def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
+    """Export weights to ONNX, with their sidecar beside them.
+
+    Parameters
+    ----------
+    out
+        The .onnx file to write.
+    weights
+        A .safetensors or an upstream .pth file; default: the shipped ones.
+    batch
+        Fix the batch size; default: any.
+    """
+    from conveyor.files import whole_output
+    from regressor.network.checkpoint import load_checkpoint
+    from regressor.network.export import export_onnx as write
+
+    if out.suffix != ".onnx":
+        raise InputError(f"--out {out} must end in .onnx")
+    model, sidecar = load_checkpoint(weights)
+    with whole_output(out) as partial:
+        write(partial, model, sidecar, batch=batch)
+    sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")
+
+
+def export(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
+    """The former name of export-onnx.
+
+    Parameters
+    ----------
+    out, weights, batch
+        As for export-onnx.
+    """
+    sys.stderr.write(
+        "tuberline: `export` is now `tuberline export-onnx`; the tubers of a run come from `tuberline ledger export`\n"
+    )
+    export_onnx(out=out, weights=weights, batch=batch)

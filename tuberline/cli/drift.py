@@ -1,0 +1,75 @@
+"""`tuberline drift`: weights on views that drift from their training."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from conveyor.errors import InputError
+
+
+def drift(
+    *,
+    data: Path,
+    out: Path,
+    also: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
+    weights: Path | None = None,
+    max_views: int | None = 600,
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Evaluate weights on views that drift from their training: belt height, noise, kinds of tuber, belt distance.
+
+    Reports the error of a view and the bias of the total, which is what drift ruins.
+
+    Parameters
+    ----------
+    data
+        A folder of view packs that no training has seen.
+    out
+        Folder of drift.json and drift.md.
+    also
+        Further packs as NAME=FOLDER, e.g. "belt at 0.60 m=packs/far" (`tuberline simulate-views --distances 0.60
+        --camera d405-1280`).
+    weights
+        A .safetensors or an upstream .pth file; default: the shipped ones.
+    max_views
+        Of each shift, the first so many.
+    seed
+        Of the noise.
+    json
+        Print the figures as JSON on stdout.
+    """
+    import torch
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    from conveyor.files import whole_output
+    from regressor.studies.drift import drift as run
+    from regressor.studies.drift import write_drift
+    from regressor.weigh.weigher import Weigher
+
+    torch.set_num_threads(1)
+    others = dict(text.partition("=")[::2] for text in also or [])
+    if not all(others.values()):
+        raise InputError(f"--also {' '.join(also or [])}: every further pack is NAME=FOLDER")
+    console = Console(stderr=True)
+    with console.status("weighing") as status:
+        measured = run(
+            data,
+            {name: Path(folder) for name, folder in others.items()},
+            Weigher.load(weights),
+            max_views=max_views,
+            seed=seed,
+            on_shift=lambda name: status.update(name),
+        )
+    with whole_output(out) as partial:
+        text = write_drift(measured, partial)
+    if json:
+        sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
+    else:
+        Console().print(Markdown(text))

@@ -1,0 +1,94 @@
+"""The nodes of a line as commands, one process each; segmenter and viewer have files of their own."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+
+def camera(*, config: Path, camera: str, run: str | None = None) -> None:
+    """Publish the frames of one camera of a line.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    camera
+        Which of its cameras.
+    run
+        Id of this run; default: the time of its start. All nodes of a run need the same.
+    """
+    from camera_sim.node import run_camera
+    from conveyor.config import load_config
+
+    run_camera(load_config(config), camera, run or _new_run())
+
+
+def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "recorder") -> None:
+    """Record the frames of all cameras of a running line to MCAP, until stopped. It holds up nobody.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    out
+        The file to write; must not exist. After a crash `tuberline recover` saves all but the last second.
+    run
+        Id of this run, for the counters only.
+    name
+        Name of this recorder on the line.
+    """
+    from camera_sim.recorder import run_recorder
+    from conveyor.config import load_config
+
+    written = run_recorder(load_config(config), out, run=run or _new_run(), name=name)
+    sys.stdout.write(f"{written} frames in {out}\n")
+
+
+def regressor(*, config: Path, name: str, run: str) -> None:
+    """Weigh views; any number of regressors, anywhere.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    name
+        This worker's name, unique on the line.
+    run
+        Id of this run.
+    """
+    from conveyor.config import load_config
+    from regressor.serve.node import run_regressor
+
+    run_regressor(load_config(config), name=name, run=run)
+
+
+def aggregator(*, config: Path, run: str | None = None, fingerprint: str = "", new_run: bool = False) -> None:
+    """Count every tuber once and keep the line's ledger.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file.
+    run
+        Id of this run; default: the time of its start. An unfinished run of the ledger is gone on with.
+    fingerprint
+        Of the recording that is replayed: the same one is not counted twice into one ledger.
+    new_run
+        Count a recording again that the ledger already holds, as a run of its own.
+    """
+    from aggregator.node import run_aggregator
+    from conveyor.config import load_config
+    from conveyor.errors import ConfigError
+
+    line = load_config(config)
+    if not line.cameras:
+        raise ConfigError(f"config {config} names no camera: nothing would be counted; add [cameras.<name>]")
+    run_aggregator(line, run=run or _new_run(), fingerprint="" if new_run else fingerprint)
+
+
+def _new_run() -> str:
+    """A run id that says when it began."""
+    from datetime import UTC, datetime
+
+    return datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")

@@ -1,0 +1,36 @@
+"""`tuberline score`: a run against the truth."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+
+
+def score(run_dir: Path, /, *, truth: Path, match_mm: float = 25.0, run: str | None = None, json: bool = False) -> None:
+    """Compare a run with the truth: count, per-tuber weights, total weight.
+
+    Parameters
+    ----------
+    run_dir
+        Folder of a run (with its ledger.db), or the ledger itself.
+    truth
+        The recording's truth.json.
+    match_mm
+        A counted tuber and a true one farther apart than this are two.
+    run
+        Which run, where the ledger holds several.
+    json
+        Print the score as JSON on stdout.
+    """
+    from aggregator.scoring.score import score_run
+
+    result = score_run(run_dir, truth=truth, match_mm=match_mm, run=run)
+    if json:
+        sys.stdout.write(json_module.dumps(result.as_dict(), indent=2) + "\n")
+        return
+    from rich.console import Console
+
+    from tuberline.cli.ledger_tables import score_table
+
+    Console().print(score_table(result))

@@ -1,0 +1,99 @@
+"""`tuberline simulate-views`: single views of simulated tubers, for training and evaluation."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Literal
+
+from conveyor.errors import InputError
+
+Preset = Literal["field", "easy", "harsh", "mixed", "worlds"]
+ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
+
+
+def simulate_views(
+    *,
+    out: Path,
+    tubers: int = 300,
+    views: int = 4,
+    seed: int = 1,
+    preset: Preset = "mixed",
+    camera: ViewCamera = "mixed",
+    distances: tuple[float, ...] = (0.345, 0.460, 0.465),
+    layout: Literal["pack", "potatotwin"] = "pack",
+    force: bool = False,
+) -> None:
+    """Make single views of simulated tubers with known weights, for training and evaluation.
+
+    Parameters
+    ----------
+    out
+        Folder to write to.
+    tubers
+        How many tubers.
+    views
+        Views per tuber; 31 and more are spread evenly over the image's rows.
+    seed
+        The same seed gives the same views.
+    preset
+        How hard: tubers at rest (easy), in any pose with belt height errors (field), cameras and belts as bad as real
+        ones get, drawn by recording (harsh), easy and field by tuber (mixed) or all three by recording (worlds).
+    camera
+        Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
+    distances
+        Belt distances in metres to choose from.
+    layout
+        pack: `views-*.npz` and `meta.json`. potatotwin: images, clouds and tables as in the 3DPotatoTwin data set, of
+        one camera (d405-1280 where none is named), split 60/20/20 into train, val and test.
+    force
+        Overwrite views that are there.
+    """
+    from camera_sim.sim.optics import optics_named
+    from camera_sim.sim.twinfolder import write_twin_folder
+    from camera_sim.sim.viewpack import write_view_pack
+    from camera_sim.sim.views import ViewPlan
+    from conveyor.files import whole_output
+    from tuberline.cli.progress import progress_bar
+
+    if tubers < 1 or views < 1:
+        raise InputError(f"--tubers {tubers} --views {views}: both must be at least 1")
+    if not distances or not all(0.2 <= d <= 1.5 for d in distances):
+        raise InputError(f"--distances {distances}: belt distances of 0.2 to 1.5 m are allowed")
+    former = _former_views(out, force=force)
+    if layout == "potatotwin" and camera == "mixed":
+        camera = "d405-1280"
+    mixed = camera == "mixed"
+    plan = ViewPlan(
+        seed=seed,
+        views_per_tuber=views,
+        preset=preset,
+        optics=None if mixed else optics_named(camera),
+        distances_m=distances,
+        distance_range_m=(0.30, 0.55) if mixed else None,
+        fine_unit_share=0.2 if mixed else 0.0,
+    )
+    with whole_output(out) as partial, progress_bar() as progress:
+        task = progress.add_task("views", total=tubers)
+        if layout == "potatotwin":
+            made = write_twin_folder(partial, plan, tubers=tubers, on_tuber=lambda _: progress.advance(task))
+        else:
+            made = write_view_pack(
+                partial, plan, tubers=tubers, command=" ".join(sys.argv), on_tuber=lambda _: progress.advance(task)
+            )
+        for old in former:
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+    sys.stdout.write(f"{made} views of {tubers} tubers in {out}\n")
+
+
+def _former_views(out: Path, *, force: bool) -> list[Path]:
+    """The views that the new ones take the place of, on demand alone: no mix of two."""
+    packs, twin = list(out.glob("views-*.npz")), out / "1_rgbd"
+    if (packs or twin.exists()) and not force:
+        raise InputError(f"{out} already holds views; choose another folder or add --force")
+    if not twin.exists():
+        return packs
+    if not (twin / "0_camera_intrinsics" / "simulated_camera_intrinsic.json").is_file():
+        raise InputError(f"{twin} was not simulated: it is not overwritten")
+    return [*packs, twin]

@@ -1,0 +1,136 @@
+"""`tuberline train`: train PointRAFT."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from conveyor.errors import InputError
+
+
+def train(
+    *,
+    data: Path,
+    val: Path,
+    out: Path,
+    recipe: Literal["tuberline", "paper", "fine-tune"] = "tuberline",
+    start: Path | None = None,
+    epochs: float | None = None,
+    minutes: float | None = None,
+    resume: bool = False,
+    batch: int | None = None,
+    lr: float | None = None,
+    weight_decay: float | None = None,
+    dropout: float | None = None,
+    height_embedding: Annotated[bool, Parameter(negative="--no-height-embedding")] = True,
+    shear: float | None = None,
+    balanced: Annotated[bool | None, Parameter(negative="--no-balanced")] = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
+    device: Literal["cpu", "cuda"] = "cpu",
+    threads: int = 1,
+    seed: int = 133,
+    save_minutes: float = 2.0,
+    validate_minutes: float = 5.0,
+    max_validation_views: int = 2000,
+    name: str = "pointraft",
+    target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g",
+) -> None:
+    """Train PointRAFT; writes weights.safetensors with its sidecar, log.csv and a state to resume from.
+
+    Parameters
+    ----------
+    data
+        A folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin folder.
+    val
+        The same for validation. The same folder means the splits of its splits.csv.
+    out
+        Folder to write into.
+    recipe
+        Defaults of everything below: ours, the paper's, or ours for going on from trained weights.
+    start
+        Weights to begin with (.safetensors), for the recipe fine-tune; default: random ones.
+    epochs
+        Passes over the training views (50; 2 to fine-tune).
+    minutes
+        Train by the clock instead; the schedule adapts to the steps really made.
+    resume
+        Go on with the training in `out`.
+    batch
+        Clouds per step (32).
+    lr
+        First learning rate (1e-3).
+    weight_decay
+        Adam's L2 (1e-4).
+    dropout
+        In the head (paper 0.5, ours 0.1, none to fine-tune).
+    height_embedding
+        Feed the height above the belt; off for the paper's ablation.
+    shear
+        The paper's shear in all six directions (paper 0.2, ours 0: only in the belt's plane).
+    balanced
+        Draw the weight classes equally often; ours ends with the natural distribution.
+    compute
+        bfloat16 for the wide products is 2 to 3 times faster where the processor has it.
+    device
+        cuda where torch has a GPU.
+    threads
+        Of this process.
+    seed
+        Of everything random.
+    save_minutes
+        Between two writes of the state.
+    validate_minutes
+        Between two validations.
+    max_validation_views
+        Taken evenly over the validation set.
+    name
+        Of the weights, as it will stand in ledgers.
+    target
+        What is learned. A line weighs, so it takes weights for weight_g alone; `evaluate` takes all.
+    """
+    import torch
+
+    from regressor.training.recipe import recipe_named
+    from regressor.training.run import RunOptions
+    from regressor.training.run import train as run
+    from tuberline.cli.training_bar import TrainingBar
+
+    if (recipe == "fine-tune") != (start is not None):
+        raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
+    torch.set_num_threads(threads)
+    settings = recipe_named(
+        recipe,
+        epochs=epochs,
+        minutes=minutes,
+        batch=batch,
+        lr=lr,
+        weight_decay=weight_decay,
+        dropout=dropout,
+        height_embedding=height_embedding,
+        balanced=balanced,
+        compute=compute,
+        device=device,
+        seed=seed,
+        shear=shear,
+        target=target,
+    )
+    options = RunOptions(
+        data=data,
+        validation=val,
+        out=out,
+        name=name,
+        resume=resume,
+        save_minutes=save_minutes,
+        validate_minutes=validate_minutes,
+        max_validation_views=max_validation_views,
+        command=shlex.join(["tuberline", *sys.argv[1:]]),
+        start=start,
+    )
+    with TrainingBar() as bar:
+        sidecar = run(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
+    figures = sidecar.metrics["validation"]
+    sys.stderr.write(f"{out / 'weights.safetensors'}: MAE {figures['mae_g']:.1f} g per view on the validation set\n")

@@ -1,0 +1,71 @@
+"""`tuberline weigh`: single clouds and depth images, without a line."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from conveyor.errors import InputError
+
+
+def weigh(
+    paths: Annotated[list[Path], Parameter(consume_multiple=True)],
+    /,
+    *,
+    belt_distance_m: float,
+    belt_sd_mm: float = 2.0,
+    weights: Path | None = None,
+    depth_scale_m: float | None = None,
+    intrinsics: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Weigh single clouds (.ply, .npz, .npy) or depth and mask pairs (.png) of one tuber each.
+
+    Exits with 2 if any file could not be weighed; the others are weighed all the same.
+
+    Parameters
+    ----------
+    paths
+        Clouds in the camera's frame and metres, or either file of a 3DPotatoTwin depth/rgb pair.
+    belt_distance_m
+        Camera to belt along the optical axis, metres.
+    belt_sd_mm
+        How well that distance is known, standard deviation in millimetres: it widens the intervals.
+    weights
+        A .safetensors or an upstream .pth file; default: the shipped ones.
+    depth_scale_m
+        Metres per unit of a depth image; default: what the intrinsics file says, else 0.001.
+    intrinsics
+        Intrinsics of a depth image; default: 0_camera_intrinsics/ beside the images.
+    json
+        Print a JSON list on stdout.
+    """
+    import torch
+
+    from regressor.weigh.files import FileOptions, weigh_files
+    from regressor.weigh.weigher import Weigher
+
+    if not 0.05 <= belt_distance_m <= 5.0:
+        raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
+    if not 0 <= belt_sd_mm <= 100:
+        raise InputError(
+            f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
+        )
+    torch.set_num_threads(1)
+    options = FileOptions(belt_distance_m, belt_sd_mm / 1000, depth_scale_m, intrinsics)
+    results = weigh_files(paths, options, Weigher.load(weights))
+    if json:
+        sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
+    else:
+        from rich.console import Console
+
+        from tuberline.cli.weigh_table import weight_table
+
+        Console().print(weight_table(results))
+    failed = [result.error for result in results if result.error]
+    if failed:
+        raise InputError("\n".join(failed))
