@@ -1,0 +1,106 @@
+"""Headers built field by field from the message classes: within all declared ranges, or refused; never anything else."""
+
+from __future__ import annotations
+
+import random
+import tracemalloc
+from collections import Counter
+from dataclasses import fields, is_dataclass
+from typing import Any, get_args, get_type_hints
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from conveyor import messages as m
+from conveyor.errors import MessageError
+from conveyor.messages.base import Message
+from conveyor.ranges import Items, Range, Text
+from regressor.weights_messages import WeightsParcel, WeightsReport, WeightsState
+from tests.fuzz.damage import EFFORT, bounded_memory, quick
+from tests.fuzz.structure import Built, build, fault
+
+CLASSES: tuple[type[Message], ...] = (
+    m.Frame, m.CameraInfo, m.FrameProgress, m.Travel, m.View, m.Weight, m.TrackEntry, m.Committed, m.Tuber, m.Totals,
+    m.Counters, WeightsParcel, WeightsReport, WeightsState,
+)  # fmt: skip
+UNSHRUNK = (Phase.reuse, Phase.generate)
+"""Shrinking a message of a thousand choices takes minutes, and its error names the field as it is."""
+MOST_BYTES_EACH = 160 << 20
+"""Twice the arrays' limit, and 32 MiB: an array and its compressed bytes, a header and the errors about it."""
+
+
+def read(cls: type[Message], built: Built) -> str:
+    """'value' or the reason of the refusal; fails where the law is broken."""
+    try:
+        message = cls.decode(built.data)
+    except MessageError as error:
+        assert str(error).strip()
+        assert len(str(error)) < 2000
+        return str(error.reason)
+    assert not built.wrong, f"{built.wrong} was taken: {str(message)[:200]}"
+    assert not fault(message, cls, cls.__name__)
+    return "value"
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_every_field_says_what_it_may_hold(cls: type[Message]) -> None:
+    def walk(hint: Any, where: str) -> None:
+        marks = [mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Range | Text | Items)]
+        kind = get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
+        if is_dataclass(kind):
+            hints = get_type_hints(kind, include_extras=True)
+            for f in fields(kind):
+                if f.name not in getattr(kind, "ARRAYS", {}):
+                    walk(hints[f.name], f"{where}.{f.name}")
+        elif kind in (int, float, str):
+            assert marks, f"{where} is any {kind.__name__}"
+            if isinstance(marks[0], Range):
+                assert kind is float or all(type(limit) is int for limit in (marks[0].low, marks[0].high)), where
+        elif getattr(kind, "__origin__", None) in (dict, tuple):
+            assert any(isinstance(mark, Items) for mark in marks), f"{where} holds any number of items"
+        for inner in get_args(kind):
+            if not isinstance(inner, str) and inner is not Ellipsis:
+                walk(inner, where)
+
+    walk(cls, cls.__name__)
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_headers_at_and_beyond_their_limits(cls: type[Message]) -> None:
+    seen: set[str] = set()
+
+    @settings(quick(120), phases=UNSHRUNK)
+    @given(st.data())
+    def decode(data: st.DataObject) -> None:
+        seen.add(read(cls, build(cls, lambda options: data.draw(st.sampled_from(options)))))
+
+    with bounded_memory():
+        decode()
+    assert "value" in seen
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_many_headers_at_and_beyond_their_limits(cls: type[Message]) -> None:
+    seed = random.SystemRandom().randrange(1 << 32) if EFFORT else 5
+    print(f"seed {seed}")
+    rng = random.Random(f"{seed} {cls.__name__}")
+    count = int(400 * (EFFORT or 1))
+    seen = Counter(read(cls, build(cls, rng.choice)) for _ in range(count))
+    assert seen["value"] > count / 10, seen
+    assert seen["range"] > count / 100 or cls is WeightsParcel, seen
+    assert seen["field"], seen
+
+
+@pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+def test_reading_takes_no_more_memory_than_it_may(cls: type[Message]) -> None:
+    rng = random.Random(cls.__name__)
+    samples = [build(cls, rng.choice) for _ in range(60)]
+    tracemalloc.start()
+    try:
+        for built in samples:
+            read(cls, built)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < MOST_BYTES_EACH
