@@ -58,7 +58,7 @@ class ReliableSubscriber(Inbox[M]):
         history: bool = True,
         **parts: str,
     ) -> None:
-        super().__init__(message_type, name=topic.name, capacity=capacity, counters=node.counters, log=node.log)
+        super().__init__(message_type, topic=topic, capacity=capacity, counters=node.counters, log=node.log)
         beginnings = Beginnings(node.session, self.push, cache=CACHE_MESSAGES, lost=self._count_missed, log=node.log)
         self._subscriber = ext.declare_advanced_subscriber(
             node.session,
