@@ -253,7 +253,7 @@ def test_a_weight_that_is_none_is_refused_on_arrival_and_not_sent(weight_g: obje
     with pytest.raises(UnsendableError, match=r"not sent: Weight\.weight_g"):
         replace(WEIGHT, weight_g=weight_g).encode()  # type: ignore[arg-type]
     _, fields, _ = wire.unpack(WEIGHT.encode())
-    with pytest.raises(MessageError, match="weight_g|not a finite one") as caught:
+    with pytest.raises(MessageError, match=r"weight_g|not a finite one") as caught:
         Weight.decode(wire.pack("Weight", {**fields, "weight_g": weight_g}, {}))
     assert caught.value.reason in (Refusal.RANGE, Refusal.FIELD)
 

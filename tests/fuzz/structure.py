@@ -1,8 +1,8 @@
 """Messages built from what their classes declare: header by header, field by field, at and beyond each limit.
 
-`build` takes every choice by one function, so that hypothesis and a plain random generator drive the same builder. It
-says whether it put anything in that must be refused. Of the options the first is the plainest one. `fault` finds, without the library that the decoder uses, what a
-decoded message holds that its class does not allow.
+`build` takes every choice by one function, so that hypothesis and a plain random generator drive the same builder; of
+the options the first is the plainest one. It says whether it put anything in that must be refused. `fault` finds,
+without the library that the decoder uses, what a decoded message holds that its class does not allow.
 """
 
 from __future__ import annotations
@@ -19,11 +19,19 @@ import msgpack
 import numpy as np
 import zstandard
 
+from conveyor import messages as m
 from conveyor import wire
+from conveyor.errors import MessageError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages.base import ArraySpec, Message
 from conveyor.ranges import Items, Range, Text
+from regressor.weights_messages import WeightsParcel, WeightsReport, WeightsState
 
+CLASSES: tuple[type[Message], ...] = (
+    m.Frame, m.CameraInfo, m.FrameProgress, m.Travel, m.View, m.Weight, m.TrackEntry, m.Committed, m.Tuber, m.Totals,
+    m.Counters, WeightsParcel, WeightsReport, WeightsState,
+)  # fmt: skip
+"""Every message that crosses a process boundary."""
 Pick = Callable[[Sequence[Any]], Any]
 NO_FIELD: tuple[Any, ...] = (
     None, True, False, "", "1", "nan", "\x00", "ü" * 300, "a/b", "9" * 5000, 0.5, -1.0, 1e300, -1e300, 5e-324, 1e308,
@@ -33,6 +41,7 @@ NO_FIELD: tuple[Any, ...] = (
 )  # fmt: skip
 """Values that many fields may not hold."""
 SMALL_BYTES = 4096
+MOST_ERROR_CHARACTERS = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,9 +91,7 @@ class _Builder:
     def record(self, cls: Any, where: str, *, arrays: Sequence[str] = ()) -> dict[str, Any]:
         """The fields of a dataclass."""
         hints = _hints(cls)
-        return {
-            f.name: self.value(hints[f.name], f"{where}.{f.name}") for f in fields(cls) if f.name not in arrays
-        }
+        return {f.name: self.value(hints[f.name], f"{where}.{f.name}") for f in fields(cls) if f.name not in arrays}
 
     def _key(self, hint: Any, where: str) -> str:
         if self._left and self._pick(range(6)) == 5:
@@ -106,7 +113,9 @@ class _Builder:
     def descriptor(self, name: str, spec: ArraySpec, shape: tuple[int, ...] | None) -> tuple[dict[str, Any], bytes]:
         """An array's entry in the header and its bytes."""
         if shape is None:
-            shape = tuple(self._pick([n for n in (low, low + 1, 3, high) if low <= n <= high]) for low, high in spec.sides)
+            shape = tuple(
+                self._pick([n for n in (low, low + 1, 3, high) if low <= n <= high]) for low, high in spec.sides
+            )
         dtype = np.dtype(wire.DTYPES[spec.dtype])
         size = math.prod(shape) * dtype.itemsize
         codec, body = ("raw", bytes(size)) if size <= SMALL_BYTES else ("zstd", _zeros(min(size, 1 << 22)))
@@ -137,7 +146,19 @@ class _Builder:
         if key == "shape" and self._pick(range(4)):
             at = self._pick(range(len(spec.sides)))
             low, high = spec.sides[at]
-            beyond = (low - 1, high + 1, 1 << 26, 1 << 31, 1 << 32, 1 << 62, (1 << 63) - 1, 1 << 63, -(1 << 63), 1.0, None)
+            beyond = (
+                low - 1,
+                high + 1,
+                1 << 26,
+                1 << 31,
+                1 << 32,
+                1 << 62,
+                (1 << 63) - 1,
+                1 << 63,
+                -(1 << 63),
+                1.0,
+                None,
+            )
             claim["shape"][at] = self._pick([n for n in beyond if not (type(n) is int and low <= n <= high)])
             return f"shape {claim['shape']}"
         known = {"name": (), "dtype": tuple(wire.DTYPES), "codec": ("raw", "zstd")}
@@ -170,6 +191,26 @@ def build(cls: type[Message], pick: Pick) -> Built:
     except (OverflowError, ValueError):  # what MessagePack cannot say
         return Built(b"", "not sayable")
     return Built(b"TBL\x01" + len(packed).to_bytes(4, "little") + packed + b"".join(bodies), wrong)
+
+
+def read(cls: type[Message], built: Built) -> str:
+    """'value', or the reason for which the message was refused.
+
+    Raises:
+        AssertionError: it was taken though it must be refused, or holds what its class does not allow.
+    """
+    try:
+        message = cls.decode(built.data)
+    except MessageError as error:
+        said, reason = str(error), str(error.reason)
+    else:
+        found = built.wrong or fault(message, cls, cls.__name__)
+        if found:
+            raise AssertionError(f"taken in spite of {found:.500}: {str(message)[:500]}")
+        return "value"
+    if not said.strip() or len(said) > MOST_ERROR_CHARACTERS:
+        raise AssertionError(f"the error has {len(said)} characters: {said:.500}")
+    return reason
 
 
 def _spoil_whole(whole: dict[str, Any], pick: Pick) -> str:
@@ -332,10 +373,10 @@ def _record_fault(value: Any, cls: Any, where: str) -> str:
     if not isinstance(value, cls):
         return f"{where} is {value!r:.60}, no {cls.__name__}"
     arrays: dict[str, ArraySpec] = getattr(cls, "ARRAYS", {})
-    for name, hint in _hints(cls).items():
-        if name in {f.name for f in fields(cls)} and name not in arrays:
-            if found := fault(getattr(value, name), hint, f"{where}.{name}"):
-                return found
+    hints = _hints(cls)
+    for f in fields(cls):
+        if f.name not in arrays and (found := fault(getattr(value, f.name), hints[f.name], f"{where}.{f.name}")):
+            return found
     for name, spec in arrays.items():
         array = getattr(value, name)
         if array is None:
