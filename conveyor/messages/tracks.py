@@ -106,7 +106,7 @@ class Mark:
     captured_ns: Nanoseconds
     travel_m: BeltPlace
     travel_estimated: Yes
-    complete_ns: Annotated[int, Range(-1, INT64_MAX, "ns")]
+    complete_ns: Annotated[int, Range(-INT64_MAX, INT64_MAX, "ns")]
     complete_place_x_m: BeltPlace
     final: Yes
     looked_at_m: BeltLength
