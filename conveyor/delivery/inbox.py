@@ -10,6 +10,7 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from conveyor.delivery.refusals import Refusals
@@ -26,7 +27,10 @@ M = TypeVar("M", bound=Message)
 
 
 class Inbox(Generic[M]):
-    """Newest `capacity` messages, oldest first. What does not fit pushes the oldest out and is counted."""
+    """Newest `capacity` messages, oldest first. What does not fit pushes the oldest out and is counted.
+
+    `on_refused` gets key, bytes and error of what cannot be decoded, in the thread that reads, after it was counted.
+    """
 
     def __init__(
         self,
@@ -37,6 +41,7 @@ class Inbox(Generic[M]):
         capacity: int,
         counters: CounterSet,
         log: logging.Logger,
+        on_refused: Callable[[str, bytes, MessageError], None] | None = None,
     ) -> None:
         self._type = message_type
         self._name = name = name or topic.name
@@ -44,6 +49,7 @@ class Inbox(Generic[M]):
         self._refusals = Refusals(topic, name=name, counters=counters, log=log)
         self._log = log
         self._capacity = capacity
+        self._on_refused = on_refused
         self._queue: deque[tuple[str, bytes]] = deque()
         self._arrived = threading.Condition()
         for outcome in ("received", "dropped_overwritten"):
@@ -81,10 +87,8 @@ class Inbox(Generic[M]):
                 return key, self._type.decode(data)
             except MessageError as error:
                 self._refusals.refuse(key, error)
-                self._on_refused(key, data, error)
-
-    def _on_refused(self, key: str, data: bytes, error: MessageError) -> None:
-        """For a subscriber that has to do more about it; runs in the thread that reads."""
+                if self._on_refused is not None:
+                    self._on_refused(key, data, error)
 
     def __len__(self) -> int:
         return len(self._queue)
