@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError, UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
+from conveyor.messages.base import check_part
 from segmenter.belt import BeltGeometry
 from segmenter.belt_keeper import BeltKeeper
 from segmenter.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
@@ -344,7 +345,7 @@ class Segmenter:
             views_lost={},
         )
         try:
-            message.check()
+            check_part(message)
         except UnsendableError:
             return "out_of_range"  # a mat of haulm may be longer than anything that is a tuber
         sd_m = self.settings.belt_sd_m

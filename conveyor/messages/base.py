@@ -126,7 +126,7 @@ class Message:
             raise UnsendableError(f"not sent: {error}", reason=error.reason) from error
 
 
-M = TypeVar("M", bound=Message)
+T = TypeVar("T")
 
 
 def _check_arrays(cls: type[Message], announced: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
@@ -155,10 +155,10 @@ def _read_arrays(cls: type[Message], data: bytes, announced: Mapping[str, Announ
     return {name: arrays.get(name) for name in cls.ARRAYS}
 
 
-def _checked(cls: type[M], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> M:
+def _checked(cls: type[T], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> T:
     """The message of these fields and arrays, each field within its range."""
     try:
-        message: M = _adapter(cls).validate_python({**header, **arrays})
+        message: T = _adapter(cls).validate_python({**header, **arrays})
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = shown(".".join(str(part)[:60] for part in first["loc"])).strip("'\"")
@@ -171,6 +171,18 @@ def _checked(cls: type[M], header: Mapping[str, Any], arrays: Mapping[str, Any])
     except TuberlineError as error:
         raise MessageError(f"{cls.__name__}: {error}", reason=Refusal.RANGE) from error
     return message
+
+
+def check_part(value: Any) -> None:
+    """For a part of a message that comes of what was measured, a `Track` say: find out before it is sent.
+
+    Raises:
+        UnsendableError: `value` holds what its class does not allow.
+    """
+    try:
+        _checked(type(value), plain(value), {})
+    except MessageError as error:
+        raise UnsendableError(f"not sent: {error}", reason=error.reason) from error
 
 
 _ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}

@@ -19,6 +19,7 @@ from conveyor import wire
 from conveyor.errors import MessageError, Refusal, TuberlineError, UnsendableError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame, Mark, Track, TrackEntry, View, WeighedView, Weight
+from conveyor.messages.base import check_part
 
 INTRINSICS = Intrinsics(width=64, height=48, fx=60.0, fy=61.0, cx=31.5, cy=24.5)
 
@@ -256,6 +257,14 @@ def test_a_weight_that_is_none_is_refused_on_arrival_and_not_sent(weight_g: obje
     with pytest.raises(MessageError, match=r"weight_g|not a finite one") as caught:
         Weight.decode(wire.pack("Weight", {**fields, "weight_g": weight_g}, {}))
     assert caught.value.reason in (Refusal.RANGE, Refusal.FIELD)
+
+
+def test_a_part_of_a_message_is_checked_where_it_is_made() -> None:
+    check_part(make_track())
+    with pytest.raises(UnsendableError, match=r"Track\.length_mm: .* less than or equal to 2000"):
+        check_part(replace(make_track(), length_mm=2000.5))
+    with pytest.raises(UnsendableError, match=r"Track\.views\.0\.weight_g"):
+        check_part(replace(make_track(), views=(replace(make_track().views[0], weight_g=float("nan")),)))
 
 
 def test_a_fault_of_our_own_does_not_end_a_process_for_good() -> None:

@@ -262,9 +262,13 @@ def _zeros(size: int) -> bytes:
     return zstandard.ZstdCompressor(level=1).compress(bytes(size))
 
 
-@cache
+_HINTS: dict[Any, dict[str, Any]] = {}
+
+
 def _hints(cls: Any) -> dict[str, Any]:
-    return get_type_hints(cls, include_extras=True)
+    if cls not in _HINTS:
+        _HINTS[cls] = get_type_hints(cls, include_extras=True)
+    return _HINTS[cls]
 
 
 @cache
@@ -296,9 +300,9 @@ def inside(hint: Any) -> tuple[Any, ...]:
             near = (low, low + 1, low + 2, 1, 2, (low + high) // 2, high - 1, high)
             return tuple(n for n in dict.fromkeys(near) if low <= n <= high)
         if isinstance(mark, Range):
-            low, high = float(mark.low), float(mark.high)
-            steps = (low, math.nextafter(low, high), 0.0, -0.0, 5e-324, 0.5, math.nextafter(high, low), high)
-            return tuple(x for x in steps if low <= x <= high)
+            first, last = float(mark.low), float(mark.high)
+            steps = (first, math.nextafter(first, last), 0.0, -0.0, 5e-324, 0.5, math.nextafter(last, first), last)
+            return tuple(x for x in steps if first <= x <= last)
         if isinstance(mark, Text):
             texts = ("a", "r1", "a.b-c_d", "0" * mark.most, "m@1/x", "", "ü" * mark.most, "two words", "new\nline")
             return tuple(text for text in texts if _fits(text, mark))
