@@ -68,7 +68,7 @@ Words = Annotated[tuple[Word, ...], Items(256)]
 Line = Annotated[str, Text(4096)]
 """What a person reads, or a path on some machine."""
 
-Model = Annotated[str, Text(2048, r"^[^\x00-\x1f\x7f]*$")]
+Model = Annotated[str, Text(4096, r"^[^\x00-\x1f\x7f]*$")]
 """Name and hash of weights; a tuber weighed by several has them all, joined by '+'."""
 
 Nanoseconds = Annotated[int, Range(0, INT64_MAX, "ns")]
@@ -111,5 +111,5 @@ ViewGrams = Annotated[float, Range(0, 1e5, "g")]
 TuberGrams = Annotated[float, Range(0, 1e9, "g")]
 """A fused weight or a bound of its interval, which views that contradict each other make very wide."""
 
-LoadGrams = Annotated[float, Range(0, 1e18, "g")]
-"""A sum over tubers."""
+LoadGrams = Annotated[float, Range(0, 1e300, "g")]
+"""A sum over tubers, and that over the share of the belt that was seen, which may be next to nothing."""

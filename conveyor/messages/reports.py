@@ -7,13 +7,10 @@ from typing import Annotated
 
 from conveyor.messages.base import Message
 from conveyor.ranges import (
-    BeltPlace,
     Count,
     Id,
-    InView,
     Items,
     LoadGrams,
-    Millimetres,
     Model,
     Name,
     Nanoseconds,
@@ -27,7 +24,7 @@ from conveyor.ranges import (
 
 @dataclass(frozen=True, slots=True)
 class Tuber(Message):
-    """One counted tuber, as committed.
+    """One counted tuber, as committed. What any tracks that may be received come to fits into its ranges.
 
     `place_x_m`, `place_y_m` are its place on the belt (x - travel, y). `low_g`, `high_g` bound the 90 % interval of
     its fused weight. `cameras` saw it, `tracks` are their track ids. `method` is 'pointraft', or 'volume' where no
@@ -37,14 +34,14 @@ class Tuber(Message):
     tuber_id: Count
     run: Name
     crossed_ns: Nanoseconds
-    place_x_m: BeltPlace
-    place_y_m: InView
+    place_x_m: Annotated[float, Range(-1e9, 1e9, "m")]
+    place_y_m: Annotated[float, Range(-1000, 1000, "m")]
     weight_g: TuberGrams
     low_g: TuberGrams
     high_g: TuberGrams
-    length_mm: Millimetres
-    width_mm: Millimetres
-    height_mm: Millimetres
+    length_mm: Annotated[float, Range(0, 2001, "mm")]
+    width_mm: Annotated[float, Range(0, 2001, "mm")]
+    height_mm: Annotated[float, Range(0, 2001, "mm")]
     views: Count
     method: Word
     model: Model
@@ -67,11 +64,11 @@ class Totals(Message):
     weight_g: LoadGrams
     low_g: LoadGrams
     high_g: LoadGrams
-    coverage: Annotated[float, Range(0, 1, "share of the belt")] | None
+    coverage: Annotated[float, Range(0, 1 + 1e-9, "share of the belt")] | None
     estimated_weight_g: LoadGrams
     estimated_low_g: LoadGrams
     estimated_high_g: LoadGrams
-    tubers_per_s: Annotated[float, Range(0, 1e12, "1/s")]
+    tubers_per_s: Annotated[float, Range(0, 1e18, "1/s")]
     histogram_step_g: Annotated[float, Range(0, 1e6, "g")]
     histogram: Annotated[tuple[Count, ...], Items(4096)]
     cameras: Annotated[dict[Name, Word], Items(256)]

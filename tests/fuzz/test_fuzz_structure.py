@@ -12,6 +12,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from aggregator.merge import Group, PlacedTrack
+from aggregator.totals import LoadTotals
+from aggregator.tubers import make_tuber
+from conveyor import messages as m
 from conveyor.messages.base import Message
 from conveyor.ranges import Items, Range, Text
 from regressor.weights_messages import WeightsParcel
@@ -84,3 +88,22 @@ def test_reading_takes_no_more_memory_than_it_may(cls: type[Message]) -> None:
     finally:
         tracemalloc.stop()
     assert most < MOST_BYTES_EACH
+
+
+def test_any_tracks_that_are_taken_make_a_tuber_and_totals_that_can_be_sent() -> None:
+    """Each value at a limit of its range: fusion must not make one of them that ends the aggregator."""
+    seed = random.SystemRandom().randrange(1 << 32) if EFFORT else 11
+    rng = random.Random(seed)
+    tracks: list[m.Track] = []
+    while len(tracks) < int(300 * (EFFORT or 1)):
+        built = build(m.TrackEntry, rng.choice)
+        if not built.wrong and (track := m.TrackEntry.decode(built.data).track) is not None:
+            tracks.append(track)
+    load = LoadTotals(50.0)
+    for n, track in enumerate(tracks, start=1):
+        others = [track, *rng.sample(tracks, rng.choice((0, 1, 2, 5)))]
+        members = [PlacedTrack(f"c{k % 2}", n, seen, seen.place_x_m, seen.y_m) for k, seen in enumerate(others)]
+        tuber = make_tuber(Group(members), run="r", tuber_id=n)
+        tuber.check()
+        load.add(tuber)
+        load.message("r", coverage=rng.choice((None, 0.0, 5e-324, 1e-9, 0.5, 1.0)), cameras={}, final=False).check()
