@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from aggregator.core.camera_log import Taken
+from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.core.machine import Aggregation, Batch
 from aggregator.ledger.writer import Ledger
 from aggregator.queries import Queries
@@ -18,6 +19,7 @@ from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher
 from conveyor.delivery.presence import Presence
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
+from conveyor.errors import MessageError, Refusal
 from conveyor.messages import Committed, TrackEntry
 from conveyor.node import Node
 
@@ -104,7 +106,7 @@ class AggregatorNode:
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
         self._segmenters = Presence(node, "segmenter")
-        self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, camera="*")
+        self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
 
     def work(self) -> None:
@@ -154,6 +156,21 @@ class AggregatorNode:
             self._node.log.error("refused entries of run %s from %s: this is %s", entry.run, entry.camera, self._run)
         elif taken in (Taken.CONFLICTING, Taken.MALFORMED, Taken.UNKNOWN_CAMERA, Taken.WAITING_FULL):
             self._node.log.error("entry %d of %s: %s", entry.n, entry.camera, taken)
+
+        if taken is Taken.MALFORMED:
+            self._core.set_aside(
+                LoggedEntry(replace(entry, track=None, mark=None), entry.encode(), refused=str(Refusal.CONTENT))
+            )
+
+    def _set_aside(self, key: str, payload: bytes, error: MessageError) -> None:
+        """An entry that can never be read must not hold up those behind it, nor come again for ever."""
+        logged = set_aside(payload, error)
+        if logged is None or logged.entry.camera != topics.TRACK.parts(key)["camera"]:
+            return
+        if self._core.set_aside(logged) is Taken.SET_ASIDE:
+            self._node.log.error(
+                "entry %d of %s is set aside, its tuber is lost: %s", logged.entry.n, logged.entry.camera, error
+            )
 
     def _commit(self) -> None:
         """Make durable what has become certain, then say so."""

@@ -49,6 +49,7 @@ def summarise(
         },
         "tubers": dict(tubers),
         "tracks": dict(audit.tracks),
+        "set_aside": dict(audit.set_aside),
         "methods": dict(sorted(methods.items())),
         "models": dict(sorted(models.items())),
         "aggregator": dict(sorted(counters.items())),

@@ -1,15 +1,18 @@
 """Coverage-guided fuzzing of every decoder with atheris: executions, coverage, memory, findings.
 
     python -m benchmarks fuzz [TARGET ...] [--seconds 90] [--out FOLDER]
+    python -m benchmarks fuzz [MESSAGE ...] --messages 1000000 [--seed N] [--out FOLDER]
 
 An input must end as a value or as an error of ours with a text; anything else is a finding, as are an input that takes
-longer than the hang limit and a process that grows beyond the memory bound. Exits with 1 where there is one.
+longer than the hang limit and a process that grows beyond the memory bound. Exits with 1 where there is one. With
+`--messages` every message class reads so many headers built from its declared ranges, at and beyond each limit.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import re
 import subprocess
 import sys
@@ -18,7 +21,9 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from benchmarks.fuzz_messages import fuzz_messages
 from conveyor.errors import TuberlineError
+from tests.fuzz.structure import CLASSES
 from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,10 +52,14 @@ def main(arguments: list[str]) -> None:
     """Fuzz the targets one after the other and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks fuzz", description=__doc__)
     parser.add_argument("targets", nargs="*", help=f"default: all of {', '.join(TARGETS)}")
+    parser.add_argument("--messages", type=int, help="built from the message classes, for each of them; no atheris")
     parser.add_argument("--seconds", type=int, default=90, help="for each target")
     parser.add_argument("--seed", type=int, default=0, help="0: another one each time")
     parser.add_argument("--out", type=Path, help="keep corpora and findings here; the next run goes on from them")
     options = parser.parse_args(arguments)
+    if options.messages is not None:
+        _messages(options)
+        return
     unknown = [name for name in options.targets if name not in TARGETS]
     if unknown:
         raise TuberlineError(f"fuzz target '{unknown[0]}' is unknown; known: {', '.join(TARGETS)}")
@@ -71,6 +80,18 @@ def main(arguments: list[str]) -> None:
         shown = path.read_text(errors="replace").splitlines()[0] if path.suffix == ".txt" else "hang, crash or memory"
         print(f"{path}: {shown}")
     if found:
+        sys.exit(1)
+
+
+def _messages(options: argparse.Namespace) -> None:
+    known = [cls.__name__ for cls in CLASSES]
+    for name in options.targets:
+        if name not in known:
+            raise TuberlineError(f"message '{name}' is unknown; known: {', '.join(known)}")
+    out = options.out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
+    out.mkdir(parents=True, exist_ok=True)
+    seed = options.seed or random.SystemRandom().randrange(1, 1 << 32)
+    if not fuzz_messages(options.messages, seed=seed, out=out, names=options.targets):
         sys.exit(1)
 
 

@@ -12,7 +12,7 @@ from camera_sim.flow import Pace, SendWindow
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestPublisher
-from conveyor.errors import TuberlineError
+from conveyor.errors import TuberlineError, UnsendableError
 from conveyor.formats import PolledSource, Refused, Source
 from conveyor.messages import CameraInfo, Frame, FrameProgress
 from conveyor.node import Node
@@ -89,6 +89,8 @@ class CameraNode:
         for item in self._source.frames(run=self._node.run, after=after):
             if isinstance(item, Refused):
                 self._refuse(item)
+            elif fault := _fault(item):
+                self._refuse(Refused(item.seq, "out_of_range", f"frame {item.seq} of {item.camera}: {fault}"))
             else:
                 self._wait_for_turn(item)
                 if self._interrupted:
@@ -234,9 +236,18 @@ class CameraNode:
                 last_seq=self._last,
                 published=self._published,
                 refused=dict(self._refused),
-                error=error,
+                error=error[:4000],
             )
         )
+
+
+def _fault(frame: Frame) -> str:
+    """Why a frame of a recording or a device cannot be sent; empty where it can."""
+    try:
+        frame.check()
+    except UnsendableError as error:
+        return str(error)
+    return ""
 
 
 def run_camera(config: LineConfig, camera: str, run: str) -> None:

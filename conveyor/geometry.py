@@ -7,12 +7,15 @@ z up from the belt surface, metres. Transforms are named `a_from_b` and map poin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.ranges import Range
 
+MAX_SIDE_PIXELS = 16384
 TYPICAL_BELT_SD_M = 0.002
 """How well a belt's height is known where nothing says it, standard deviation: measured once, worn and soiled since."""
 
@@ -21,18 +24,20 @@ TYPICAL_BELT_SD_M = 0.002
 class Intrinsics:
     """Pinhole intrinsics in pixels for an undistorted image of `width` x `height`."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    width: Annotated[int, Range(1, MAX_SIDE_PIXELS, "px")]
+    height: Annotated[int, Range(1, MAX_SIDE_PIXELS, "px")]
+    fx: Annotated[float, Range(1e-3, 1e6, "px")]
+    fy: Annotated[float, Range(1e-3, 1e6, "px")]
+    cx: Annotated[float, Range(-1e6, 1e6, "px")]
+    cy: Annotated[float, Range(-1e6, 1e6, "px")]
 
     def __post_init__(self) -> None:
-        if not (0 < self.width <= 16384 and 0 < self.height <= 16384):
-            raise InputError(f"image size {self.width}x{self.height} is outside 1..16384 pixels a side")
-        if not (self.fx > 0 and self.fy > 0):
-            raise InputError(f"focal lengths must be positive pixels, got fx={self.fx}, fy={self.fy}")
+        if not (0 < self.width <= MAX_SIDE_PIXELS and 0 < self.height <= MAX_SIDE_PIXELS):
+            raise InputError(f"image size {self.width}x{self.height} is outside 1..{MAX_SIDE_PIXELS} pixels a side")
+        if not (1e-3 <= self.fx <= 1e6 and 1e-3 <= self.fy <= 1e6):
+            raise InputError(f"focal lengths must be 0.001 to 1,000,000 pixels, got fx={self.fx}, fy={self.fy}")
+        if not (abs(self.cx) <= 1e6 and abs(self.cy) <= 1e6):
+            raise InputError(f"the principal point must lie within 1,000,000 pixels, got cx={self.cx}, cy={self.cy}")
 
 
 def straight_down_belt_from_camera(belt_distance_m: float) -> NDArray[np.float64]:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
+from conveyor.messages.base import check_part
 from segmenter.classify.patch import Portrait
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
@@ -343,6 +344,10 @@ class Segmenter:
             views=(),
             views_lost={},
         )
+        try:
+            check_part(message)
+        except UnsendableError:
+            return "out_of_range"  # a mat of haulm may be longer than anything that is a tuber
         sd_m = self.settings.belt_sd_m
         return ClosedTrack(message, tuple(_view(c, rank, track_id, frame, sd_m) for rank, c in enumerate(chosen)))
 

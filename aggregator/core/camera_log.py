@@ -7,7 +7,9 @@ from array import array
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from conveyor.errors import MessageError
 from conveyor.messages import TrackEntry
+from conveyor.wire import read_header
 
 WAITING_ENTRIES = 4096
 """Entries held while an earlier one is missing; what comes beyond is dropped, and sent again by the segmenter."""
@@ -24,14 +26,20 @@ class Taken(StrEnum):
     OTHER_RUN = "entries_refused_other_run"
     UNKNOWN_CAMERA = "entries_refused_unknown_camera"
     MALFORMED = "entries_refused_malformed"
+    SET_ASIDE = "entries_set_aside"
 
 
 @dataclass(frozen=True, slots=True)
 class LoggedEntry:
-    """An entry with its bytes, as it goes into the ledger."""
+    """An entry with its bytes, as it goes into the ledger.
+
+    One that could not be read is here too, with neither track nor mark: its number is used up, so that the log goes on,
+    and its bytes are kept. `refused` says why; empty for the others.
+    """
 
     entry: TrackEntry
     payload: bytes
+    refused: str = ""
 
 
 @dataclass(slots=True)
@@ -54,7 +62,11 @@ class CameraLog:
         """
         if entry.n < 1 or (entry.track is None) == (entry.mark is None):
             return Taken.MALFORMED, []
-        payload = entry.encode()
+        return self.put(LoggedEntry(entry, entry.encode()))
+
+    def put(self, logged: LoggedEntry) -> tuple[Taken, list[LoggedEntry]]:
+        """Like `take`, for an entry with its bytes, or what was set aside in its place."""
+        entry, payload = logged.entry, logged.payload
         if entry.n <= self.applied:
             same = self.checksums[entry.n - 1] == zlib.crc32(payload)
             return (Taken.DUPLICATE if same else Taken.CONFLICTING), []
@@ -63,10 +75,27 @@ class CameraLog:
         if entry.n > self.applied + 1:
             if len(self.waiting) >= WAITING_ENTRIES:
                 return Taken.WAITING_FULL, []
-            self.waiting[entry.n] = LoggedEntry(entry, payload)
+            self.waiting[entry.n] = logged
             return Taken.WAITING, []
-        ready = [LoggedEntry(entry, payload)]
+        ready = [logged]
         while (following := self.waiting.pop(entry.n + len(ready), None)) is not None:
             ready.append(following)
         self.checksums.extend(zlib.crc32(logged.payload) for logged in ready)
         return Taken.APPLIED, ready
+
+
+def set_aside(payload: bytes, error: MessageError) -> LoggedEntry | None:
+    """What takes the place of an entry whose bytes were refused; None where not even its number can be read.
+
+    Then nothing is lost by waiting: a log that nobody here can read, of another release say, stays with its segmenter.
+    """
+    try:
+        header = read_header(payload)
+        fields = header.fields
+        place = TrackEntry(camera=fields.get("camera", ""), run=fields.get("run", ""), n=fields.get("n", 0))
+        place.check()
+    except MessageError:
+        return None
+    if header.kind != TrackEntry.__name__:
+        return None
+    return LoggedEntry(place, payload, refused=str(error.reason))

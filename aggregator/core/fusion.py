@@ -32,6 +32,9 @@ where the belt's height is off."""
 AXES_G_PER_ML = 1.186
 """Weight of a tuber over its ellipsoid's volume (421 tubers: 1.186 +- .089 g/ml)."""
 
+MOST_MODEL_CHARACTERS = 4096
+"""A line has one or two sets of weights at a time; what names more than these is cut."""
+
 MEAN_WEIGHT_G, LIGHTEST_G, HEAVIEST_G = 172.0, 16.0, 624.0
 """Mean and range of 859 weighed tubers: what is left to say about a tuber that was counted but never measured."""
 
@@ -74,7 +77,7 @@ def fuse(views: Sequence[WeighedView], *, visible_volumes_ml: Sequence[float], a
         high_g=mean_g + shrink * max(upper_g, 0.0),
         views=len(kept),
         method=kept[0].method,
-        model="+".join(sorted({view.model for view in kept})),
+        model="+".join(sorted({view.model for view in kept}))[:MOST_MODEL_CHARACTERS],
         flags=tuple(sorted(flags)),
     )
 

@@ -173,10 +173,27 @@ class Aggregation:
             self._count(taken)
         if taken in (Taken.APPLIED, Taken.WAITING):
             self.cameras.heard(entry.camera, entry, now_s)
-        for logged in ready:
-            self._count(Taken.APPLIED)
-            self._apply(logged)
+        self._apply_all(ready)
         return taken
+
+    def _apply_all(self, ready: Sequence[LoggedEntry]) -> None:
+        for logged in ready:
+            if not logged.refused:
+                self._count(Taken.APPLIED)
+            self._apply(logged)
+
+    def set_aside(self, logged: LoggedEntry) -> Taken:
+        """Take an entry that could not be read: its number is used up and acknowledged, what it said is lost."""
+        entry = logged.entry
+        if entry.run != self.run or entry.camera not in self._logs:
+            return Taken.OTHER_RUN if entry.run != self.run else Taken.UNKNOWN_CAMERA
+        taken, ready = self._logs[entry.camera].put(logged)
+        if taken not in (Taken.APPLIED, Taken.WAITING):
+            self._count(taken)
+            return taken
+        self._count(Taken.SET_ASIDE)
+        self._apply_all(ready)
+        return Taken.SET_ASIDE
 
     def _take(self, entry: TrackEntry) -> tuple[Taken, list[LoggedEntry]]:
         if entry.run != self.run:

@@ -22,6 +22,9 @@ blind between seasons published models drifted by 9 to 10 % (docs/ledger.md)."""
 UNSEEN_SPREAD = 0.5
 """Half of the 90 % interval of the weight on belt that was not looked at, as a share of it."""
 
+LEAST_COVERAGE = 1e-9
+"""Of a share smaller than that no whole is computed: it would not be a finite number."""
+
 RATE_WINDOW_S = 10.0
 HISTOGRAM_CLASSES = 64
 """The last class takes everything heavier."""
@@ -111,6 +114,7 @@ class LoadTotals:
         low_g, high_g = self.interval_g()
         if not coverage or coverage >= 1.0:
             return self.weight_g, low_g, high_g
+        coverage = max(coverage, LEAST_COVERAGE)
         whole_g = self.weight_g / coverage
         unseen_g = UNSEEN_SPREAD * (whole_g - self.weight_g)
         below_g = math.hypot((self.weight_g - low_g) / coverage, unseen_g)

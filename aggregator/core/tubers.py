@@ -6,6 +6,8 @@ from aggregator.core.fusion import fuse
 from aggregator.core.merge import Group
 from conveyor.messages import Tuber
 
+MOST_FLAGS = 256
+
 
 def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     """The tuber that all tracks of `group` saw.
@@ -48,7 +50,7 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
         views=weight.views,
         method=weight.method,
         model=weight.model,
-        flags=tuple(sorted(flags)),
+        flags=tuple(sorted(flags)[:MOST_FLAGS]),
         cameras=cameras,
         tracks=tuple(track.track_id for track in tracks),
     )

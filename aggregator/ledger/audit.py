@@ -22,6 +22,8 @@ class Audit:
     equations: Mapping[str, list[Equation]]
     tracks: Mapping[str, int]
     """Observations by role, and 'pending'."""
+    set_aside: Mapping[str, int]
+    """Entries of a camera's log that could not be read: what they said is lost."""
 
     @property
     def balanced(self) -> bool:
@@ -36,6 +38,7 @@ class Audit:
             "balanced": self.balanced,
             "cameras": {camera: sheet(mark) for camera, mark in self.marks.items()},
             "tracks": dict(self.tracks),
+            "set_aside": dict(self.set_aside),
             "equations": {
                 where: [
                     {"law": e.text, "left": e.left, "right": e.right, "difference": e.difference} for e in equations
@@ -79,6 +82,11 @@ def audit_run(db: sqlite3.Connection, run: RunRow) -> Audit:
             equations[camera].append(
                 Equation("tracks counted by the camera = tracks in the ledger, repeats aside", counted, logged)
             )
+    set_aside = dict(
+        db.execute("SELECT camera, count(*) FROM entry WHERE run = ? AND kind = 'refused' GROUP BY camera", (run.run,))
+    )
+    for camera, refused in sorted(set_aside.items()):
+        equations.setdefault(camera, []).append(Equation("entries that could not be read = none", refused, 0))
     pending = _pending(db, run.run)
     (tubers,) = db.execute("SELECT count(*) FROM tuber WHERE run = ?", (run.run,)).fetchone()
     (groups,) = db.execute(
@@ -93,6 +101,7 @@ def audit_run(db: sqlite3.Connection, run: RunRow) -> Audit:
         marks={camera: marks.get(camera) for camera in run.cameras},
         equations=equations,
         tracks={**{str(role): int(n) for role, n in roles.items()}, "pending": pending},
+        set_aside=set_aside,
     )
 
 

@@ -14,7 +14,7 @@ from conveyor.messages import Mark, Tuber
 def entry_row(applied: Applied) -> tuple[Any, ...]:
     """Row of table `entry`."""
     entry = applied.logged.entry
-    kind = "mark" if entry.mark is not None else "track"
+    kind = "refused" if applied.logged.refused else "mark" if entry.mark is not None else "track"
     return row((entry.run, entry.camera, entry.n, kind, applied.late_from_x_m, applied.logged.payload))
 
 

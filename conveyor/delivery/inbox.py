@@ -10,10 +10,13 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from conveyor.delivery.refusals import Refusals
 from conveyor.errors import MessageError
 from conveyor.messages import Message
+from conveyor.topics import Topic
 
 if TYPE_CHECKING:
     import zenoh
@@ -24,19 +27,32 @@ M = TypeVar("M", bound=Message)
 
 
 class Inbox(Generic[M]):
-    """Newest `capacity` messages, oldest first. What does not fit pushes the oldest out and is counted."""
+    """Newest `capacity` messages, oldest first. What does not fit pushes the oldest out and is counted.
+
+    `on_refused` gets key, bytes and error of what cannot be decoded, in the thread that reads, after it was counted.
+    """
 
     def __init__(
-        self, message_type: type[M], *, name: str, capacity: int, counters: CounterSet, log: logging.Logger
+        self,
+        message_type: type[M],
+        *,
+        topic: Topic,
+        name: str | None = None,
+        capacity: int,
+        counters: CounterSet,
+        log: logging.Logger,
+        on_refused: Callable[[str, bytes, MessageError], None] | None = None,
     ) -> None:
         self._type = message_type
-        self._name = name
+        self._name = name = name or topic.name
         self._counters = counters
+        self._refusals = Refusals(topic, name=name, counters=counters, log=log)
         self._log = log
         self._capacity = capacity
+        self._on_refused = on_refused
         self._queue: deque[tuple[str, bytes]] = deque()
         self._arrived = threading.Condition()
-        for outcome in ("received", "dropped_overwritten", "refused"):
+        for outcome in ("received", "dropped_overwritten"):
             counters.add(f"{name}_{outcome}", 0)
 
     def push(self, sample: zenoh.Sample) -> None:
@@ -53,7 +69,7 @@ class Inbox(Generic[M]):
             self._counters.add(f"{self._name}_dropped_overwritten")
 
     def get(self, timeout_s: float) -> M | None:
-        """The oldest message, waiting up to `timeout_s`; None if none came. Undecodable ones are counted and logged."""
+        """The oldest message, waiting up to `timeout_s`; None if none came. Refused ones are counted and logged."""
         item = self.get_with_key(timeout_s)
         return item[1] if item else None
 
@@ -70,8 +86,9 @@ class Inbox(Generic[M]):
             try:
                 return key, self._type.decode(data)
             except MessageError as error:
-                self._counters.add(f"{self._name}_refused")
-                self._log.error("refused a message on %s: %s", key, error)
+                self._refusals.refuse(key, error)
+                if self._on_refused is not None:
+                    self._on_refused(key, data, error)
 
     def __len__(self) -> int:
         return len(self._queue)

@@ -9,6 +9,7 @@ import zenoh
 from zenoh import ext
 
 from conveyor.delivery.priorities import zenoh_priority
+from conveyor.delivery.refusals import Refusals
 from conveyor.errors import MessageError
 from conveyor.messages import Message
 from conveyor.topics import Topic
@@ -44,9 +45,7 @@ class KeptSubscriber(Generic[M]):
 
     def __init__(self, node: Endpoint, topic: Topic, message_type: type[M], **parts: str) -> None:
         self._type = message_type
-        self._name = topic.name
-        self._counters = node.counters
-        self._log = node.log
+        self._refusals = Refusals(topic, name=topic.name, counters=node.counters, log=node.log)
         self._values: dict[str, M] = {}
         self._changed = threading.Condition()
         self._version = 0
@@ -64,8 +63,7 @@ class KeptSubscriber(Generic[M]):
         try:
             message = self._type.decode(sample.payload.to_bytes())
         except MessageError as error:
-            self._counters.add(f"{self._name}_refused")
-            self._log.error("refused a message on %s: %s", key, error)
+            self._refusals.refuse(key, error)
             return
         with self._changed:
             self._values[key] = message

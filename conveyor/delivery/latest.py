@@ -51,7 +51,7 @@ class LatestSubscriber(Inbox[M]):
         name: str | None = None,
         **parts: str,
     ) -> None:
-        super().__init__(message_type, name=name or topic.name, capacity=capacity, counters=node.counters, log=node.log)
+        super().__init__(message_type, topic=topic, name=name, capacity=capacity, counters=node.counters, log=node.log)
         self._subscriber: Any = node.session.declare_subscriber(
             topic.key(node.line, **parts), zenoh.handlers.Callback(self.push, indirect=False)
         )

@@ -6,6 +6,7 @@ of the publishing process. What must survive that is kept in a log until acknowl
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
@@ -14,6 +15,7 @@ from zenoh import ext
 from conveyor.delivery.beginning import Beginnings
 from conveyor.delivery.inbox import Inbox
 from conveyor.delivery.priorities import zenoh_priority
+from conveyor.errors import MessageError
 from conveyor.messages import Message
 from conveyor.topics import Topic
 
@@ -56,9 +58,17 @@ class ReliableSubscriber(Inbox[M]):
         *,
         capacity: int = INBOX_MESSAGES,
         history: bool = True,
+        on_refused: Callable[[str, bytes, MessageError], None] | None = None,
         **parts: str,
     ) -> None:
-        super().__init__(message_type, name=topic.name, capacity=capacity, counters=node.counters, log=node.log)
+        super().__init__(
+            message_type,
+            topic=topic,
+            capacity=capacity,
+            counters=node.counters,
+            log=node.log,
+            on_refused=on_refused,
+        )
         beginnings = Beginnings(node.session, self.push, cache=CACHE_MESSAGES, lost=self._count_missed, log=node.log)
         self._subscriber = ext.declare_advanced_subscriber(
             node.session,

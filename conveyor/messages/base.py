@@ -1,24 +1,72 @@
-"""What every message has in common: fields checked on decoding, arrays checked by dtype and dimensions."""
+"""What every message has in common: every field and array checked against what its class declares, in and out.
+
+A class declares its fields' ranges in its annotations (`conveyor.ranges`) and its arrays' in `ARRAYS`. What comes from
+the wire is within all of them, or was refused; what is not within them is not sent.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from conveyor.errors import MessageError, TuberlineError
-from conveyor.wire import DTYPES, pack, unpack
+from conveyor.errors import MessageError, Refusal, TuberlineError, UnsendableError
+from conveyor.wire import DTYPES, Announced, pack, read_array, read_header, shown
+
+_OUT_OF_RANGE = (
+    "greater_than_equal",
+    "less_than_equal",
+    "too_long",
+    "string_too_long",
+    "string_pattern_mismatch",
+    "finite_number",
+    "literal_error",
+)
+"""Pydantic's names for values of the right type that a field may not hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArraySpec:
-    """Dtype (wire name) and number of dimensions an array field must have; it may be None if `optional`."""
+    """What an array field must be.
+
+    Attributes:
+        dtype: its name on the wire.
+        sides: lowest and highest size of each dimension.
+        optional: it may be None.
+        low, high: what its values lie within, where it holds floats; they are finite in any case.
+        unit: of its values.
+    """
 
     dtype: str
-    ndim: int
+    sides: tuple[tuple[int, int], ...]
     optional: bool = False
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+
+    def fault(self, dtype: str, shape: tuple[int, ...]) -> str:
+        """What is wrong with a dtype and a shape, in words; empty where they are allowed."""
+        fits = len(shape) == len(self.sides) and all(
+            low <= n <= high for n, (low, high) in zip(shape, self.sides, strict=True)
+        )
+        if dtype == self.dtype and fits:
+            return ""
+        allowed = ", ".join(str(low) if low == high else f"{low}..{high}" for low, high in self.sides)
+        return f"must be {self.dtype} with {len(self.sides)} dimensions of ({allowed}), got {dtype} {shape}"
+
+    def value_fault(self, array: NDArray[Any]) -> str:
+        """What is wrong with its values, in words; empty where they are allowed."""
+        if self.dtype[0] != "f" or not array.size:
+            return ""
+        low, high = float(array.min()), float(array.max())  # NaN where one is among them
+        if self.low <= low and high <= self.high and math.isfinite(low) and math.isfinite(high):
+            return ""
+        return f"holds values from {low} to {high}; allowed are {self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,50 +79,110 @@ class Message:
     )
 
     def encode(self, *, codec: str = "raw") -> bytes:
-        """This message as bytes; arrays stored 'raw' or 'zstd'."""
-        header = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in self.ARRAYS}
-        arrays = {
-            name: None if (value := getattr(self, name)) is None else _as_spec(name, value, spec)
-            for name, spec in self.ARRAYS.items()
-        }
+        """This message as bytes; arrays stored 'raw' or 'zstd'.
+
+        Raises:
+            UnsendableError: it holds what its class does not allow.
+        """
+        header, arrays = self._parts()
+        self._check(header, arrays)
         return pack(type(self).__name__, header, arrays, codec=codec)
+
+    def check(self) -> None:
+        """For values that come of what was measured: find out before sending.
+
+        Raises:
+            UnsendableError: this message holds what its class does not allow, so it cannot be sent.
+        """
+        self._check(*self._parts())
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """The message in `data`.
+        """The message in `data`; every value within what this class declares.
 
         Raises:
-            MessageError: other kind, missing or unknown field, wrong type, wrong array.
+            MessageError: other kind, missing or unknown field, wrong type, out of range, wrong array.
         """
-        kind, header, arrays = unpack(data)
-        if kind != cls.__name__:
-            raise MessageError(f"expected a message of kind '{cls.__name__}', got '{kind}'")
-        for name in arrays:
-            if name not in cls.ARRAYS:
-                raise MessageError(f"{kind} has an unknown array '{name}'; known: {sorted(cls.ARRAYS)}")
-        checked: dict[str, Any] = {}
-        for name, spec in cls.ARRAYS.items():
-            array = arrays.get(name)
-            if array is None and not spec.optional:
-                raise MessageError(f"{kind} lacks its array '{name}'")
-            if array is not None and (array.dtype != DTYPES[spec.dtype] or array.ndim != spec.ndim):
-                raise MessageError(
-                    f"{kind}.{name} must be {spec.dtype} with {spec.ndim} dimensions, got {array.dtype} {array.shape}"
-                )
-            checked[name] = array
-        try:
-            message: Self = _adapter(cls).validate_python({**header, **checked})
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
+        header = read_header(data)
+        if header.kind != cls.__name__:
             raise MessageError(
-                f"{kind}.{where}: {first['msg']} (got {str(first.get('input'))[:80]!r}; {error.error_count()} faults)"
-            ) from error
-        except MessageError:
-            raise
-        except TuberlineError as error:
-            raise MessageError(f"{kind}: {error}") from error
-        return message
+                f"expected a message of kind '{cls.__name__}', got {shown(header.kind)}", reason=Refusal.KIND
+            )
+        announced = {array.name: array for array in header.arrays}
+        _check_arrays(cls, {name: (array.dtype, array.shape) for name, array in announced.items()})
+        return _checked(cls, header.fields, _read_arrays(cls, data, announced))
+
+    def _parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any] | None]]:
+        header = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in self.ARRAYS}
+        return header, {name: _as_spec(getattr(self, name), spec) for name, spec in self.ARRAYS.items()}
+
+    def _check(self, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | None]) -> None:
+        try:
+            there = {name: array for name, array in arrays.items() if array is not None}
+            _check_arrays(type(self), {name: (array.dtype.str[1:], array.shape) for name, array in there.items()})
+            _check_array_values(type(self), there)
+            _checked(type(self), header, arrays)
+        except MessageError as error:
+            raise UnsendableError(f"not sent: {error}", reason=error.reason) from error
+
+
+T = TypeVar("T")
+
+
+def _check_arrays(cls: type[Message], announced: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
+    for name in announced:
+        if name not in cls.ARRAYS:
+            raise MessageError(
+                f"{cls.__name__} has an unknown array {shown(name)}; known: {sorted(cls.ARRAYS)}", reason=Refusal.ARRAY
+            )
+    for name, spec in cls.ARRAYS.items():
+        if name in announced:
+            if fault := spec.fault(*announced[name]):
+                raise MessageError(f"{cls.__name__}.{name} {fault}", reason=Refusal.ARRAY)
+        elif not spec.optional:
+            raise MessageError(f"{cls.__name__} lacks its array '{name}'", reason=Refusal.ARRAY)
+
+
+def _check_array_values(cls: type[Message], arrays: Mapping[str, NDArray[Any]]) -> None:
+    for name, array in arrays.items():
+        if fault := cls.ARRAYS[name].value_fault(array):
+            raise MessageError(f"{cls.__name__}.{name} {fault}", reason=Refusal.RANGE)
+
+
+def _read_arrays(cls: type[Message], data: bytes, announced: Mapping[str, Announced]) -> dict[str, NDArray[Any] | None]:
+    arrays = {name: read_array(data, array) for name, array in announced.items()}
+    _check_array_values(cls, arrays)
+    return {name: arrays.get(name) for name in cls.ARRAYS}
+
+
+def _checked(cls: type[T], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> T:
+    """The message of these fields and arrays, each field within its range."""
+    try:
+        message: T = _adapter(cls).validate_python({**header, **arrays})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = shown(".".join(str(part)[:60] for part in first["loc"])).strip("'\"")
+        raise MessageError(
+            f"{cls.__name__}.{where}: {first['msg']} (got {shown(first.get('input'))}; {error.error_count()} faults)",
+            reason=Refusal.RANGE if first["type"] in _OUT_OF_RANGE else Refusal.FIELD,
+        ) from error
+    except MessageError:
+        raise
+    except TuberlineError as error:
+        raise MessageError(f"{cls.__name__}: {error}", reason=Refusal.RANGE) from error
+    return message
+
+
+def check_part(value: Any) -> None:
+    """For a part of a message that comes of what was measured, a `Track` say: find out before it is sent.
+
+    Raises:
+        UnsendableError: `value` holds what its class does not allow.
+    """
+    try:
+        _checked(type(value), plain(value), {})
+    except MessageError as error:
+        raise UnsendableError(f"not sent: {error}", reason=error.reason) from error
 
 
 _ADAPTERS: dict[type[Any], TypeAdapter[Any]] = {}
@@ -100,8 +208,9 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _as_spec(name: str, value: Any, spec: ArraySpec) -> Any:
-    array = np.ascontiguousarray(value, dtype=np.dtype(DTYPES[spec.dtype]).newbyteorder("<"))
-    if array.ndim != spec.ndim:
-        raise MessageError(f"array '{name}' must have {spec.ndim} dimensions, got shape {array.shape}")
+def _as_spec(value: Any, spec: ArraySpec) -> NDArray[Any] | None:
+    """The array as it goes on the wire."""
+    if value is None:
+        return None
+    array: NDArray[Any] = np.ascontiguousarray(value, dtype=np.dtype(DTYPES[spec.dtype]).newbyteorder("<"))
     return array

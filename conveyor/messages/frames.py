@@ -2,15 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import MessageError
-from conveyor.geometry import Intrinsics
+from conveyor.geometry import MAX_SIDE_PIXELS, Intrinsics
 from conveyor.messages.base import ArraySpec, Message
+from conveyor.ranges import (
+    MAX_COUNT,
+    BeltDistance,
+    BeltPlace,
+    Count,
+    Counts,
+    DepthScale,
+    Line,
+    Name,
+    Nanoseconds,
+    Range,
+    Seq,
+    Yes,
+)
+from conveyor.wire import MAX_ARRAY_BYTES
+
+IMAGE_SIDES = ((1, MAX_SIDE_PIXELS), (1, MAX_SIDE_PIXELS))
+POSE = ArraySpec("f8", ((4, 4), (4, 4)), low=-1000.0, high=1000.0, unit="m")
+"""A rigid transform: cosines, and metres from here to the other end of a hall."""
+OPTIONAL_POSE = replace(POSE, optional=True)
+SeqOrNone = Annotated[int, Range(-1, MAX_COUNT, "frames")]
+"""Number of a frame, or -1: none yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,25 +53,25 @@ class Frame(Message):
         color_jpeg: (n,) uint8, a JPEG file aligned to the depth image, or None.
     """
 
-    camera: str
-    run: str
-    seq: int
-    captured_ns: int
-    travel_m: float | None
-    depth_scale_m: float
+    camera: Name
+    run: Name
+    seq: Seq
+    captured_ns: Nanoseconds
+    travel_m: BeltPlace | None
+    depth_scale_m: DepthScale
     intrinsics: Intrinsics
-    belt_distance_m: float | None
+    belt_distance_m: BeltDistance | None
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64] | None = None
     mask: NDArray[np.uint16] | None = None
     color_jpeg: NDArray[np.uint8] | None = None
-    after_seq: int | None = None
+    after_seq: SeqOrNone | None = None
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
-        "depth": ArraySpec("u2", 2),
-        "belt_from_camera": ArraySpec("f8", 2, optional=True),
-        "mask": ArraySpec("u2", 2, optional=True),
-        "color_jpeg": ArraySpec("u1", 1, optional=True),
+        "depth": ArraySpec("u2", IMAGE_SIDES),
+        "belt_from_camera": OPTIONAL_POSE,
+        "mask": ArraySpec("u2", IMAGE_SIDES, optional=True),
+        "color_jpeg": ArraySpec("u1", ((0, MAX_ARRAY_BYTES),), optional=True),
     }
 
     def __post_init__(self) -> None:
@@ -70,37 +92,37 @@ class CameraInfo(Message):
     `refused` counts frames the source could not read, by reason; their sequence numbers are gaps downstream.
     """
 
-    camera: str
-    run: str
+    camera: Name
+    run: Name
     state: Literal["starting", "streaming", "ended", "failed"]
-    source: str
-    fps: float
-    waits: bool
+    source: Line
+    fps: Annotated[float, Range(0, 10_000, "frames/s")]
+    waits: Yes
     intrinsics: Intrinsics
-    depth_scale_m: float
-    first_seq: int | None
-    last_seq: int | None
-    published: int
-    refused: dict[str, int]
-    error: str = ""
+    depth_scale_m: DepthScale
+    first_seq: Seq | None
+    last_seq: Seq | None
+    published: Count
+    refused: Counts
+    error: Line = ""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameProgress(Message):
     """The segmenter is done with all frames up to `done_seq` (-1: none yet) and takes `window` more."""
 
-    camera: str
-    run: str
-    done_seq: int
-    window: int
+    camera: Name
+    run: Name
+    done_seq: SeqOrNone
+    window: Annotated[int, Range(0, 1024, "frames")]
 
 
 @dataclass(frozen=True, slots=True)
 class Travel(Message):
     """How far the belt has moved since the run started, metres, at `captured_ns`."""
 
-    source: str
-    run: str
-    captured_ns: int
-    travel_m: float
-    estimated: bool
+    source: Name
+    run: Name
+    captured_ns: Nanoseconds
+    travel_m: BeltPlace
+    estimated: Yes

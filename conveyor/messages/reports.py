@@ -3,36 +3,51 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from conveyor.messages.base import Message
+from conveyor.ranges import (
+    Count,
+    Id,
+    Items,
+    LoadGrams,
+    Model,
+    Name,
+    Nanoseconds,
+    Range,
+    TuberGrams,
+    Word,
+    Words,
+    Yes,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Tuber(Message):
-    """One counted tuber, as committed.
+    """One counted tuber, as committed. What any tracks that may be received come to fits into its ranges.
 
     `place_x_m`, `place_y_m` are its place on the belt (x - travel, y). `low_g`, `high_g` bound the 90 % interval of
     its fused weight. `cameras` saw it, `tracks` are their track ids. `method` is 'pointraft', or 'volume' where no
     view could be weighed.
     """
 
-    tuber_id: int
-    run: str
-    crossed_ns: int
-    place_x_m: float
-    place_y_m: float
-    weight_g: float
-    low_g: float
-    high_g: float
-    length_mm: float
-    width_mm: float
-    height_mm: float
-    views: int
-    method: str
-    model: str
-    flags: tuple[str, ...]
-    cameras: tuple[str, ...]
-    tracks: tuple[str, ...]
+    tuber_id: Count
+    run: Name
+    crossed_ns: Nanoseconds
+    place_x_m: Annotated[float, Range(-1e9, 1e9, "m")]
+    place_y_m: Annotated[float, Range(-1000, 1000, "m")]
+    weight_g: TuberGrams
+    low_g: TuberGrams
+    high_g: TuberGrams
+    length_mm: Annotated[float, Range(0, 2001, "mm")]
+    width_mm: Annotated[float, Range(0, 2001, "mm")]
+    height_mm: Annotated[float, Range(0, 2001, "mm")]
+    views: Count
+    method: Word
+    model: Model
+    flags: Words
+    cameras: Annotated[tuple[Name, ...], Items(256)]
+    tracks: Annotated[tuple[Id, ...], Items(1024)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,22 +59,22 @@ class Totals(Message):
     of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
     """
 
-    run: str
-    count: int
-    weight_g: float
-    low_g: float
-    high_g: float
-    coverage: float | None
-    estimated_weight_g: float
-    estimated_low_g: float
-    estimated_high_g: float
-    tubers_per_s: float
-    histogram_step_g: float
-    histogram: tuple[int, ...]
-    cameras: dict[str, str]
-    final: bool
-    as_weighed_g: float = 0.0
-    tickets: int = 0
+    run: Name
+    count: Count
+    weight_g: LoadGrams
+    low_g: LoadGrams
+    high_g: LoadGrams
+    coverage: Annotated[float, Range(0, 1 + 1e-9, "share of the belt")] | None
+    estimated_weight_g: LoadGrams
+    estimated_low_g: LoadGrams
+    estimated_high_g: LoadGrams
+    tubers_per_s: Annotated[float, Range(0, 1e18, "1/s")]
+    histogram_step_g: Annotated[float, Range(0, 1e6, "g")]
+    histogram: Annotated[tuple[Count, ...], Items(4096)]
+    cameras: Annotated[dict[Name, Word], Items(256)]
+    final: Yes
+    as_weighed_g: LoadGrams = 0.0
+    tickets: Count = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +82,16 @@ class Counters(Message):
     """What a node received, did and dropped. `values` only grow while it lives; `gauges` are levels, among them the
     balance sheet of the run it works on, which starts anew with another run."""
 
-    role: str
-    name: str
-    run: str
-    pid: int
-    host: str
-    version: str
-    uptime_s: float
-    values: dict[str, int]
-    gauges: dict[str, float]
-    status: str = "ok"
+    role: Name
+    name: Name
+    run: Name
+    pid: Annotated[int, Range(0, 1 << 32, "")]
+    host: Word
+    version: Word
+    uptime_s: Annotated[float, Range(0, 1e10, "s")]
+    values: Annotated[dict[Word, Count], Items(4096)]
+    gauges: Annotated[dict[Word, Annotated[float, Range(-1e300, 1e300, "")]], Items(4096)]
+    status: Word = "ok"
 
     def count(self, name: str) -> int:
         """The count `name`, wherever it is kept; 0 where it never happened."""

@@ -3,23 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 from conveyor.messages.base import Message
+from conveyor.ranges import (
+    INT64_MAX,
+    MAX_COUNT,
+    BeltLength,
+    BeltPlace,
+    Count,
+    Counts,
+    Id,
+    InView,
+    Items,
+    Millilitres,
+    Millimetres,
+    Model,
+    Name,
+    Nanoseconds,
+    Range,
+    Seq,
+    Sheet,
+    ViewGrams,
+    Words,
+    Yes,
+)
+
+EntryNumber = Annotated[int, Range(1, MAX_COUNT, "entries")]
 
 
 @dataclass(frozen=True, slots=True)
 class WeighedView:
     """One view's answer inside a finished track."""
 
-    view_id: str
-    seq: int
-    weight_g: float
-    low_g: float
-    high_g: float
+    view_id: Id
+    seq: Seq
+    weight_g: ViewGrams
+    low_g: ViewGrams
+    high_g: ViewGrams
     method: Literal["pointraft", "volume"]
-    model: str
-    flags: tuple[str, ...]
+    model: Model
+    flags: Words
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,23 +63,23 @@ class Track:
         views_lost: views sent to a regressor without an answer to use, by reason.
     """
 
-    track_id: str
-    crossed_ns: int
-    crossed_x_m: float
-    y_m: float
-    travel_m: float
-    travel_estimated: bool
-    frames: int
-    first_seq: int
-    last_seq: int
-    length_mm: float
-    width_mm: float
-    height_mm: float
-    visible_volume_ml: float
-    whole: bool
-    views_sent: int
-    views: tuple[WeighedView, ...]
-    views_lost: dict[str, int]
+    track_id: Id
+    crossed_ns: Nanoseconds
+    crossed_x_m: InView
+    y_m: InView
+    travel_m: BeltPlace
+    travel_estimated: Yes
+    frames: Count
+    first_seq: Seq
+    last_seq: Seq
+    length_mm: Millimetres
+    width_mm: Millimetres
+    height_mm: Millimetres
+    visible_volume_ml: Millilitres
+    whole: Yes
+    views_sent: Count
+    views: Annotated[tuple[WeighedView, ...], Items(256)]
+    views_lost: Counts
 
     @property
     def place_x_m(self) -> float:
@@ -79,17 +103,17 @@ class Mark:
         tracks: opened, counted, open, and 'discarded_<reason>': opened = counted + discarded + open.
     """
 
-    captured_ns: int
-    travel_m: float
-    travel_estimated: bool
-    complete_ns: int
-    complete_place_x_m: float
-    final: bool
-    looked_at_m: float
-    travelled_m: float
-    frames: dict[str, int]
-    views: dict[str, int]
-    tracks: dict[str, int]
+    captured_ns: Nanoseconds
+    travel_m: BeltPlace
+    travel_estimated: Yes
+    complete_ns: Annotated[int, Range(-INT64_MAX, INT64_MAX, "ns")]
+    complete_place_x_m: BeltPlace
+    final: Yes
+    looked_at_m: BeltLength
+    travelled_m: BeltLength
+    frames: Sheet
+    views: Sheet
+    tracks: Sheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,9 +124,9 @@ class TrackEntry(Message):
     keeps it and sends it again. Applying an entry twice changes nothing.
     """
 
-    camera: str
-    run: str
-    n: int
+    camera: Name
+    run: Name
+    n: EntryNumber
     track: Track | None = None
     mark: Mark | None = None
 
@@ -111,6 +135,6 @@ class TrackEntry(Message):
 class Committed(Message):
     """Entries 1..n of the log of `camera` in `run` are durable in the ledger."""
 
-    camera: str
-    run: str
-    n: int
+    camera: Name
+    run: Name
+    n: Count

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import MessageError
-from conveyor.geometry import TYPICAL_BELT_SD_M, Intrinsics, belt_distance_m, deproject, transform_points
+from conveyor.geometry import (
+    MAX_SIDE_PIXELS,
+    TYPICAL_BELT_SD_M,
+    Intrinsics,
+    belt_distance_m,
+    deproject,
+    transform_points,
+)
 from conveyor.messages.base import ArraySpec, Message
+from conveyor.messages.frames import POSE
+from conveyor.ranges import DepthScale, Id, Model, Name, Nanoseconds, Range, Seq, ViewGrams, Word, Words
+
+CROP_SIDES = ((0, MAX_SIDE_PIXELS), (0, MAX_SIDE_PIXELS))
+Pixel = Annotated[int, Range(0, MAX_SIDE_PIXELS, "px")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,24 +39,24 @@ class View(Message):
         reply_to: camera whose `weight/<camera>` topic takes the answer.
     """
 
-    view_id: str
-    track_id: str
-    camera: str
-    run: str
-    seq: int
-    captured_ns: int
-    rank: int
-    depth_scale_m: float
+    view_id: Id
+    track_id: Id
+    camera: Name
+    run: Name
+    seq: Seq
+    captured_ns: Nanoseconds
+    rank: Annotated[int, Range(0, 255, "")]
+    depth_scale_m: DepthScale
     intrinsics: Intrinsics
-    u0: int
-    v0: int
+    u0: Pixel
+    v0: Pixel
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
-    belt_sd_m: float = TYPICAL_BELT_SD_M
+    belt_sd_m: Annotated[float, Range(0, 0.1, "m")] = TYPICAL_BELT_SD_M
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
-        "depth": ArraySpec("u2", 2),
-        "belt_from_camera": ArraySpec("f8", 2),
+        "depth": ArraySpec("u2", CROP_SIDES),
+        "belt_from_camera": POSE,
     }
 
     def __post_init__(self) -> None:
@@ -52,6 +64,13 @@ class View(Message):
             raise MessageError(f"View.belt_from_camera is {self.belt_from_camera.shape}, not (4, 4)")
         if not 0 <= self.belt_sd_m <= 0.1:
             raise MessageError(f"View.belt_sd_m is {self.belt_sd_m}; allowed are 0 to 0.1 metres")
+        belt_distance_m(self.belt_from_camera)  # raises where the camera does not look down on the belt
+        (rows, columns), k = self.depth.shape, self.intrinsics
+        if self.u0 + columns > k.width or self.v0 + rows > k.height:
+            raise MessageError(
+                f"View.depth has {rows} rows and {columns} columns from row {self.v0}, column {self.u0}: more than the "
+                f"image of {k.height} rows and {k.width} columns holds"
+            )
 
     @property
     def belt_distance_m(self) -> float:
@@ -81,17 +100,21 @@ class Weight(Message):
         flags: what was out of the model's range, e.g. 'belt_distance', 'few_points', 'extent'.
     """
 
-    view_id: str
-    track_id: str
-    camera: str
-    run: str
-    seq: int
+    view_id: Id
+    track_id: Id
+    camera: Name
+    run: Name
+    seq: Seq
     status: Literal["weighed", "refused"]
-    weight_g: float | None
-    low_g: float | None
-    high_g: float | None
+    weight_g: ViewGrams | None
+    low_g: ViewGrams | None
+    high_g: ViewGrams | None
     method: Literal["pointraft", "volume"]
-    model: str
-    flags: tuple[str, ...]
-    regressor: str
-    reason: str = ""
+    model: Model
+    flags: Words
+    regressor: Name
+    reason: Word = ""
+
+    def __post_init__(self) -> None:
+        if (self.status == "weighed") != (None not in (self.weight_g, self.low_g, self.high_g)):
+            raise MessageError(f"Weight of view {self.view_id} is '{self.status}' with weight_g {self.weight_g}")

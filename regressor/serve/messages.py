@@ -6,16 +6,22 @@ import hashlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError, MessageError
 from conveyor.messages.base import ArraySpec, Message
+from conveyor.ranges import MAX_COUNT, Items, Line, Model, Name, Range, Text, Word
 
 MAX_PARCEL_BYTES = 32 << 20
 SUFFIXES = (".safetensors", ".pth", ".pt")
+MAX_SIDECAR_CHARACTERS = 64 << 10
+Grams = Annotated[float, Range(-1e12, 1e12, "g")]
+"""What weights say that are on trial: below zero, or of a tonne, is bad and is told."""
+Digest = Annotated[str, Text(64, r"^([0-9a-f]{64})?$")]
+"""SHA-256 in hex digits; empty where there is none."""
 _FILE = re.compile(r"[A-Za-z0-9._-]{1,80}\.(safetensors|pth|pt)")
 
 
@@ -29,11 +35,11 @@ class WeightsParcel(Message):
         data: (n,) uint8, the checkpoint's bytes.
     """
 
-    file: str
-    sidecar: str
+    file: Word
+    sidecar: Annotated[str, Text(MAX_SIDECAR_CHARACTERS)]
     data: NDArray[np.uint8]
 
-    ARRAYS: ClassVar[dict[str, ArraySpec]] = {"data": ArraySpec("u1", 1)}
+    ARRAYS: ClassVar[dict[str, ArraySpec]] = {"data": ArraySpec("u1", ((0, MAX_PARCEL_BYTES),))}
 
     def __post_init__(self) -> None:
         if not _FILE.fullmatch(self.file) or self.file.startswith("."):
@@ -44,23 +50,23 @@ class WeightsParcel(Message):
 class CloudAnswer(Message):
     """What weights say of one reference cloud, grams; `network_g` is the network's own word, if it has one."""
 
-    cloud: str
-    true_g: float
-    weight_g: float
-    low_g: float
-    high_g: float
-    network_g: float | None
+    cloud: Word
+    true_g: Grams
+    weight_g: Grams
+    low_g: Grams
+    high_g: Grams
+    network_g: Grams | None
 
 
 @dataclass(frozen=True, slots=True)
 class WeightsReport(Message):
     """The outcome of a check that was passed: the new weights' answers, and those of the weights now in use."""
 
-    regressor: str
-    model: str
-    now_model: str
-    answers: tuple[CloudAnswer, ...]
-    now_answers: tuple[CloudAnswer, ...]
+    regressor: Name
+    model: Model
+    now_model: Model
+    answers: Annotated[tuple[CloudAnswer, ...], Items(256)]
+    now_answers: Annotated[tuple[CloudAnswer, ...], Items(256)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +79,14 @@ class WeightsState(Message):
         refused: why it does not follow a newer order; '' where it does.
     """
 
-    regressor: str
-    host: str
-    n: int
-    digest: str
-    model: str
-    previous_digest: str
-    previous_model: str
-    refused: str
+    regressor: Name
+    host: Word
+    n: Annotated[int, Range(0, MAX_COUNT, "orders")]
+    digest: Digest
+    model: Model
+    previous_digest: Digest
+    previous_model: Model
+    refused: Line
 
 
 def read_parcel(path: Path) -> bytes:
@@ -102,6 +108,8 @@ def read_parcel(path: Path) -> bytes:
         told = sidecar.read_text(encoding="utf-8") if sidecar.is_file() else ""
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"weights {path} or their sidecar cannot be read: {error}") from error
+    if len(told) > MAX_SIDECAR_CHARACTERS:
+        raise InputError(f"sidecar {sidecar} has {len(told)} characters; at most {MAX_SIDECAR_CHARACTERS} are sent")
     name = re.sub(r"[^A-Za-z0-9._-]", "-", path.stem)[:80].lstrip(".") or "weights"
     return WeightsParcel(name + path.suffix, told, data).encode()
 

@@ -95,7 +95,7 @@ class WeightsService:
             model=self._weigher.sidecar.model_id,
             previous_digest=self._order.previous,
             previous_model=self._order.previous_model,
-            refused=self._refused[1] if self._refused else "",
+            refused=self._refused[1][:4000] if self._refused else "",
         )
 
     def _restore(self) -> None:

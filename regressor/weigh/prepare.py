@@ -31,6 +31,7 @@ REASONS = {
     "empty_cloud": "it has no points",
     "too_few_points": f"it has fewer than {MIN_POINTS} points after cleaning",
     "not_finite": "it has points that are not finite",
+    "out_of_range": "its weight is none that a tuber can have",
     "not_a_cloud": "it is not an array of shape (N, 3)",
 }
 

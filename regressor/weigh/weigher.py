@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
 from conveyor.statistics import NORMAL_90
@@ -147,23 +148,8 @@ def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
     try:
         weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m)
     except RefusedCloud as refusal:
-        return Weight(
-            view_id=view.view_id,
-            track_id=view.track_id,
-            camera=view.camera,
-            run=view.run,
-            seq=view.seq,
-            status="refused",
-            weight_g=None,
-            low_g=None,
-            high_g=None,
-            method="pointraft",
-            model=weigher.sidecar.model_id,
-            flags=(),
-            regressor=regressor,
-            reason=refusal.reason,
-        )
-    return Weight(
+        return _refusal(weigher, view, regressor=regressor, reason=refusal.reason)
+    weight = Weight(
         view_id=view.view_id,
         track_id=view.track_id,
         camera=view.camera,
@@ -177,4 +163,28 @@ def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
         model=weighed.model,
         flags=weighed.flags,
         regressor=regressor,
+    )
+    try:
+        weight.check()
+    except UnsendableError:
+        return _refusal(weigher, view, regressor=regressor, reason="out_of_range")
+    return weight
+
+
+def _refusal(weigher: Weigher, view: View, *, regressor: str, reason: str) -> Weight:
+    return Weight(
+        view_id=view.view_id,
+        track_id=view.track_id,
+        camera=view.camera,
+        run=view.run,
+        seq=view.seq,
+        status="refused",
+        weight_g=None,
+        low_g=None,
+        high_g=None,
+        method="pointraft",
+        model=weigher.sidecar.model_id,
+        flags=(),
+        regressor=regressor,
+        reason=reason,
     )

@@ -10,6 +10,8 @@ from conveyor.messages import Mark, Track, TrackEntry, WeighedView
 
 SPEED_MPS = 0.3
 FPS = 30.0
+CLOCK_S = 10.0
+"""What the cameras' clocks say when the story begins; frames are numbered from their zero."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def _track(
     parts: int,
     rng: np.random.Generator,
 ) -> Track:
-    first = round(crossed_s * FPS) - 14
+    first = round((CLOCK_S + crossed_s) * FPS) - 14
     first_seq, last_seq = [(first, first + 28), (first, first + 13), (first + 14, first + 28)][part + (parts > 1)]
     track_id = f"{run}/{camera.name}/{first_seq}-{round(-tuber.x_m * 1e4)}"
     views = tuple(
@@ -182,7 +184,7 @@ def _track(
     )
     return Track(
         track_id=track_id,
-        crossed_ns=round(crossed_s * 1e9),
+        crossed_ns=round((CLOCK_S + crossed_s) * 1e9),
         crossed_x_m=camera.x_m + dx_m,
         y_m=tuber.y_m + dy_m,
         travel_m=_travel(camera, crossed_s),
@@ -206,10 +208,10 @@ def _mark(camera: Camera, at_s: float, estimated: bool, *, final: bool, tracks: 
     complete_s = at_s - 1.05
     frames = round(at_s * FPS)
     return Mark(
-        captured_ns=round(at_s * 1e9),
+        captured_ns=round((CLOCK_S + at_s) * 1e9),
         travel_m=_travel(camera, at_s),
         travel_estimated=estimated,
-        complete_ns=round(complete_s * 1e9),
+        complete_ns=round((CLOCK_S + complete_s) * 1e9),
         complete_place_x_m=camera.x_m - _travel(camera, complete_s) + 0.012,
         final=final,
         looked_at_m=SPEED_MPS * at_s,

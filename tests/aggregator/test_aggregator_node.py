@@ -17,9 +17,10 @@ from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
 from conveyor.delivery.kept import KeptSubscriber
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
-from conveyor.messages import Committed, Tuber
+from conveyor.messages import Committed, TrackEntry, Tuber
 from conveyor.node import Node
 from conveyor.observer import Observer
+from conveyor.wire import pack, unpack
 from tests.aggregator.belt_story import Story, tell
 from tests.conftest import ROOT, wait_until
 
@@ -176,3 +177,33 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
     )
     assert audited.returncode == 0, audited.stdout
     assert json.loads(audited.stdout)["finished"] is False
+
+
+class Spoilt(TrackEntry):
+    """An entry whose sender does not check what it sends: a tuber of 3 km."""
+
+    def encode(self, *, codec: str = "raw") -> bytes:
+        kind, fields, _ = unpack(TrackEntry(self.camera, self.run, self.n, track=self.track).encode())
+        return pack(kind, {**fields, "track": {**fields["track"], "length_mm": 3e6}}, {})
+
+
+def test_an_entry_that_cannot_be_read_holds_nobody_up(line: tuple[LineConfig, Path], process: Process) -> None:
+    """It is acknowledged, so it does not come for ever; the summary says that it is lost, and the run ends."""
+    config, _ = line
+    told = tell(15, cameras=2, n=6)
+    bad = next(entry for entry in told.logs["cam0"] if entry.track is not None)
+    told.logs["cam0"][bad.n - 1] = Spoilt("cam0", bad.run, bad.n, track=bad.track)
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        segmenters = Segmenters(node, told)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        segmenters.deliver()
+    code, said = process.end()
+    assert code == 0, said
+    assert f"entry {bad.n} of cam0 is set aside" in said
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert summary["final"] is True
+    assert summary["balanced"] is False
+    assert summary["set_aside"] == {"cam0": 1}
+    assert summary["aggregator"]["track_refused_range"] >= 1
+    assert summary["aggregator"]["track_refused_from_cam0"] == summary["aggregator"]["track_refused"]
+    assert any("entries that could not be read" in text for text in summary["differences"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 
 from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig
+from conveyor.counters import CounterSet
 from conveyor.delivery import (
     KeptPublisher,
     KeptSubscriber,
@@ -22,8 +24,9 @@ from conveyor.delivery import (
     ReliablePublisher,
     ReliableSubscriber,
 )
+from conveyor.delivery.refusals import Refusals
 from conveyor.delivery.reliable import CACHE_MESSAGES
-from conveyor.errors import LinkError
+from conveyor.errors import LinkError, MessageError, Refusal
 from conveyor.messages import Committed, FrameProgress, Travel
 from conveyor.node import Node
 from tests.conftest import sender_and_receiver, start_router, wait_until
@@ -61,6 +64,34 @@ def test_a_foreign_message_is_refused_and_counted_and_the_next_one_taken(node: N
     publisher.put(travel(1))
     assert subscriber.get(30.0) == travel(1)
     assert node.counters.get("travel_refused") == 1
+    assert node.counters.get("travel_refused_version") == 1
+    assert node.counters.get("travel_refused_from_other") == 1
+
+
+def test_refusals_are_counted_by_reason_and_by_few_senders_and_told_once_a_second() -> None:
+    """A sender that forges keys and floods: neither the counters nor the log grow with it."""
+    counters, said, now_s = CounterSet(), [], [10.0]
+    log = logging.getLogger("refusals")
+    log.error = lambda text, *values: said.append(text % values)  # type: ignore[method-assign,assignment]
+    refusals = Refusals(topics.TRACK, name="track", counters=counters, log=log, clock=lambda: now_s[0])
+    for n in range(1000):
+        now_s[0] += 0.003
+        reason = Refusal.RANGE if n % 2 else Refusal.KIND
+        refusals.refuse(topics.TRACK.key("line", camera=f"c{n % 100}"), MessageError(f"number {n}", reason=reason))
+    refusals.refuse("tuberline/line/track/front/more", MessageError("a foreign key"))
+    values, _ = counters.snapshot()
+    assert values["track_refused"] == 1001
+    assert (values["track_refused_range"], values["track_refused_kind"], values["track_refused_content"]) == (
+        500,
+        500,
+        1,
+    )
+    by_sender = {name: n for name, n in values.items() if "_from_" in name}
+    assert by_sender == {**{f"track_refused_from_c{n}": 10 for n in range(8)}, "track_refused_from_others": 921}
+    assert len(said) == 2 * 3 + 1  # 3 s, two reasons, and the foreign key
+    assert said[0] == "refused a message from c0 on track (kind): number 0"
+    more = "166 more refused for this reason since the last line"
+    assert said[2] == f"refused a message from others on track (kind): number 334; {more}"
 
 
 def test_kept_reaches_late_joiners(node: Node) -> None:

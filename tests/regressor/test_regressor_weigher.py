@@ -107,6 +107,16 @@ def test_without_a_network_the_visible_volume_weighs() -> None:
     assert answer.low_g < answer.weight_g < answer.high_g
 
 
+def test_a_weight_that_no_tuber_has_is_refused_not_sent() -> None:
+    view = ellipsoid_view()
+    wide = replace(view, intrinsics=replace(view.intrinsics, fx=0.02, fy=0.02))
+    by_volume = Weigher(None, Weigher.load().sidecar)
+    assert by_volume.weigh(prepare_view(wide)).weight_g > 1e5
+    answer = weigh_view(by_volume, wide, regressor="r1")
+    assert (answer.status, answer.reason) == ("refused", "out_of_range")
+    assert type(answer).decode(answer.encode()) == answer
+
+
 def test_a_refusal_names_its_reason(weigher: Weigher) -> None:
     empty = replace(ellipsoid_view(), depth=np.zeros((20, 20), np.uint16))
     answer = weigh_view(weigher, empty, regressor="r1")

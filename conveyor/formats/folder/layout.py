@@ -15,6 +15,7 @@ from conveyor.errors import InputError
 from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
+from conveyor.ranges import INT64_MAX, MAX_COUNT
 
 COLUMNS = ["seq", "captured_ns", "travel_m"]
 
@@ -164,6 +165,9 @@ def _row(path: Path, number: int, cells: list[str]) -> FrameRow:
         travel_m = float(cells[2]) if cells[2].strip() else None
     except ValueError as error:
         raise InputError(f"{path} line {number}: {error}; seq and captured_ns are integers, travel_m metres") from error
-    if seq < 0 or (travel_m is not None and not np.isfinite(travel_m)):
-        raise InputError(f"{path} line {number}: seq must be 0 or more and travel_m finite or empty, got {cells}")
+    if not (0 <= seq <= MAX_COUNT and 0 <= captured_ns <= INT64_MAX and (travel_m is None or abs(travel_m) <= 1e7)):
+        raise InputError(
+            f"{path} line {number}: seq must be 0 to {MAX_COUNT}, captured_ns 0 to {INT64_MAX} and travel_m empty or "
+            f"within 10,000 km, got {cells}"
+        )
     return FrameRow(seq, captured_ns, travel_m)
