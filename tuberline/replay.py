@@ -1,11 +1,10 @@
-"""`tuberline replay`: the whole graph on a recording, real processes, embedded defaults."""
+"""The whole line on a recording: real processes, embedded defaults, until everything is counted."""
 
 from __future__ import annotations
 
 import hashlib
-import json as json_module
+import json
 import socket
-import sys
 import time
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -23,72 +22,6 @@ QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
 MOST_RESTARTS = 6
 """A node that crashed so often will not get through this recording."""
-
-
-def replay(
-    recording: Path,
-    /,
-    *,
-    out: Path,
-    speed: str = "max",
-    weights: Path | None = None,
-    regressors: int = 2,
-    rrd: Path | None = None,
-    ignore_masks: bool = False,
-    json: bool = False,
-) -> None:
-    """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
-
-    Parameters
-    ----------
-    recording
-        Folder, .mcap file or 3DPotatoTwin folder; all its cameras are used.
-    out
-        Folder for the results; it must not hold a run yet.
-    speed
-        real, max, or a factor such as 2.5. Nothing is lost at any speed: a replay waits for the line.
-    weights
-        PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
-    regressors
-        Number of weighing processes.
-    rrd
-        Also write a Rerun recording to this file.
-    ignore_masks
-        Find the tubers on depth though the recording has masks of its own.
-    json
-        Print the summary as JSON on stdout.
-    """
-    summary = replay_recording(
-        recording,
-        out=out,
-        speed=parse_speed(speed),
-        weights=weights,
-        regressors=regressors,
-        rrd=rrd,
-        ignore_masks=ignore_masks,
-        show=not json,
-    )
-    if json:
-        sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
-    else:
-        from rich.console import Console
-
-        from tuberline.cli.report import print_summary
-
-        print_summary(Console(), summary, out=out)
-
-
-def parse_speed(text: str) -> float:
-    """Times real time; 0 means as fast as the line takes it."""
-    if text in ("max", "real"):
-        return 0.0 if text == "max" else 1.0
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = -1.0
-    if not 0 < factor < 1000:
-        raise InputError(f"--speed {text}: give real, max or a factor above 0 and below 1000")
-    return factor
 
 
 def replay_recording(
@@ -132,7 +65,7 @@ def replay_recording(
     specs = line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}")
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
         findings = _wait_until_counted(supervisor, config, show=show)
-    summary: dict[str, Any] = json_module.loads((out / "summary.json").read_text(encoding="utf-8"))
+    summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts

@@ -19,7 +19,7 @@ from conveyor.errors import TuberlineError
 _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Main jobs": {
         "demo": ("tuberline.cli.demo:demo", "Simulate a belt, run the whole line on it, compare with the truth."),
-        "replay": ("tuberline.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
+        "replay": ("tuberline.cli.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "weigh": ("tuberline.cli.model:weigh", "Weigh single clouds or depth and mask pairs; no network."),
         "score": ("tuberline.cli.ledger:score", "Compare a run with the truth: count, weights, total."),
