@@ -146,11 +146,23 @@ class SegmenterNode:
         if result is None:
             return
         counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
+        if result.dropped == "camera_changed":
+            self._tell_changed(camera_run, frame)
         counters.add("instances", result.instances)
         self._watch_belt(camera_run)
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
             self._travel_s = now_s
             self._travel.put(camera_run.travel(frame.captured_ns))
+
+    def _tell_changed(self, camera_run: CameraRun, frame: Frame) -> None:
+        """The first refused frame of a row, and how to go on where all of them are."""
+        changed = camera_run.frames.dropped["camera_changed"]
+        if changed & (changed - 1) == 0:  # 1, 2, 4, 8 ...: told, and never a flood
+            self._node.log.error(
+                "refused frame %d, the %d. of run %s with intrinsics %s and depth unit %g m, unlike the first frame: "
+                "start a new run after changing a camera",
+                frame.seq, changed, frame.run, frame.intrinsics, frame.depth_scale_m,
+            )  # fmt: skip
 
     def _watch_belt(self, camera_run: CameraRun) -> None:
         """Levels of the belt, and each finding once in the log."""
