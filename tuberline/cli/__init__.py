@@ -14,7 +14,8 @@ from types import FrameType
 from cyclopts import App, Group
 
 from conveyor import __version__
-from conveyor.errors import TuberlineError
+from conveyor.crash import end_on_faults
+from conveyor.errors import FAULT, TuberlineError
 
 _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "Main jobs": {
@@ -95,6 +96,9 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
 }
 
+LONG_RUNNING = {*_GROUPS["Nodes of a line"], "run", "replay", "page", "metrics"}
+"""Commands that work without anybody looking: a thread of theirs that fails ends them."""
+
 
 def build_app() -> App:
     """The command tree, with nothing imported yet."""
@@ -117,6 +121,8 @@ def main() -> None:
     from tuberline.orphan import watch_supervisor
 
     setup_logs()
+    if sys.argv[1:2] and sys.argv[1] in LONG_RUNNING:
+        end_on_faults()
     signal.signal(signal.SIGTERM, _leave)
     watch_supervisor()
     code = _run()
@@ -148,7 +154,7 @@ def _run() -> int:
         return 130
     except Exception:
         traceback.print_exc()
-        return 1
+        return FAULT
     return 0
 
 
