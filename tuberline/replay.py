@@ -14,13 +14,13 @@ from typing import Any
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.errors import InputError, LinkError, TuberlineError
-from conveyor.observer import Observer
+from conveyor.observer import observer_when_there
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
-MOST_RESTARTS = 6
+MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
 
@@ -163,12 +163,14 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     from tuberline.cli.live import line_table
 
     live = Live(console=Console(stderr=True), refresh_per_second=4, transient=True) if show else nullcontext()
-    with Observer(config.link, line=config.name) as observer, live as table:
+    observing = observer_when_there(
+        config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor), within_s=START_LIMIT_S
+    )
+    with observing as observer, live as table:
         moved, last = time.monotonic(), -1
         findings: dict[str, str] = {}
         limit_s = START_LIMIT_S
         while not supervisor.finished("aggregator"):
-            supervisor.poll()
             _raise_failures(supervisor)
             nodes = observer.nodes()
             for name, counters in nodes.items():
@@ -179,21 +181,25 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
                 limit_s = QUIET_LIMIT_S if last >= 0 and done else START_LIMIT_S
                 moved, last = time.monotonic(), done
             if time.monotonic() - moved > limit_s:
-                raise LinkError(
-                    f"nothing moved for {limit_s:g} s; the nodes' logs are in {config.aggregator.out / 'logs'}"
-                )
+                raise LinkError(_stands_still(supervisor, config, limit_s))
             if table is not None:
                 table.update(line_table(observer.totals(), nodes, alive=observer.alive()))
             time.sleep(0.1)
         return list(findings.values())
 
 
+def _stands_still(supervisor: Supervisor, config: LineConfig, limit_s: float) -> str:
+    down = [name for name in supervisor.restarts if supervisor.pid(name) is None and not supervisor.finished(name)]
+    said = "".join(f"\n{name} last said: {supervisor.last_words(name)}" for name in down)
+    return (
+        f"nothing moved for {limit_s:g} s; the nodes' logs are in {config.aggregator.out / 'logs'}; "
+        f"--resume goes on from here{said}"
+    )
+
+
 def _raise_failures(supervisor: Supervisor) -> None:
-    for name, restarts in supervisor.restarts.items():
-        if restarts >= MOST_RESTARTS:
-            raise TuberlineError(f"{name} crashed {restarts} times; it last said:\n{supervisor.log_tail(name)}")
+    for name, crashes in supervisor.crashes.items():
+        if crashes >= MOST_CRASHES:
+            raise TuberlineError(f"{name} crashed {crashes} times; it last said:\n{supervisor.log_tail(name)}")
     for name, code in supervisor.failures.items():
-        tail = supervisor.log_tail(name)
-        said = [line for line in tail.splitlines() if line.startswith("tuberline: ")]
-        reason = tail[tail.index(said[-1]) + len("tuberline: ") :] if said else tail
-        raise TuberlineError(f"{name} gave up (exit code {code}): {reason}")
+        raise TuberlineError(f"{name} gave up (exit code {code}): {supervisor.last_words(name)}")
