@@ -19,9 +19,15 @@ _numbers = itertools.count()
 
 
 class Heartbeat:
-    """Listens to one process. `environment` tells it where; without abstract sockets (not Linux) nothing is watched."""
+    """Listens to one process. `environment` tells it where; without abstract sockets (not Linux) nothing is watched.
 
-    def __init__(self, now_s: float) -> None:
+    Args:
+        now_s: the monotonic clock.
+        patience: times `STILL_AFTER_S` it may stand still.
+    """
+
+    def __init__(self, now_s: float, *, patience: float = 1.0) -> None:
+        self._still_after_s = patience * STILL_AFTER_S
         self.environment: dict[str, str] = {"NOTIFY_SOCKET": ""}
         self._channel: socket.socket | None = None
         self._ready = False
@@ -46,14 +52,14 @@ class Heartbeat:
     def forgive(self, now_s: float) -> None:
         """Start counting anew: nobody could listen for a while."""
         self._heard_s = now_s
-        self._start_until_s = max(self._start_until_s, now_s + STILL_AFTER_S)
+        self._start_until_s = max(self._start_until_s, now_s + self._still_after_s)
 
     def standstill(self, now_s: float) -> str:
         """Take what the process said; in words for how long it has stood still, empty while it has not for too long."""
         self._listen(now_s)
         if self._channel is None:
             return ""
-        if now_s - self._heard_s > STILL_AFTER_S:
+        if now_s - self._heard_s > self._still_after_s:
             return f"has stood still for {now_s - self._heard_s:.0f} s"
         if not self._ready and now_s > self._start_until_s:
             return "takes too long to start"

@@ -12,14 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.belt_findings import belt_findings
-from conveyor.config import LineConfig, dump_toml, parse_config
+from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.errors import InputError, LinkError, TuberlineError
 from conveyor.observer import observer_when_there
+from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
+CONFIG_FILE, RUN_FILE = "line.toml", "run"
+"""In the folder of the results: the effective config, and the id of the run."""
 MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
@@ -60,17 +63,68 @@ def replay_recording(
         settings=settings,
         ignore_masks=ignore_masks,
     )
-    config_path = out.resolve() / "line.toml"
-    config_path.write_text(dump_toml(config), encoding="utf-8")
-    specs = line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}")
+    run = run_id(recording)
+    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
+    (out / RUN_FILE).write_text(run + "\n", encoding="utf-8")
+    return _count(config, out=out, run=run, show=show)
+
+
+def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str, Any]:
+    """Go on with the replay of `recording` into `out` that was cut short, with the settings it was started with.
+
+    Raises:
+        InputError: there is none in `out`, or it is of another recording.
+        TakenError: it is still running.
+        TuberlineError: a node gave up; the text carries its last words.
+    """
+    started = out / RUN_FILE
+    if not started.is_file():
+        raise InputError(f"--resume: {out} holds no replay that was begun; leave --resume out to begin one")
+    run, wanted = started.read_text(encoding="utf-8").strip(), run_id(recording)
+    if run != wanted:
+        raise InputError(f"--resume: {out} was begun with another recording ({run}); {recording} is {wanted}")
+    config = load_config(out / CONFIG_FILE)
+    check_port_free(config.link)
+    if _finished(out, run):
+        return _summary(out)
+    link = config.link.model_copy(update={"router": f"tcp/127.0.0.1:{free_port()}"})
+    config = config.model_copy(update={"link": link})
+    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
+    return _count(config, out=out, run=run, show=show)
+
+
+def run_id(recording: Path) -> str:
+    """Id of the run that replays `recording`: the same one for the same recording."""
+    return f"replay-{fingerprint(recording)}"
+
+
+def _finished(out: Path, run: str) -> bool:
+    """The ledger holds the whole run, with its summary."""
+    from aggregator.ledger.reader import read_run, reading
+
+    if not (out / "ledger.db").is_file() or not (out / "summary.json").is_file():
+        return False
+    with reading(out / "ledger.db") as db:
+        row = read_run(db, run)
+    return row is not None and row.finished
+
+
+def _count(config: LineConfig, *, out: Path, run: str, show: bool) -> dict[str, Any]:
+    """Run the line until it has counted everything; its summary."""
+    specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run)
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
         findings = _wait_until_counted(supervisor, config, show=show)
-    summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    summary = _summary(out)
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts
     if findings:
         summary["findings"] = findings
+    return summary
+
+
+def _summary(out: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     return summary
 
 
@@ -90,7 +144,9 @@ def prepare_out(out: Path) -> None:
     """Make the result folder; refuse one that already holds a run, for its ledger would count everything twice."""
     ledger = out / "ledger.db"
     if ledger.exists():
-        raise InputError(f"{ledger} already holds a run; give another --out, or remove that folder first")
+        raise InputError(
+            f"{ledger} already holds a run; give another --out, remove that folder first, or go on with it by --resume"
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

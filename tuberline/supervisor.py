@@ -27,6 +27,8 @@ PASSING_LIMIT_S = 30.0
 HEALTHY_AFTER_S = 30.0
 STOP_WITHIN_S = 4.0
 LOOK_EVERY_S = 0.1
+MOST_PATIENCE = 8
+"""Each standstill doubles the time for the next one up to this factor: what only is slow gets done at last."""
 NOT_LOOKED_S = 2.0
 """This process itself stood still for longer: that says nothing about the others."""
 
@@ -52,6 +54,7 @@ class _Child:
     started: float = 0.0
     restarts: int = 0
     crashes: int = 0
+    standstills: int = 0
     backoff_s: float = BACKOFF_FIRST_S
     not_before: float = 0.0
     done: bool = False
@@ -176,6 +179,8 @@ class Supervisor:
         still = heartbeat.standstill(now)
         if still and child.process is not None:
             log.error("%s %s: killed, to be started again", child.spec.name, still)
+            child.standstills += 1
+            heartbeat.close()
             child.process.kill()
 
     def _stop_all(self, children: Sequence[_Child]) -> None:
@@ -206,7 +211,7 @@ class Supervisor:
     def _start(self, child: _Child) -> None:
         if child.heartbeat is not None:
             child.heartbeat.close()
-        child.heartbeat = Heartbeat(time.monotonic())
+        child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
         environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
         environment |= child.heartbeat.environment
         command = [sys.executable, "-m", "tuberline", *child.spec.args]

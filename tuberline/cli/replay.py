@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from conveyor.errors import InputError
-from tuberline.replay import replay_recording
+from tuberline.replay import replay_recording, resume_replay
 
 
 def replay(
@@ -20,6 +20,7 @@ def replay(
     regressors: int = 2,
     rrd: Path | None = None,
     ignore_masks: bool = False,
+    resume: bool = False,
     json: bool = False,
 ) -> None:
     """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
@@ -29,7 +30,7 @@ def replay(
     recording
         Folder, .mcap file or 3DPotatoTwin folder; all its cameras are used.
     out
-        Folder for the results; it must not hold a run yet.
+        Folder for the results; it must not hold a run yet, unless that one is resumed.
     speed
         real, max, or a factor such as 2.5. Nothing is lost at any speed: a replay waits for the line.
     weights
@@ -40,19 +41,25 @@ def replay(
         Also write a Rerun recording to this file.
     ignore_masks
         Find the tubers on depth though the recording has masks of its own.
+    resume
+        Go on with a replay into the same folder that was killed or gave up. The options of its first start hold.
     json
         Print the summary as JSON on stdout.
     """
-    summary = replay_recording(
-        recording,
-        out=out,
-        speed=parse_speed(speed),
-        weights=weights,
-        regressors=regressors,
-        rrd=rrd,
-        ignore_masks=ignore_masks,
-        show=not json,
-    )
+    factor = parse_speed(speed)
+    if resume:
+        summary = resume_replay(recording, out=out, show=not json)
+    else:
+        summary = replay_recording(
+            recording,
+            out=out,
+            speed=factor,
+            weights=weights,
+            regressors=regressors,
+            rrd=rrd,
+            ignore_masks=ignore_masks,
+            show=not json,
+        )
     if json:
         sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
     else:
