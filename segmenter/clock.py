@@ -62,4 +62,5 @@ class CameraClock:
         if passed_ns > 0 and abs(off_ns) <= STEP_NS:
             self._periods_ns.append(passed_ns / frames)
             return 0
-        return round(passed_ns - by_number_ns)
+        # A camera that stood still while its clock stepped: what passed is what passed here.
+        return round(passed_ns - max(by_number_ns, by_arrival_ns))

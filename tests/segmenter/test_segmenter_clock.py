@@ -69,6 +69,17 @@ def test_a_camera_that_paused_and_one_that_slews_do_not_step() -> None:
         assert clock.steady_ns(seq, captured_ns, seq * PERIOD_NS + pause_ns) == (captured_ns, 0)
 
 
+def test_a_camera_that_stood_still_while_its_clock_stepped_is_not_late_for_ever() -> None:
+    clock, age = CameraClock(), FrameAge()
+    ages = []
+    for seq in range(100):
+        stood_ns, ahead_ns = (4 * 10**9, HOUR_NS) if seq >= 50 else (0, 0)
+        arrived_ns = seq * PERIOD_NS + stood_ns
+        steady_ns, _ = clock.steady_ns(seq, EPOCH_NS + seq * PERIOD_NS + ahead_ns, arrived_ns)
+        ages.append(age.age_ms(steady_ns, arrived_ns))
+    assert max(ages) < 1.0
+
+
 def test_a_process_that_starts_again_goes_on_behind_the_one_before() -> None:
     clock = CameraClock(floor_ns=EPOCH_NS + HOUR_NS)
     steady_ns, step_ns = clock.steady_ns(500, EPOCH_NS, 0)
