@@ -178,6 +178,9 @@ class CameraNode:
     def _while_silent(self, silent_s: float) -> bool:
         """A live source's process looks round while nothing comes; False: stop."""
         self._node.progress()
+        reopened = getattr(self._source, "reopened", None)
+        if reopened is not None:
+            self._node.counters.gauge("source_reopened", reopened)
         self._node.counters.gauge("source_silent_s", round(silent_s, 1) if silent_s >= 1.0 else 0.0)
         if (silent_s >= STALL_AFTER_S) != self._silent:
             self._silent = not self._silent

@@ -63,6 +63,7 @@ def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
     tokens_out, tokens_in = _plain(sent, (Delivery.TOKEN,)), _plain(heard, (Delivery.TOKEN,))
     answers, asks = _plain(sent, (Delivery.QUERY,)), _plain(heard, (Delivery.QUERY,))
     cached_out, cached_in = _plain(sent, _RECOVERED), _plain(heard, _RECOVERED)
+    own_reports = tuple(key for _, key in _keys(identity, line, sending=True, of=(topics.COUNTERS,)))
     everything = (f"{topics.ROOT}/{line}/**", f"{topics.ROOT}/{line}/**/@adv/**")
     found = (
         # as a sender
@@ -78,6 +79,11 @@ def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
         Grant(OUT, ("liveliness_token",), tokens_in + recovered_in),
         Grant(IN, ("query",), asks + recovered_in),
         Grant(OUT, ("reply",), asks + cached_in + recovered_in),
+        # to see another node under its own name
+        Grant(IN, ("liveliness_query",), tokens_out),
+        Grant(OUT, ("liveliness_token",), tokens_out),
+        Grant(IN, ("declare_subscriber",), own_reports),
+        Grant(OUT, ("put",), own_reports),
     )
     return tuple(grant for grant in found if grant.keys)
 
@@ -130,9 +136,11 @@ def router_access(config: LineConfig) -> dict[str, Any] | None:
 _DATA = (Delivery.LATEST, Delivery.KEPT, Delivery.NEVER_LOST, Delivery.DISPATCHED)
 
 
-def _keys(identity: Identity, line: str, *, sending: bool) -> list[tuple[Delivery, str]]:
+def _keys(
+    identity: Identity, line: str, *, sending: bool, of: Iterable[Topic] = topics.TOPICS
+) -> list[tuple[Delivery, str]]:
     """(delivery, key expression) of every topic this node sends or hears; its own name where the row binds it."""
-    rows = [t for t in topics.TOPICS if identity.role in (t.senders if sending else t.receivers)]
+    rows = [t for t in of if identity.role in (t.senders if sending else t.receivers)]
     return [(t.delivery, t.key(line, **_parts(t, identity, sending=sending))) for t in rows]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.errors import ConfigError, LinkError
+from conveyor.errors import ConfigError
 from conveyor.topics import ALIVE, TOPICS, check_name
 
 SHARED = "*"
@@ -63,7 +63,7 @@ def own_files(folder: Path, node: str) -> tuple[Path, Path, Path]:
     Its own certificate, or the one its role shares.
 
     Raises:
-        LinkError: neither is there.
+        ConfigError: neither is there.
     """
     own = Identity.parse("operator" if node == "observer" else node)
     for stem in dict.fromkeys((own.stem, own.role)):
@@ -72,7 +72,7 @@ def own_files(folder: Path, node: str) -> tuple[Path, Path, Path]:
             return folder / CA_FILE, certificate, key
     stems = " nor ".join(f"{stem}.pem" for stem in dict.fromkeys((own.stem, own.role)))
     wanted = f"{own.role}/{own.name}" if own.name != SHARED else own.role
-    raise LinkError(
+    raise ConfigError(
         f"no certificate for {node} in {folder}: no {stems} with its .key is there; "
         f"make one with `tuberline certs add {wanted}` and copy both here"
     )

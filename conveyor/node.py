@@ -20,20 +20,25 @@ import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from conveyor import __version__, topics
+import zenoh
+
+from conveyor import __version__, crash, topics
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.delivery.kept import KeptPublisher
+from conveyor.errors import FAULT, PERMANENT
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back, resident_mib
 from conveyor.messages import Counters
 from conveyor.notify import notify
-from conveyor.session import open_client
+from conveyor.session import join_router
+from conveyor.taken import Namesake
 from conveyor.topics import check_name
 
 STOP_WITHIN_S = 2.0
 STALL_AFTER_S = 5.0
-STUCK_AFTER_S = 30.0
-"""No Python thread ran for so long: some native call holds the interpreter lock. The process tells where, and ends."""
+STUCK_AFTER_S = 15.0
+"""No Python thread ran for so long: some native call holds the interpreter lock. The process tells where, and ends,
+before a manager that misses its heartbeat for 20 s ends it without a word."""
 
 
 class Node:
@@ -54,30 +59,63 @@ class Node:
         self._progressed = time.monotonic()
         self._stalled = False
         self._reporter: threading.Thread | None = None
+        self._left = threading.Event()
 
     def __enter__(self) -> Self:
+        """Join the line.
+
+        Raises:
+            TakenError: a node of this name lives already.
+        """
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._on_signal)
-        self.session = open_client(self.config.link, name=f"{self.role}/{self.name}")
+        session = join_router(self.config.link, name=f"{self.role}/{self.name}", stop=self.stop, log=self.log)
+        if session is None:
+            raise SystemExit(0)
+        self.session = session
+        try:
+            self._open()
+        except BaseException:
+            self._close_session()
+            raise
+        return self
+
+    def _open(self) -> None:
+        """Make sure that this node is alone under its name, then report, and announce it."""
+        self._namesake = Namesake(
+            self.session, line=self.line, role=self.role, name=self.name, host=socket.gethostname(), pid=os.getpid()
+        )
+        self._namesake.check_free(lease_s=self.config.link.lease_ms / 1000, stop=self.stop)
         self._counters_out = KeptPublisher(self, topics.COUNTERS, role=self.role, name=self.name)
+        self._progressed = time.monotonic()
         self._put_off_watchdog()
         self._reporter = threading.Thread(target=self._report, name="counters", daemon=True)
         self._reporter.start()
         if self._announce_now:
             self.announce()
         self.log.info("started run=%s pid=%d router=%s", self.run, os.getpid(), self.config.link.router)
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if error is not None:
+            self._leave_within(STOP_WITHIN_S, f"after {error!r}", code=getattr(error, "exit_code", FAULT))
         self.stop.set()
         if self._reporter is not None:
             self._reporter.join()
+        crash.leaving.set()
         if self._token is not None:
             self._token.undeclare()
-        self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
+        self._close_session()
+        crash.leaving.clear()
+        self._left.set()
         self.log.info("stopped after %.1f s", time.monotonic() - self._started)
+
+    def _close_session(self) -> None:
+        try:
+            self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
+        except zenoh.ZError as error:  # on a bad link the goodbye may not get through
+            self.log.warning("left without goodbye: %s", error)
 
     def announce(self) -> None:
         """Show the liveliness token: this node is ready for work."""
@@ -100,6 +138,7 @@ class Node:
         while not self.stop.wait(1.0):
             self._put_off_watchdog()
             self._watch_progress()
+            self._watch_name()
             self._publish_counters()
             if time.monotonic() - given_back >= GIVE_BACK_EVERY_S:
                 given_back = time.monotonic()
@@ -144,12 +183,29 @@ class Node:
             )
         )
 
+    def _watch_name(self) -> None:
+        """Of two nodes that started under one name at once, or at the two ends of a cut link, the younger one goes."""
+        other = self._namesake.older(self.uptime_s)
+        if other:
+            self.log.error("%s", other)
+            self._end(PERMANENT)
+
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self.stop.set()
-        guard = threading.Timer(STOP_WITHIN_S, self._give_up, args=(number,))
-        guard.daemon = True
-        guard.start()
+        self._leave_within(STOP_WITHIN_S, f"of signal {number}", code=FAULT)
 
-    def _give_up(self, number: int) -> None:
-        self.log.error("did not stop within %.0f s of signal %d: leaving without goodbye", STOP_WITHIN_S, number)
-        os._exit(70)
+    def _leave_within(self, seconds: float, since: str, *, code: int) -> None:
+        """Nothing that hangs while this node leaves keeps it alive."""
+
+        def guard() -> None:
+            if not self._left.wait(seconds):
+                self.log.error("did not stop within %.0f s %s: leaving without goodbye", seconds, since)
+                self._end(code)
+
+        threading.Thread(target=guard, name="leave", daemon=True).start()
+
+    @staticmethod
+    def _end(code: int) -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)

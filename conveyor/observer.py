@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Self
 
 import zenoh
@@ -17,6 +20,8 @@ from conveyor.errors import LinkError
 from conveyor.messages import Counters, Totals
 from conveyor.session import open_client
 from conveyor.topics import Topic
+
+TRY_FOR_S = 1.0
 
 
 class Observer:
@@ -70,3 +75,28 @@ class Observer:
         raise LinkError(
             f"nobody answered {selector} within {timeout_s:g} s: is the aggregator of line '{self.line}' up?"
         )
+
+
+@contextmanager
+def observer_when_there(
+    link: LinkConfig, *, line: str, meanwhile: Callable[[], None], within_s: float = float("inf")
+) -> Iterator[Observer]:
+    """An observer of `line` once its router answers; until then `meanwhile` is called every second, and may raise.
+
+    Raises:
+        LinkError: no router within `within_s`.
+    """
+    deadline = time.monotonic() + within_s
+    observer = Observer(link.model_copy(update={"connect_timeout_s": TRY_FOR_S}), line=line)
+    while True:
+        try:
+            opened = observer.__enter__()
+            break
+        except LinkError:
+            if time.monotonic() > deadline:
+                raise
+            meanwhile()
+    try:
+        yield opened
+    finally:
+        opened.__exit__()

@@ -7,19 +7,28 @@ memory when a publisher restarts and lose frames silently under container limits
 from __future__ import annotations
 
 import json
+import logging
+import queue
 import socket
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
 import zenoh
 
 from conveyor.config import LinkConfig
-from conveyor.errors import LinkError
+from conveyor.errors import ConfigError, LinkError
 from conveyor.identity import own_files
+from conveyor.notify import still_starting
 from conveyor.topics import TRANSMIT_BATCHES
 
 TlsFiles = tuple[Path, Path, Path]
 """Authority, certificate, key."""
+WAIT_FOR_EVER_MS = -1
+SAY_FIRST_S, SAY_EVERY_S = 5.0, 60.0
+STARTING_FOR_S = 60.0
+"""How much longer each look for the router lets a start take: a manager that hears nothing for so long may end it."""
 ENCRYPTED = ("tls/", "quic/")
 """Endpoints that prove who is at the other end."""
 
@@ -41,6 +50,42 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
         ) from error
 
 
+def join_router(link: LinkConfig, *, name: str, stop: threading.Event, log: logging.Logger) -> zenoh.Session | None:
+    """A client session as soon as the line's router is there, however long that takes; None once `stop` is set.
+
+    Hosts of a line boot in any order: a router that is still to come is no failure, and is said once a minute.
+
+    Raises:
+        ConfigError: certificates that are missing or contradict the endpoint.
+        LinkError: Zenoh refuses for another reason than a router that is away.
+    """
+    settings = _config(client_settings(link, name=name, timeout_ms=WAIT_FOR_EVER_MS))
+    opened: queue.SimpleQueue[zenoh.Session | zenoh.ZError] = queue.SimpleQueue()
+
+    def connect() -> None:
+        try:
+            opened.put(zenoh.open(settings))
+        except zenoh.ZError as error:
+            opened.put(error)
+
+    threading.Thread(target=connect, name="connect", daemon=True).start()
+    began_s, say_s = time.monotonic(), SAY_FIRST_S
+    while not stop.is_set():
+        try:
+            answer = opened.get(timeout=0.2)
+        except queue.Empty:
+            waited_s = time.monotonic() - began_s
+            still_starting(STARTING_FOR_S)
+            if waited_s >= say_s:
+                log.warning("no router answers at %s for %.0f s: waiting for it", link.router, waited_s)
+                say_s += SAY_EVERY_S
+            continue
+        if isinstance(answer, zenoh.Session):
+            return answer
+        raise LinkError(f"cannot join the router at {link.router}: {_short(answer)}") from answer
+    return None
+
+
 def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = None) -> zenoh.Session:
     """A router session listening on the line's endpoints: the same Rust core as zenohd.
 
@@ -60,13 +105,13 @@ def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = Non
         ) from error
 
 
-def client_settings(link: LinkConfig, *, name: str) -> dict[str, Any]:
-    """Zenoh settings of a node; `name` shows up in the router's admin space."""
+def client_settings(link: LinkConfig, *, name: str, timeout_ms: int | None = None) -> dict[str, Any]:
+    """Zenoh settings of a node; `name` shows up in the router's admin space. `timeout_ms` -1 waits for ever."""
     return {
         "mode": "client",
         "connect": {
             "endpoints": [link.router],
-            "timeout_ms": int(link.connect_timeout_s * 1000),
+            "timeout_ms": int(link.connect_timeout_s * 1000) if timeout_ms is None else timeout_ms,
             "retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 1.5},
         },
         "listen": {"endpoints": []},
@@ -122,20 +167,24 @@ def _tls_files(link: LinkConfig, name: str) -> TlsFiles | None:
     encrypted = any(endpoint.startswith(ENCRYPTED) for endpoint in endpoints)
     if not (link.certs or link.root_ca or link.certificate or link.private_key):
         if encrypted:
-            raise LinkError(f"link uses {', '.join(endpoints)}: set link.certs (`tuberline certs make` fills a folder)")
+            raise ConfigError(
+                f"link uses {', '.join(endpoints)}: set link.certs (`tuberline certs make` fills a folder)"
+            )
         return None
     if not encrypted:
-        raise LinkError(f"link has certificates but link.router is {link.router}, not encrypted: make it tls/HOST:PORT")
+        raise ConfigError(
+            f"link has certificates but link.router is {link.router}, not encrypted: make it tls/HOST:PORT"
+        )
     files = own_files(link.certs, name) if link.certs else (link.root_ca, link.certificate, link.private_key)
     root_ca, certificate, key = files
     if not (root_ca and certificate and key):
-        raise LinkError(
+        raise ConfigError(
             "TLS needs link.certs, or all of link.root_ca, link.certificate and link.private_key; "
             "`tuberline certs` makes them"
         )
     for path in (root_ca, certificate, key):
         if not path.is_file():
-            raise LinkError(f"TLS file {path} does not exist; `tuberline certs` makes one set per node")
+            raise ConfigError(f"TLS file {path} does not exist; `tuberline certs` makes one set per node")
     return root_ca, certificate, key
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 from conveyor import topics
 from conveyor.belt_findings import belt_findings
@@ -21,6 +22,7 @@ from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
+from segmenter.clock import CameraClock
 from segmenter.frame.watch import BeltWatch
 from segmenter.setup import log_path, run_settings
 from segmenter.warmup import warm_up
@@ -41,11 +43,13 @@ class SegmenterNode:
     def __init__(self, config: LineConfig, camera: str, run: str) -> None:
         self._config = config
         self._camera = camera
-        self._waits = config.camera(camera).waits
+        source = config.camera(camera)
+        self._waits = source.waits and source.source == "recording"  # a device waits for nobody
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
-        source = config.camera(camera)
-        self._age = FrameAge(source.speed if source.source == "recording" else 1.0)
+        self._speed = source.speed if source.source == "recording" else 1.0
+        self._age = FrameAge(self._speed)
+        self._clock = CameraClock(self._speed)
         self._oldest_ms = 0.0
         self._overwritten = 0
         self._progress_s = self._travel_s = self._reported_s = 0.0
@@ -97,6 +101,8 @@ class SegmenterNode:
             self._committed.wait(COMMITTED_WAIT_S)
         self._take_commits(camera_run)
         self._belt, self._belt_told = BeltWatch(), set()
+        mark = camera_run.log.last_mark
+        self._age, self._clock = FrameAge(self._speed), CameraClock(self._speed, mark.captured_ns if mark else 0)
         self._current = self._runs[run] = camera_run
 
     def _turn(self) -> None:
@@ -133,6 +139,7 @@ class SegmenterNode:
             return
         drop = ""
         if not self._waits:
+            frame = self._on_time(frame)
             age_ms = self._age.age_ms(frame.captured_ns, time.monotonic_ns())
             self._note_overwritten(camera_run)
             if age_ms > self._config.segmenter.max_age_ms:
@@ -146,11 +153,35 @@ class SegmenterNode:
         if result is None:
             return
         counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
+        if result.dropped == "camera_changed":
+            self._tell_changed(camera_run, frame)
         counters.add("instances", result.instances)
         self._watch_belt(camera_run)
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
             self._travel_s = now_s
             self._travel.put(camera_run.travel(frame.captured_ns))
+
+    def _on_time(self, frame: Frame) -> Frame:
+        """The frame, its capture time checked for sense."""
+        steady_ns, step_ns = self._clock.steady_ns(frame.seq, frame.captured_ns, time.monotonic_ns())
+        self._node.counters.gauge("clock_offset_s", self._clock.offset_ns / 1e9)
+        if step_ns:
+            self._node.counters.add("clock_steps")
+            self._node.log.warning(
+                "the camera's clock stepped by %+.3f s before frame %d: times go on as if it had not",
+                step_ns / 1e9, frame.seq,
+            )  # fmt: skip
+        return frame if steady_ns == frame.captured_ns else replace(frame, captured_ns=steady_ns)
+
+    def _tell_changed(self, camera_run: CameraRun, frame: Frame) -> None:
+        """The first refused frame of a row, and how to go on where all of them are."""
+        changed = camera_run.frames.dropped["camera_changed"]
+        if changed & (changed - 1) == 0:  # 1, 2, 4, 8 ...: told, and never a flood
+            self._node.log.error(
+                "refused frame %d, the %d. of run %s with intrinsics %s and depth unit %g m, unlike the first frame: "
+                "start a new run after changing a camera",
+                frame.seq, changed, frame.run, frame.intrinsics, frame.depth_scale_m,
+            )  # fmt: skip
 
     def _watch_belt(self, camera_run: CameraRun) -> None:
         """Levels of the belt, and each finding once in the log."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError, UnsendableError
+from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
 from conveyor.messages.base import check_part
@@ -97,7 +97,7 @@ class Segmenter:
         """Take the next frame.
 
         Raises:
-            InputError: the belt seen contradicts the calibration, there is neither, or the camera changed in the run.
+            InputError: the belt seen contradicts the calibration, or there is neither.
         """
         dropped = self._unusable(frame)
         if dropped:
@@ -206,16 +206,13 @@ class Segmenter:
         return max(rows) - travel_m
 
     def _unusable(self, frame: Frame) -> str:
-        """Why a frame cannot be processed; empty where it can."""
+        """Why a frame cannot be processed; empty where it can. Where it was taken with other intrinsics or in another
+        depth unit than the first, its heights and places would be wrong."""
         if self._first is None:
             self._first = frame
         first = self._first
         if frame.intrinsics != first.intrinsics or frame.depth_scale_m != first.depth_scale_m:
-            raise InputError(
-                f"camera '{frame.camera}' changed within run '{frame.run}' at frame {frame.seq}: intrinsics "
-                f"{frame.intrinsics}, depth scale {frame.depth_scale_m}; it began with {first.intrinsics}, "
-                f"{first.depth_scale_m}. Start a new run after changing a camera"
-            )
+            return "camera_changed"
         if frame.mask is None and np.count_nonzero(frame.depth[::4, ::4]) < LEAST_SEEN * frame.depth.size / 16:
             return "blind"
         return "frozen" if self._frozen(frame) else ""

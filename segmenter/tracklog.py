@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Self
 
-from conveyor.errors import LedgerError, MessageError
+from conveyor.errors import LedgerError, MessageError, StorageError
 from conveyor.messages import Committed, Mark, Track, TrackEntry
 
 MAGIC = b"TBLLOG1\n"
@@ -91,10 +91,10 @@ class TrackLog:
         """Number and store tracks and marks, durably, all with one fsync.
 
         Raises:
-            LedgerError: too much waits for the aggregator, or the disk refuses.
+            StorageError: too much waits for the aggregator, or the disk refuses.
         """
         if len(self._entries) + len(items) > MAX_UNCOMMITTED:
-            raise LedgerError(
+            raise StorageError(
                 f"the log of camera '{self.camera}' holds {len(self._entries)} entries that the aggregator has not "
                 f"committed (limit {MAX_UNCOMMITTED}): is it running, and can it write its ledger?"
             )
@@ -198,7 +198,7 @@ class TrackLog:
             try:
                 self._file.write(_PREFIX.pack(len(payload), zlib.crc32(payload)) + payload)
             except OSError as error:
-                raise LedgerError(f"cannot write the track log {self._path}: {error.strerror or error}") from error
+                raise StorageError(f"cannot write the track log {self._path}: {error.strerror or error}") from error
 
     def _sync(self) -> None:
         if self._file is not None:
@@ -206,30 +206,33 @@ class TrackLog:
                 self._file.flush()
                 os.fsync(self._file.fileno())
             except OSError as error:
-                raise LedgerError(f"cannot write the track log {self._path}: {error.strerror or error}") from error
+                raise StorageError(f"cannot write the track log {self._path}: {error.strerror or error}") from error
 
     def _rewrite(self) -> None:
         """A fresh file with what is still needed, put in place of the old one at once."""
         if self._path is None or self._file is None:
             return
         fresh = self._path.with_suffix(".new")
-        self._file.close()
-        with fresh.open("wb") as file:
-            file.write(MAGIC)
-            before = [self._mark_before] if self._mark_before else []
-            needed = {entry.n: entry for entry in [*before, *self._since_mark, *self._entries]}
-            committed = Committed(camera=self.camera, run=self.run, n=self.committed)
-            for item in [committed, *(needed[n] for n in sorted(needed))]:
-                payload = item.encode()
-                file.write(_PREFIX.pack(len(payload), zlib.crc32(payload)) + payload)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(self._path)
-        folder = os.open(self._path.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
-        self._file = self._path.open("r+b")
-        self._file.seek(0, os.SEEK_END)
+        try:
+            self._file.close()
+            with fresh.open("wb") as file:
+                file.write(MAGIC)
+                before = [self._mark_before] if self._mark_before else []
+                needed = {entry.n: entry for entry in [*before, *self._since_mark, *self._entries]}
+                committed = Committed(camera=self.camera, run=self.run, n=self.committed)
+                for item in [committed, *(needed[n] for n in sorted(needed))]:
+                    payload = item.encode()
+                    file.write(_PREFIX.pack(len(payload), zlib.crc32(payload)) + payload)
+                file.flush()
+                os.fsync(file.fileno())
+            fresh.replace(self._path)
+            folder = os.open(self._path.parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+            self._file = self._path.open("r+b")
+            self._file.seek(0, os.SEEK_END)
+        except OSError as error:
+            raise StorageError(f"cannot write the track log {self._path}: {error.strerror or error}") from error
 
 
 def _records(data: bytes, path: Path) -> tuple[int, list[bytes]]:

@@ -11,12 +11,13 @@ from segmenter.pipeline import Segmenter, Settings
 
 
 def warm_up(pixel_mm: float) -> None:
-    """Run the core over two frames of one box on a belt, with one thread per library."""
+    """Run the core over two frames of two touching boxes on a belt, with one thread per library."""
     cv2.setNumThreads(1)
     core = Segmenter(Settings())
     for seq, row in enumerate((60, 64)):
         depth = np.full((160, 200), 460, np.uint16)
         depth[row : row + 24, 80:110] = 420
+        depth[row : row + 24, 110:128] = 430
         frame = Frame(
             camera="warmup",
             run="warmup",
@@ -29,4 +30,5 @@ def warm_up(pixel_mm: float) -> None:
             belt_from_camera=straight_down_belt_from_camera(0.46),
             depth=depth,
         )
-        core.step(frame)
+        # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
+        core.step(Frame.decode(frame.encode()))

@@ -1,7 +1,8 @@
 """A node ends with the process that supervises it.
 
 `tuberline run` and `replay` stop their nodes when they leave. Where they are killed they cannot, and a node that went
-on would hold the router's port and count into a ledger nobody reads. So each looks for its supervisor every second.
+on would hold the router's port and count into a ledger nobody reads. So each looks for its supervisor every second, and
+tells it that it is there: one that is stopped or frozen while it starts is missed too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import os
 import signal
 import threading
 import time
+
+from conveyor.notify import notify
 
 ENVIRONMENT = "TUBERLINE_SUPERVISOR"
 """Process id of the supervisor; nodes that systemd or a container engine starts have none."""
@@ -26,6 +29,7 @@ def watch_supervisor() -> None:
 
 def _watch(supervisor: int) -> None:
     while os.getppid() == supervisor:
+        notify("STATUS=here")
         time.sleep(LOOK_EVERY_S)
     logging.getLogger("supervisor").error("process %d that started this one is gone: stopping", supervisor)
     os.kill(os.getpid(), signal.SIGTERM)

@@ -1,11 +1,10 @@
-"""`tuberline replay`: the whole graph on a recording, real processes, embedded defaults."""
+"""The whole line on a recording: real processes, embedded defaults, until everything is counted."""
 
 from __future__ import annotations
 
 import hashlib
-import json as json_module
+import json
 import socket
-import sys
 import time
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -13,82 +12,19 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.belt_findings import belt_findings
-from conveyor.config import LineConfig, dump_toml, parse_config
+from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.errors import InputError, LinkError, TuberlineError
-from conveyor.observer import Observer
+from conveyor.observer import observer_when_there
+from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
-MOST_RESTARTS = 6
+CONFIG_FILE, RUN_FILE = "line.toml", "run"
+"""In the folder of the results: the effective config, and the id of the run."""
+MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
-
-
-def replay(
-    recording: Path,
-    /,
-    *,
-    out: Path,
-    speed: str = "max",
-    weights: Path | None = None,
-    regressors: int = 2,
-    rrd: Path | None = None,
-    ignore_masks: bool = False,
-    json: bool = False,
-) -> None:
-    """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
-
-    Parameters
-    ----------
-    recording
-        Folder, .mcap file or 3DPotatoTwin folder; all its cameras are used.
-    out
-        Folder for the results; it must not hold a run yet.
-    speed
-        real, max, or a factor such as 2.5. Nothing is lost at any speed: a replay waits for the line.
-    weights
-        PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
-    regressors
-        Number of weighing processes.
-    rrd
-        Also write a Rerun recording to this file.
-    ignore_masks
-        Find the tubers on depth though the recording has masks of its own.
-    json
-        Print the summary as JSON on stdout.
-    """
-    summary = replay_recording(
-        recording,
-        out=out,
-        speed=parse_speed(speed),
-        weights=weights,
-        regressors=regressors,
-        rrd=rrd,
-        ignore_masks=ignore_masks,
-        show=not json,
-    )
-    if json:
-        sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
-    else:
-        from rich.console import Console
-
-        from tuberline.cli.report import print_summary
-
-        print_summary(Console(), summary, out=out)
-
-
-def parse_speed(text: str) -> float:
-    """Times real time; 0 means as fast as the line takes it."""
-    if text in ("max", "real"):
-        return 0.0 if text == "max" else 1.0
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = -1.0
-    if not 0 < factor < 1000:
-        raise InputError(f"--speed {text}: give real, max or a factor above 0 and below 1000")
-    return factor
 
 
 def replay_recording(
@@ -127,17 +63,68 @@ def replay_recording(
         settings=settings,
         ignore_masks=ignore_masks,
     )
-    config_path = out.resolve() / "line.toml"
-    config_path.write_text(dump_toml(config), encoding="utf-8")
-    specs = line_processes(config, config_path=config_path, run=f"replay-{fingerprint(recording)}")
+    run = run_id(recording)
+    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
+    (out / RUN_FILE).write_text(run + "\n", encoding="utf-8")
+    return _count(config, out=out, run=run, show=show)
+
+
+def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str, Any]:
+    """Go on with the replay of `recording` into `out` that was cut short, with the settings it was started with.
+
+    Raises:
+        InputError: there is none in `out`, or it is of another recording.
+        TakenError: it is still running.
+        TuberlineError: a node gave up; the text carries its last words.
+    """
+    started = out / RUN_FILE
+    if not started.is_file():
+        raise InputError(f"--resume: {out} holds no replay that was begun; leave --resume out to begin one")
+    run, wanted = started.read_text(encoding="utf-8").strip(), run_id(recording)
+    if run != wanted:
+        raise InputError(f"--resume: {out} was begun with another recording ({run}); {recording} is {wanted}")
+    config = load_config(out / CONFIG_FILE)
+    check_port_free(config.link)
+    if _finished(out, run):
+        return _summary(out)
+    link = config.link.model_copy(update={"router": f"tcp/127.0.0.1:{free_port()}"})
+    config = config.model_copy(update={"link": link})
+    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
+    return _count(config, out=out, run=run, show=show)
+
+
+def run_id(recording: Path) -> str:
+    """Id of the run that replays `recording`: the same one for the same recording."""
+    return f"replay-{fingerprint(recording)}"
+
+
+def _finished(out: Path, run: str) -> bool:
+    """The ledger holds the whole run, with its summary."""
+    from aggregator.ledger.reader import read_run, reading
+
+    if not (out / "ledger.db").is_file() or not (out / "summary.json").is_file():
+        return False
+    with reading(out / "ledger.db") as db:
+        row = read_run(db, run)
+    return row is not None and row.finished
+
+
+def _count(config: LineConfig, *, out: Path, run: str, show: bool) -> dict[str, Any]:
+    """Run the line until it has counted everything; its summary."""
+    specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run)
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
         findings = _wait_until_counted(supervisor, config, show=show)
-    summary: dict[str, Any] = json_module.loads((out / "summary.json").read_text(encoding="utf-8"))
+    summary = _summary(out)
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts
     if findings:
         summary["findings"] = findings
+    return summary
+
+
+def _summary(out: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     return summary
 
 
@@ -157,7 +144,9 @@ def prepare_out(out: Path) -> None:
     """Make the result folder; refuse one that already holds a run, for its ledger would count everything twice."""
     ledger = out / "ledger.db"
     if ledger.exists():
-        raise InputError(f"{ledger} already holds a run; give another --out, or remove that folder first")
+        raise InputError(
+            f"{ledger} already holds a run; give another --out, remove that folder first, or go on with it by --resume"
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -230,12 +219,14 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     from tuberline.cli.live import line_table
 
     live = Live(console=Console(stderr=True), refresh_per_second=4, transient=True) if show else nullcontext()
-    with Observer(config.link, line=config.name) as observer, live as table:
+    observing = observer_when_there(
+        config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor), within_s=START_LIMIT_S
+    )
+    with observing as observer, live as table:
         moved, last = time.monotonic(), -1
         findings: dict[str, str] = {}
         limit_s = START_LIMIT_S
         while not supervisor.finished("aggregator"):
-            supervisor.poll()
             _raise_failures(supervisor)
             nodes = observer.nodes()
             for name, counters in nodes.items():
@@ -246,21 +237,25 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
                 limit_s = QUIET_LIMIT_S if last >= 0 and done else START_LIMIT_S
                 moved, last = time.monotonic(), done
             if time.monotonic() - moved > limit_s:
-                raise LinkError(
-                    f"nothing moved for {limit_s:g} s; the nodes' logs are in {config.aggregator.out / 'logs'}"
-                )
+                raise LinkError(_stands_still(supervisor, config, limit_s))
             if table is not None:
                 table.update(line_table(observer.totals(), nodes, alive=observer.alive()))
             time.sleep(0.1)
         return list(findings.values())
 
 
+def _stands_still(supervisor: Supervisor, config: LineConfig, limit_s: float) -> str:
+    down = [name for name in supervisor.restarts if supervisor.pid(name) is None and not supervisor.finished(name)]
+    said = "".join(f"\n{name} last said: {supervisor.last_words(name)}" for name in down)
+    return (
+        f"nothing moved for {limit_s:g} s; the nodes' logs are in {config.aggregator.out / 'logs'}; "
+        f"--resume goes on from here{said}"
+    )
+
+
 def _raise_failures(supervisor: Supervisor) -> None:
-    for name, restarts in supervisor.restarts.items():
-        if restarts >= MOST_RESTARTS:
-            raise TuberlineError(f"{name} crashed {restarts} times; it last said:\n{supervisor.log_tail(name)}")
+    for name, crashes in supervisor.crashes.items():
+        if crashes >= MOST_CRASHES:
+            raise TuberlineError(f"{name} crashed {crashes} times; it last said:\n{supervisor.log_tail(name)}")
     for name, code in supervisor.failures.items():
-        tail = supervisor.log_tail(name)
-        said = [line for line in tail.splitlines() if line.startswith("tuberline: ")]
-        reason = tail[tail.index(said[-1]) + len("tuberline: ") :] if said else tail
-        raise TuberlineError(f"{name} gave up (exit code {code}): {reason}")
+        raise TuberlineError(f"{name} gave up (exit code {code}): {supervisor.last_words(name)}")

@@ -1,4 +1,4 @@
-"""Keeps a line's processes running on one machine: a crashed node is restarted with a bounded back-off, and counted."""
+"""Keeps a line's processes running on one machine: what crashes or stands still is started again, and counted."""
 
 from __future__ import annotations
 
@@ -8,19 +8,29 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from conveyor.errors import PASSING, PERMANENT
+from tuberline.heartbeat import Heartbeat
 from tuberline.orphan import ENVIRONMENT
 
 log = logging.getLogger("supervisor")
 
 BACKOFF_FIRST_S = 0.5
 BACKOFF_LIMIT_S = 10.0
+PASSING_LIMIT_S = 30.0
+"""A full disk or a missing camera is looked for this often at least."""
 HEALTHY_AFTER_S = 30.0
 STOP_WITHIN_S = 4.0
+LOOK_EVERY_S = 0.1
+MOST_PATIENCE = 8
+"""Each standstill doubles the time for the next one up to this factor: what only is slow gets done at last."""
+NOT_LOOKED_S = 2.0
+"""This process itself stood still for longer: that says nothing about the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +40,21 @@ class ProcessSpec:
     name: str
     args: tuple[str, ...]
 
+    @property
+    def is_router(self) -> bool:
+        """It is the line's router."""
+        return self.args[0] == "router"
+
 
 @dataclass(slots=True)
 class _Child:
     spec: ProcessSpec
     process: subprocess.Popen[bytes] | None = None
+    heartbeat: Heartbeat | None = None
     started: float = 0.0
     restarts: int = 0
+    crashes: int = 0
+    standstills: int = 0
     backoff_s: float = BACKOFF_FIRST_S
     not_before: float = 0.0
     done: bool = False
@@ -44,40 +62,55 @@ class _Child:
 
 
 class Supervisor:
-    """Starts children in the order given, restarts the crashed, stops all on exit. Use as a context manager.
+    """Starts children in the order given, restarts the crashed and the stuck, stops all on exit. A context manager.
+
+    A thread of its own watches from the first moment. A child that exits with 0 is done, one that exits with
+    `PERMANENT` gave up; every other one is started again.
 
     Args:
-        specs: what to run. A child that exits with 0 is done and not restarted.
+        specs: what to run.
         log_dir: each child's stderr goes to `<log_dir>/<name>.log`; None leaves it on this terminal.
-        fatal_codes: exit codes that no restart mends (bad input or config): the child is not restarted.
     """
 
-    def __init__(
-        self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None, fatal_codes: frozenset[int] = frozenset({2})
-    ) -> None:
+    def __init__(self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None) -> None:
         self._children = [_Child(spec) for spec in specs]
         self._log_dir = log_dir
-        self._fatal = fatal_codes
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._looked_s = 0.0
+        self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Supervisor:
         if self._log_dir:
             self._log_dir.mkdir(parents=True, exist_ok=True)
-        for child in self._children:
-            self._start(child)
+        self._looked_s = time.monotonic()
+        try:
+            for child in self._children:
+                self._start(child)
+            self._thread = threading.Thread(target=self._watch, name="watch", daemon=True)
+            self._thread.start()
+        except BaseException:
+            self.stop()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
 
     def poll(self) -> None:
-        """Look after the children once: notice exits, restart what crashed and is due."""
-        now = time.monotonic()
-        for child in self._children:
-            if child.process is not None and (code := child.process.poll()) is not None:
-                self._exited(child, code, now)
-            elif child.process is None and not child.done and now >= child.not_before:
-                child.restarts += 1
-                self._start(child)
+        """Look after the children once: notice exits and standstills, restart what is due."""
+        with self._lock:
+            if self._stopping.is_set():
+                return
+            now = time.monotonic()
+            self._forgive(now)
+            for child in self._children:
+                if child.process is not None and (code := child.process.poll()) is not None:
+                    self._exited(child, code, now)
+                elif child.process is not None and child.heartbeat is not None:
+                    self._watch_heartbeat(child, child.heartbeat, now)
+                elif not child.done and now >= child.not_before:
+                    self._start_again(child, now)
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -85,9 +118,15 @@ class Supervisor:
         return {child.spec.name: child.restarts for child in self._children}
 
     @property
+    def crashes(self) -> dict[str, int]:
+        """How often each child ended by a fault; errors that may pass are not counted."""
+        return {child.spec.name: child.crashes for child in self._children}
+
+    @property
     def failures(self) -> dict[str, int]:
         """Children that ended with an exit code that no restart mends."""
-        return {c.spec.name: c.exits[-1] for c in self._children if c.done and c.exits and c.exits[-1] != 0}
+        with self._lock:
+            return {c.spec.name: c.exits[-1] for c in self._children if c.done and c.exits and c.exits[-1] != 0}
 
     def finished(self, name: str) -> bool:
         """The named child exited with 0."""
@@ -104,14 +143,45 @@ class Supervisor:
             return ""
         return "\n".join(path.read_text(errors="replace").splitlines()[-lines:])
 
+    def last_words(self, name: str) -> str:
+        """The error that a child ended with, without its 'tuberline: '; else the last lines it wrote."""
+        tail = self.log_tail(name)
+        said = [line for line in tail.splitlines() if line.startswith("tuberline: ")]
+        return tail[tail.rindex(said[-1]) + len("tuberline: ") :] if said else tail
+
     def stop(self) -> None:
         """SIGTERM to all, last started first; SIGKILL to whoever is still there after 4 s."""
-        running = [c for c in reversed(self._children) if c.process is not None and c.process.poll() is None]
-        routers = [c for c in running if c.spec.args[0] == "router"]
-        self._stop_all([c for c in running if c not in routers])
-        self._stop_all(routers)  # last, so that the others can say goodbye
-        for child in self._children:
-            child.done = True
+        self._stopping.set()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join()
+        with self._lock:
+            running = [c for c in reversed(self._children) if c.process is not None and c.process.poll() is None]
+            self._stop_all([c for c in running if not c.spec.is_router])
+            self._stop_all([c for c in running if c.spec.is_router])  # last, so that the others can say goodbye
+            for child in self._children:
+                child.done = True
+                if child.heartbeat is not None:
+                    child.heartbeat.close()
+
+    def _watch(self) -> None:
+        while not self._stopping.wait(LOOK_EVERY_S):
+            self.poll()
+
+    def _forgive(self, now: float) -> None:
+        """Nobody heard the children while this process was stopped or its machine asleep."""
+        if now - self._looked_s > NOT_LOOKED_S:
+            for child in self._children:
+                if child.heartbeat is not None:
+                    child.heartbeat.forgive(now)
+        self._looked_s = now
+
+    def _watch_heartbeat(self, child: _Child, heartbeat: Heartbeat, now: float) -> None:
+        still = heartbeat.standstill(now)
+        if still and child.process is not None:
+            log.error("%s %s: killed, to be started again", child.spec.name, still)
+            child.standstills += 1
+            heartbeat.close()
+            child.process.kill()
 
     def _stop_all(self, children: Sequence[_Child]) -> None:
         for child in children:
@@ -130,29 +200,50 @@ class Supervisor:
                 child.process.kill()
                 child.process.wait()
 
+    def _start_again(self, child: _Child, now: float) -> None:
+        try:
+            self._start(child)
+            child.restarts += 1
+        except OSError as error:  # no memory, no file handle, no room for the log
+            log.error("%s cannot be started: %s", child.spec.name, error.strerror or error)
+            self._put_off(child, now, limit_s=PASSING_LIMIT_S)
+
     def _start(self, child: _Child) -> None:
-        stderr = None
-        if self._log_dir:
-            stderr = (self._log_dir / f"{child.spec.name}.log").open("ab")
+        if child.heartbeat is not None:
+            child.heartbeat.close()
+        child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
         environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
+        environment |= child.heartbeat.environment
         command = [sys.executable, "-m", "tuberline", *child.spec.args]
-        child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
-        if stderr:
-            stderr.close()
+        with contextlib.ExitStack() as stack:
+            path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
+            stderr = stack.enter_context(path.open("ab")) if path else None
+            child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
         child.started = time.monotonic()
 
     def _exited(self, child: _Child, code: int, now: float) -> None:
         child.process = None
         child.exits.append(code)
-        if code == 0 or code in self._fatal:
+        # A router that held its port and finds it taken when it comes back waits for it.
+        if code == 0 or (code == PERMANENT and not (child.spec.is_router and child.restarts)):
             child.done = True
             if code:
                 log.error("%s gave up with exit code %d", child.spec.name, code)
             return
         if now - child.started > HEALTHY_AFTER_S:
             child.backoff_s = BACKOFF_FIRST_S
-        child.not_before = now + child.backoff_s
+        passing = code == PASSING
+        child.crashes += not passing
         log.error(
-            "%s ended with code %d; restart %d in %.1f s", child.spec.name, code, child.restarts + 1, child.backoff_s
+            "%s %s; restart %d in %.1f s",
+            child.spec.name,
+            "cannot work now" if passing else f"ended with code {code}",
+            child.restarts + 1,
+            child.backoff_s,
         )
-        child.backoff_s = min(2 * child.backoff_s, BACKOFF_LIMIT_S)
+        self._put_off(child, now, limit_s=PASSING_LIMIT_S if passing else BACKOFF_LIMIT_S)
+
+    @staticmethod
+    def _put_off(child: _Child, now: float, *, limit_s: float) -> None:
+        child.not_before = now + child.backoff_s
+        child.backoff_s = min(2 * child.backoff_s, limit_s)

@@ -7,16 +7,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
 
-_MENDS = (
+_PASSING = (
     ("disk is full", "the disk is full; free some space and start again, nothing acknowledged is lost"),
     ("readonly", "it is read-only; give the user write access to the file and to its folder"),
     ("unable to open", "it cannot be opened; does its folder exist, and may this user read and write there?"),
     ("locked", "another process is writing to it; stop that one first"),
+    ("I/O error", "the disk reports errors; copy the folder to another disk, then `tuberline ledger check`"),
+)
+"""What may be gone at the next start: the ledger itself is as it was."""
+_MENDS = (
     ("not a database", "it is not an SQLite file, or its header is damaged; `tuberline ledger check` says more"),
     ("malformed", "its pages are damaged; `tuberline ledger check` lists the damage, `repair` saves what is intact"),
-    ("I/O error", "the disk reports errors; copy the folder to another disk, then `tuberline ledger check`"),
     ("never changed", "something tried to change a committed row"),
     ("UNIQUE constraint", "a fact was to be written twice; this is a fault of the program"),
 )
@@ -28,10 +31,14 @@ DAMAGE = (sqlite3.Error, UnicodeDecodeError)
 
 @contextmanager
 def explained(path: Path, doing: str) -> Iterator[None]:
-    """Turn an SQLite error inside the block into a LedgerError that says what was being done to `path`."""
+    """Turn an SQLite error inside the block into a LedgerError that says what was being done to `path`; into a
+    StorageError where the disk or another process is in the way."""
     try:
         yield
     except sqlite3.Error as error:
+        for sign, mend in _PASSING:
+            if sign in str(error):
+                raise StorageError(f"ledger {path} ({doing}): {error}: {mend}") from error
         mend = next((text for sign, text in _MENDS if sign in str(error)), "see `tuberline ledger check`")
         raise LedgerError(f"ledger {path} ({doing}): {error}: {mend}") from error
     except UnicodeDecodeError as error:

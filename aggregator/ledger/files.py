@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from conveyor.errors import LedgerError
+from conveyor.errors import StorageError
 from conveyor.messages import Tuber
 
 COLUMNS = (
@@ -62,7 +62,7 @@ def write_whole(path: Path, text: str) -> None:
     """Replace `path` with `text`, durably: readers see the old file or the new one, never a part.
 
     Raises:
-        LedgerError: the disk is full or the folder cannot be written.
+        StorageError: the disk is full or the folder cannot be written.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -78,4 +78,4 @@ def write_whole(path: Path, text: str) -> None:
             os.close(folder)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise LedgerError(f"{path} cannot be written: {error.strerror}; free space or mend the rights") from error
+        raise StorageError(f"{path} cannot be written: {error.strerror}; free space or mend the rights") from error

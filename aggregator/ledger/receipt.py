@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
 
 _SLOT = struct.Struct("<8sQI")
 _MAGIC = b"TUBRACK1"
@@ -40,11 +40,11 @@ class Receipt:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             os.close(self._fd)
-            raise LedgerError(
+            raise StorageError(
                 f"the ledger of {self._path} is being written by another process; stop it, or use another folder"
             ) from error
         except OSError as error:
-            raise LedgerError(f"receipt {self._path} cannot be written: {error.strerror}") from error
+            raise StorageError(f"receipt {self._path} cannot be written: {error.strerror}") from error
         return self
 
     def __exit__(
@@ -61,7 +61,7 @@ class Receipt:
             os.pwrite(self._fd, body + struct.pack("<I", zlib.crc32(body)), _STRIDE * (seq % 2))
             os.fdatasync(self._fd)
         except OSError as error:
-            raise LedgerError(
+            raise StorageError(
                 f"receipt {self._path} cannot be written: {error.strerror}; nothing is acknowledged"
             ) from error
 

@@ -21,7 +21,7 @@ from aggregator.ledger.reader import RunRow, check_version, read_run, read_tuber
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
 from aggregator.ledger.rows import coverage_row, entry_row, observation_row, tuber_row
 from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, OBSERVATION, RUN, SUMMARY, TUBER, definition, row
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
 from conveyor.messages import Tuber
 
 BUSY_TIMEOUT_S = 5.0
@@ -48,9 +48,9 @@ class Ledger:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise LedgerError(f"folder {self.path.parent} for the ledger cannot be made: {error.strerror}") from error
+            raise StorageError(f"folder {self.path.parent} for the ledger cannot be made: {error.strerror}") from error
         if self.path.exists() and self.path.stat().st_size and not os.access(self.path, os.W_OK):
-            raise LedgerError(f"ledger {self.path} is read-only; give the user write access to it and to its folder")
+            raise StorageError(f"ledger {self.path} is read-only; give the user write access to it and to its folder")
         acknowledged = read_receipt(receipt_path(self.path))
         self._receipt.__enter__()
         try:

@@ -1,43 +1,67 @@
-"""A live RealSense camera. Depth scale and intrinsics come from the device, never from a default."""
+"""A live RealSense camera. Depth scale and intrinsics come from the device, never from a default.
+
+Devices stall, drop off the bus and come back with another depth unit. The source resets and opens them again, for as
+long as it takes, and goes on in the unit and with the numbers that the run began with.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import importlib
-from collections.abc import Iterator
+import logging
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.config import CameraConfig
-from conveyor.errors import InputError
+from conveyor.errors import DeviceError, InputError
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 
 WIDTH, HEIGHT, FPS = 848, 480, 30
-FRAME_TIMEOUT_MS = 2000
+WAIT_MS = 200
+STALLED_AFTER_S = 3.0
+BACK_WITHIN_S = 8.0
+"""A device that was reset is on the bus again by then."""
+BACKOFF_FIRST_S, BACKOFF_LIMIT_S = 1.0, 30.0
+LOOK_EVERY_S = 0.2
+SAME_UNIT = 1e-3
 
 
 class RealSenseSource:
-    """Depth frames of a connected D405 (or its relatives), as the device numbers and times them."""
+    """Depth frames of a connected D405 (or its relatives), as the device numbers and times them.
+
+    Attributes:
+        reopened: how often the device had to be opened again.
+    """
 
     _description: CameraDescription
 
     def __init__(self, name: str, settings: CameraConfig, library: Any) -> None:
+        self.reopened = 0
         self._name = name
         self._settings = settings
         self._rs = library
-        self._pipeline: Any = library.pipeline()
+        self._serial = settings.serial
+        self._pipeline: Any = None
+        self._to_unit = 1.0
+        self._poll: Callable[[float], bool] = lambda still_s: True
+        self._log = logging.getLogger(f"camera/{name}")
 
     @classmethod
     def connect(cls, name: str, settings: CameraConfig) -> RealSenseSource:
         """Start the device.
 
         Raises:
-            InputError: pyrealsense2 is not installed, the device is not there, or it refuses the stream.
+            InputError: pyrealsense2 is not installed, or the config's depth scale is not the device's.
+            DeviceError: the device is not there, or it refuses the stream.
         """
         source = cls(name, settings, _library())
-        source._description = source._start()
+        source._description = source._open()
         return source
 
     @property
@@ -45,47 +69,143 @@ class RealSenseSource:
         """As the device says; a depth scale in the config is only compared with it."""
         return self._description
 
-    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """Frames as they come, until nobody asks for more. The device's first frame is number `after` + 1."""
-        first: int | None = None
-        newest = after
-        try:
-            while True:
-                depth = self._next_depth()
-                first = int(depth.get_frame_number()) if first is None else first
-                seq = after + 1 + int(depth.get_frame_number()) - first
-                if seq > newest:
-                    newest = seq
-                    yield self._frame(depth, seq, run)
-        finally:
-            self._pipeline.stop()
+    def attach(self, poll: Callable[[float], bool]) -> None:
+        """While nothing comes, `poll` is told several times a second for how long (seconds); False ends the frames."""
+        self._poll = poll
 
-    def _start(self) -> CameraDescription:
-        rs, serial = self._rs, self._settings.serial
-        found = [device.get_info(rs.camera_info.serial_number) for device in rs.context().query_devices()]
-        if not found or (serial is not None and serial not in found):
-            raise InputError(
-                f"camera '{self._name}': RealSense {serial or 'device'} is not connected; connected: "
-                f"{', '.join(found) or 'none'}. Check the cable and the udev rules, or set 'serial' to one of them"
-            )
-        config = rs.config()
-        config.enable_device(serial or found[0])
-        config.enable_stream(rs.stream.depth, WIDTH, HEIGHT, rs.format.z16, FPS)
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """Frames as they come, until nobody asks for more. The device's first frame is number `after` + 1, and what
+        could not be seen while it was away is a gap in the numbers.
+
+        Raises:
+            DeviceError: it came back with other intrinsics; a new run has to be begun.
+        """
+        newest, last_s = after, time.monotonic()
+        offset: int | None = None
         try:
-            profile = self._pipeline.start(config)
-        except RuntimeError as error:
-            raise InputError(f"camera '{self._name}': the RealSense {serial or found[0]} refuses: {error}") from error
-        scale_m = float(profile.get_device().first_depth_sensor().get_depth_scale())
-        wanted = self._settings.depth_scale_m
-        if wanted is not None and abs(wanted - scale_m) > 1e-3 * scale_m:
-            raise InputError(
-                f"camera '{self._name}': the device's depth scale is {scale_m:g} m, the config says {wanted:g}; "
-                "remove depth_scale_m, a live camera knows its own"
+            while self._poll(time.monotonic() - last_s):
+                depth = self._take()
+                if depth is None:
+                    if time.monotonic() - last_s >= STALLED_AFTER_S:
+                        if not self._recover(last_s):
+                            return
+                        offset = None
+                    continue
+                number = int(depth.get_frame_number())
+                if offset is None:  # the first one, or the first after a gap whose length only the time tells
+                    missed = 0 if newest == after else max(0, round((time.monotonic() - last_s) * FPS) - 1)
+                    offset = newest + 1 + missed - number
+                last_s = time.monotonic()
+                if number + offset > newest:
+                    newest = number + offset
+                    yield self._frame(depth, newest, run)
+        finally:
+            self._close()
+
+    def _take(self) -> Any:
+        """The next depth frame; None when none came within a moment, or the device is gone."""
+        try:
+            return self._pipeline.wait_for_frames(WAIT_MS).get_depth_frame() or None
+        except RuntimeError:
+            return None
+
+    def _recover(self, since_s: float) -> bool:
+        """Reset and open the device again, until it works; False: stop."""
+        backoff_s = BACKOFF_FIRST_S
+        while True:
+            self._close()
+            self._log.warning("no frame for %.0f s: resetting the camera", time.monotonic() - since_s)
+            self._reset()
+            if not self._wait(lambda: self._device() is not None, BACK_WITHIN_S, since_s):
+                return False
+            try:
+                self._align(self._open())
+            except DeviceError as error:
+                self._log.error("%s; tried again in %.0f s", error, backoff_s)
+                if not self._wait(lambda: False, backoff_s, since_s):
+                    return False
+                backoff_s = min(2 * backoff_s, BACKOFF_LIMIT_S)
+                continue
+            self.reopened += 1
+            self._log.warning("the camera is open again after %.1f s", time.monotonic() - since_s)
+            return True
+
+    def _wait(self, until: Callable[[], bool], seconds: float, since_s: float) -> bool:
+        """Wait until something is so, at most for `seconds`; False: stop."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not until():
+            if not self._poll(time.monotonic() - since_s):
+                return False
+            time.sleep(LOOK_EVERY_S)
+        return True
+
+    def _reset(self) -> None:
+        device = self._device()
+        if device is not None:
+            with contextlib.suppress(RuntimeError):  # it went meanwhile
+                device.hardware_reset()
+            time.sleep(LOOK_EVERY_S)  # it is on the bus for a moment still
+
+    def _close(self) -> None:
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            with contextlib.suppress(RuntimeError):  # not started, or gone
+                pipeline.stop()
+
+    def _align(self, found: CameraDescription) -> None:
+        """Go on in the depth unit that the run began with.
+
+        Raises:
+            DeviceError: the intrinsics are others.
+        """
+        began = self._description
+        if found.intrinsics != began.intrinsics:
+            raise DeviceError(
+                f"camera '{self._name}' came back with {found.intrinsics}, the run began with {began.intrinsics}: "
+                "plug in the camera that was there, or start a new run"
             )
-        k = profile.get_stream(rs.stream.depth).as_video_stream_profile().get_intrinsics()
+        self._to_unit = found.depth_scale_m / began.depth_scale_m
+        if abs(self._to_unit - 1) > SAME_UNIT:
+            self._log.warning(
+                "the camera came back with a depth unit of %g m and keeps it: its depths are converted to %g m",
+                found.depth_scale_m, began.depth_scale_m,
+            )  # fmt: skip
+
+    def _device(self) -> Any:
+        """The camera on the bus: the one of the run, or whichever comes first."""
+        rs = self._rs
+        try:
+            for device in rs.context().query_devices():
+                if self._serial in (None, device.get_info(rs.camera_info.serial_number)):
+                    return device
+        except RuntimeError:  # one goes while it is asked
+            return None
+        return None
+
+    def _open(self) -> CameraDescription:
+        rs, device = self._rs, self._device()
+        if device is None:
+            raise DeviceError(
+                f"camera '{self._name}': RealSense {self._serial or 'device'} is not connected; connected: "
+                f"{self._connected() or 'none'}. Check the cable and the udev rules, or set 'serial' to one of them"
+            )
+        try:
+            serial = device.get_info(rs.camera_info.serial_number)
+            where = self._where(device)
+            config = rs.config()
+            config.enable_device(serial)
+            config.enable_stream(rs.stream.depth, WIDTH, HEIGHT, rs.format.z16, FPS)
+            self._pipeline = rs.pipeline()
+            profile = self._pipeline.start(config)
+            scale_m = self._depth_scale_m(profile.get_device().first_depth_sensor())
+            k = profile.get_stream(rs.stream.depth).as_video_stream_profile().get_intrinsics()
+        except RuntimeError as error:
+            self._close()
+            raise DeviceError(f"camera '{self._name}': the RealSense refuses: {error}") from error
+        self._serial = serial
         return CameraDescription(
             name=self._name,
-            origin=f"RealSense {serial or found[0]}",
+            origin=f"RealSense {serial}{where}",
             intrinsics=Intrinsics(k.width, k.height, k.fx, k.fy, k.ppx, k.ppy),
             depth_scale_m=scale_m,
             belt_distance_m=self._settings.belt_distance_m,
@@ -95,14 +215,45 @@ class RealSenseSource:
             live=True,
         )
 
-    def _next_depth(self) -> Any:
-        try:
-            depth = self._pipeline.wait_for_frames(FRAME_TIMEOUT_MS).get_depth_frame()
-        except RuntimeError as error:
+    def _depth_scale_m(self, sensor: Any) -> float:
+        """The device's unit; after a restart set back to the one the run began with, where it can be set.
+
+        Raises:
+            InputError: the config says another one.
+        """
+        scale_m = float(sensor.get_depth_scale())
+        if hasattr(self, "_description") and abs(scale_m / self._description.depth_scale_m - 1) > SAME_UNIT:
+            self._log.warning("the camera came back with a depth unit of %g m: setting it back", scale_m)
+            with contextlib.suppress(RuntimeError):  # not every device can
+                sensor.set_option(self._rs.option.depth_units, self._description.depth_scale_m)
+            scale_m = float(sensor.get_depth_scale())
+        wanted = self._settings.depth_scale_m
+        if wanted is not None and not self.reopened and abs(wanted - scale_m) > SAME_UNIT * scale_m:
             raise InputError(
-                f"camera '{self._name}': no frame from the RealSense within {FRAME_TIMEOUT_MS} ms ({error})"
-            ) from error
-        return depth
+                f"camera '{self._name}': the device's depth scale is {scale_m:g} m, the config says {wanted:g}; "
+                "remove depth_scale_m, a live camera knows its own"
+            )
+        return scale_m
+
+    def _connected(self) -> str:
+        rs = self._rs
+        try:
+            return ", ".join(
+                f"{device.get_info(rs.camera_info.serial_number)}{self._where(device)}"
+                for device in rs.context().query_devices()
+            )
+        except RuntimeError as error:
+            return f"unknown ({error})"
+
+    def _where(self, device: Any) -> str:
+        """USB type and port, as far as the device says them."""
+        rs = self._rs
+        told = []
+        for name, words in (("usb_type_descriptor", "USB"), ("physical_port", "port")):
+            field = getattr(rs.camera_info, name, None)
+            if field is not None and device.supports(field):
+                told.append(f"{words} {device.get_info(field)}")
+        return f" ({', '.join(told)})" if told else ""
 
     def _frame(self, depth: Any, seq: int, run: str) -> Frame:
         d = self._description
@@ -115,8 +266,15 @@ class RealSenseSource:
             depth_scale_m=d.depth_scale_m,
             intrinsics=d.intrinsics,
             belt_distance_m=d.belt_distance_m,
-            depth=np.array(depth.get_data(), np.uint16),
+            depth=self._in_unit(np.array(depth.get_data(), np.uint16)),
         )
+
+    def _in_unit(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """(h, w) uint16 depth in the run's unit; what does not fit is unseen."""
+        if abs(self._to_unit - 1) <= SAME_UNIT:
+            return depth
+        converted = np.rint(depth * self._to_unit)
+        return np.where(converted <= np.iinfo(np.uint16).max, converted, 0).astype(np.uint16)
 
 
 def _library() -> Any:

@@ -13,7 +13,7 @@ import zenoh
 
 from camera_sim.live.rmw_zenoh import Numbering, check_topic, key_of, published_topic, read_attachment
 from conveyor.config import CameraConfig, LinkConfig
-from conveyor.errors import ConfigError, InputError, MessageError
+from conveyor.errors import ConfigError, DeviceError, InputError, MessageError
 from conveyor.formats.mcap.reader import rate_of
 from conveyor.formats.png16 import Refusal
 from conveyor.formats.prepared import CHECKED_FRAMES
@@ -99,7 +99,7 @@ class Ros2Source:
 
         Raises:
             LinkError: no router there.
-            InputError: nothing is published on the topic or its CameraInfo; the text lists the image topics there are.
+            DeviceError: nothing is published on the topic or its CameraInfo; the text lists the image topics there are.
         """
         ros2_typestore()  # a missing package is said before anything is waited for
         session = open_client(_ros_link(settings, link), name=f"camera/{name}")
@@ -185,10 +185,10 @@ class Ros2Source:
             self._subscribers.append(self._session.declare_subscriber(key, handler))
         first = self._images.look(lambda samples: samples[0][0] if samples else None, FIRST_WITHIN_S)
         if first is None:
-            raise InputError(self._silence(self._topic, "images"))
+            raise DeviceError(self._silence(self._topic, "images"))
         info = self._infos.look(lambda samples: samples[0][0] if samples else None, FIRST_WITHIN_S)
         if info is None:
-            raise InputError(self._silence(self._info_topic, "CameraInfo"))
+            raise DeviceError(self._silence(self._info_topic, "CameraInfo"))
         self._description = self._describe(first, info)
 
     def _describe(self, first: bytes, info: bytes) -> CameraDescription:

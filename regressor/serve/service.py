@@ -57,6 +57,8 @@ class WeightsService:
         self._refused: tuple[Order, str] | None = None
         self._tried: _Tried | None = None
         self._upload = Upload()
+        self._closing = threading.Event()
+        self._follower: threading.Thread | None = None
         self._waiting: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         for counter in ("weights_changed", "weights_refused"):
             node.counters.add(counter, 0)
@@ -74,8 +76,10 @@ class WeightsService:
         return self.turn()
 
     def close(self) -> None:
-        """Forget what was only for this process. The node has been told to stop."""
-        self._follower.join()
+        """Follow nobody any more, and forget what was only for this process."""
+        self._closing.set()
+        if self._follower is not None:
+            self._follower.join()
         self._store.close()
 
     def turn(self) -> Weigher:
@@ -111,7 +115,7 @@ class WeightsService:
             self._node.log.error("goes on with the config's weights: %s", error)
 
     def _follow(self) -> None:
-        while not self._node.stop.wait(FOLLOW_EVERY_S):
+        while not self._closing.wait(FOLLOW_EVERY_S):
             self._look_round()
 
     def _look_round(self) -> None:
@@ -162,8 +166,16 @@ class WeightsService:
                 return
             query.reply(key, reply)
         except TuberlineError as error:
-            query.reply_err(str(error))
+            self._refuse_query(query, str(error))
+        except zenoh.ZError as error:  # the link went down meanwhile; who asked asks again
+            self._node.log.warning("cannot answer on %s: %s", key, error)
         query.drop()  # type: ignore[no-untyped-call, unused-ignore]
+
+    def _refuse_query(self, query: zenoh.Query, why: str) -> None:
+        try:
+            query.reply_err(why)
+        except zenoh.ZError as error:
+            self._node.log.warning("cannot answer '%s': %s", why, error)
 
     def _tell(self, _query: zenoh.Query) -> bytes:
         return self.state.encode()

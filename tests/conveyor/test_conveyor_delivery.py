@@ -29,6 +29,7 @@ from conveyor.delivery.reliable import CACHE_MESSAGES
 from conveyor.errors import LinkError, MessageError, Refusal
 from conveyor.messages import Committed, FrameProgress, Travel
 from conveyor.node import Node
+from conveyor.session import open_client
 from tests.conftest import sender_and_receiver, start_router, wait_until
 
 pytestmark = pytest.mark.graph
@@ -160,12 +161,9 @@ def test_presence_follows_tokens(node: Node) -> None:
 
 
 def test_no_router_is_one_clear_error(free_port: int) -> None:
-    config = LineConfig(link=LinkConfig(router=f"tcp/127.0.0.1:{free_port}", connect_timeout_s=0.3))
-    with (
-        pytest.raises(LinkError, match=rf"no router answered at tcp/127.0.0.1:{free_port}.*tuberline router"),
-        Node("camera", "front", config=config, run="r1"),
-    ):
-        pass
+    link = LinkConfig(router=f"tcp/127.0.0.1:{free_port}", connect_timeout_s=0.3)
+    with pytest.raises(LinkError, match=rf"no router answered at tcp/127.0.0.1:{free_port}.*tuberline router"):
+        open_client(link, name="observer")
 
 
 def test_a_taken_port_is_one_clear_error(link: LinkConfig, tmp_path: Path) -> None:

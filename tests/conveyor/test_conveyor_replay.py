@@ -8,8 +8,9 @@ import pytest
 
 from conveyor.config import LineConfig
 from conveyor.errors import InputError
+from tuberline.cli.replay import parse_speed
 from tuberline.processes import line_processes
-from tuberline.replayer import fingerprint, parse_speed, prepare_out, replay_config
+from tuberline.replayer import fingerprint, prepare_out, replay_config
 
 
 @pytest.mark.parametrize(("text", "factor"), [("max", 0.0), ("real", 1.0), ("2.5", 2.5)])

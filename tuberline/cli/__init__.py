@@ -11,9 +11,10 @@ import sys
 import traceback
 from types import FrameType
 
-from conveyor.errors import TuberlineError
+from conveyor.crash import end_on_faults
+from conveyor.errors import FAULT, TuberlineError
 from conveyor.files import told
-from tuberline.cli.commands import build_app
+from tuberline.cli.commands import LONG_RUNNING, build_app
 
 __all__ = ["build_app", "main"]
 
@@ -27,6 +28,8 @@ def main() -> None:
     from tuberline.orphan import watch_supervisor
 
     setup_logs()
+    if sys.argv[1:2] and sys.argv[1] in LONG_RUNNING:
+        end_on_faults()
     signal.signal(signal.SIGTERM, _leave)
     watch_supervisor()
     code = _flushed(_run())
@@ -60,7 +63,7 @@ def _run() -> int:
         return 130
     except Exception:
         traceback.print_exc()
-        return 1
+        return FAULT
     return 0
 
 

@@ -16,7 +16,7 @@ Commands = Mapping[str, tuple[str, str]]
 GROUPS: dict[str, Commands] = {
     "Count and weigh": {
         "demo": ("tuberline.cli.demo:demo", "Simulate a belt, run the whole line on it, compare with truth."),
-        "replay": ("tuberline.replayer:replay", "Run the whole line on a recording: ledger, summary, tubers."),
+        "replay": ("tuberline.cli.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
         "weigh": ("tuberline.cli.weigh:weigh", "Weigh single clouds or depth and mask pairs; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
@@ -62,6 +62,9 @@ PARTS: Commands = {
     "topics": ("tuberline.cli.topics:topics", "The table of topics."),
 }
 """The parts that `run` starts by itself, and what an integrator needs of them."""
+
+LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics"}
+"""Commands that work unattended: a thread of theirs that fails ends them."""
 
 LAB: Commands = {
     "train": ("tuberline.cli.train:train", "Train PointRAFT."),

@@ -13,6 +13,7 @@ from conveyor.config import LineConfig, load_config
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back
 from conveyor.notify import notify
 from conveyor.session import open_router
+from conveyor.taken import check_port_free
 
 
 def router(*, config: Path | None = None, listen: str | None = None) -> None:
@@ -24,6 +25,11 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
         The line's TOML file; its link section is used, and its access section where that is enabled.
     listen
         Endpoint to listen on, e.g. tcp/0.0.0.0:7447; instead of a config.
+
+    Raises
+    ------
+    TakenError
+        Somebody listens there already; the text says who.
     """
     line = load_config(config) if config else LineConfig()
     link = line.link
@@ -32,6 +38,7 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    check_port_free(link, stop=stop.is_set)
     with open_router(link, access_control=router_access(line)):
         logging.getLogger("router").info("listening on %s", ", ".join(link.listen or (link.router,)))
         notify("READY=1")

@@ -8,11 +8,14 @@ import threading
 from datetime import UTC, datetime
 from pathlib import Path
 
-from conveyor.config import load_config
+from conveyor.config import LineConfig, load_config
 from conveyor.errors import TuberlineError
-from conveyor.observer import Observer
+from conveyor.observer import observer_when_there
+from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
+
+LOOK_EVERY_S = 0.2
 
 
 def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: Path | None = None) -> None:
@@ -28,6 +31,11 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
         The router runs elsewhere.
     logs
         Folder for the nodes' logs; default: this terminal, or the aggregator's out folder when it shows the live table.
+
+    Raises
+    ------
+    TakenError
+        Another router listens on the line's port; the text says who.
     """
     line = load_config(config)
     if not line.cameras:
@@ -39,16 +47,43 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
         signal.signal(number, lambda *_: stop.set())
     specs = line_processes(line, config_path=config.resolve(), run=run_id, router=not no_router)
     log_dir = logs or (line.aggregator.out / "logs" if shown else None)
+    if not no_router:
+        check_port_free(line.link, stop=stop.is_set)
     with Supervisor(specs, log_dir=log_dir) as supervisor:
-        if not shown:
-            while not stop.wait(0.2):
-                supervisor.poll()
-            return
-        from rich.live import Live
+        if shown:
+            _show(supervisor, line, stop)
+        while not stop.wait(LOOK_EVERY_S):
+            raise_if_pointless(supervisor)
 
-        from tuberline.cli.live import line_table
 
-        with Observer(line.link, line=line.name) as observer, Live(refresh_per_second=4) as live:
-            while not stop.wait(0.2):
-                supervisor.poll()
-                live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()))
+def raise_if_pointless(supervisor: Supervisor) -> None:
+    """A line without its router, or without a single node that works, is not kept up.
+
+    Raises:
+        TuberlineError: so it is; with the last words of those that gave up.
+    """
+    failures = supervisor.failures
+    nodes = set(supervisor.restarts) - {"router"}
+    if "router" in failures or nodes <= set(failures):
+        said = "\n".join(f"  {name}: {supervisor.last_words(name) or 'see above'}" for name in failures)
+        raise TuberlineError(f"the line is not kept up: {', '.join(failures)} gave up\n{said}")
+
+
+def _show(supervisor: Supervisor, config: LineConfig, stop: threading.Event) -> None:
+    """The live table, until stopped."""
+    from rich.live import Live
+
+    from tuberline.cli.live import line_table
+
+    def check() -> None:
+        raise_if_pointless(supervisor)
+        if stop.is_set():
+            raise SystemExit(0)
+
+    with (
+        observer_when_there(config.link, line=config.name, meanwhile=check) as observer,
+        Live(refresh_per_second=4) as live,
+    ):
+        while not stop.wait(LOOK_EVERY_S):
+            raise_if_pointless(supervisor)
+            live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()))

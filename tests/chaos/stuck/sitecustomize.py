@@ -1,4 +1,5 @@
 """On PYTHONPATH of a real process: SIGUSR1 makes it hold the interpreter lock for 3 s, SIGUSR2 for ever.
+SIGHUP makes its main thread sleep, while all others go on.
 
 It is what a native call does that never lets go: no Python thread runs, and Zenoh keeps the liveliness token.
 """
@@ -7,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import signal
+import time
 from types import FrameType
 
 SECONDS = {signal.SIGUSR1: 3, signal.SIGUSR2: 100_000}
@@ -17,5 +19,11 @@ def hold(number: int, _frame: FrameType | None) -> None:
     ctypes.PyDLL(None).sleep(SECONDS[signal.Signals(number)])
 
 
+def sleep(_number: int, _frame: FrameType | None) -> None:
+    """The main loop is stuck, as in a call that waits for ever; the node still reports."""
+    time.sleep(100_000)
+
+
+signal.signal(signal.SIGHUP, sleep)
 for _number in SECONDS:
     signal.signal(_number, hold)

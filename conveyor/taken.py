@@ -1,0 +1,164 @@
+"""Who lives under a name already, and who listens on a port already.
+
+Two nodes of one name would mix their messages, and two lines at one router their loads. A name or a port counts as
+taken only while somebody proves to be alive there: what a dead process left behind goes away by itself, and is waited
+for.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+from conveyor import topics
+from conveyor.config import LinkConfig
+from conveyor.errors import LinkError, MessageError, TakenError, TuberlineError
+from conveyor.messages import Counters
+from conveyor.session import open_client
+
+ASK_S = 2.0
+LEASE_MARGIN_S = 2.0
+REPORTS_APART_S = 0.7
+"""Two reports this far apart were sent by a living process; what a frozen router gives out late comes at once."""
+SAME_AGE_S = 2.0
+PORT_IS_LEFT_WITHIN_S = 3.0
+"""A line that was stopped or killed a moment ago lets go of its port by then."""
+LOOK_EVERY_S = 0.1
+CONNECT_S = 0.5
+
+
+class Namesake:
+    """Listens to the reports of other processes under this node's name.
+
+    Args:
+        session: of the node.
+        line: its line.
+        role: its role.
+        name: its name.
+        host: this process's host, as its own reports say it.
+        pid: this process.
+    """
+
+    def __init__(self, session: zenoh.Session, *, line: str, role: str, name: str, host: str, pid: int) -> None:
+        self._session = session
+        self._line, self._role, self._name = line, role, name
+        self._self = (host, pid)
+        self._token = topics.ALIVE.key(line, role=role, name=name)
+        self._lock = threading.Lock()
+        self._first: tuple[float, Counters] | None = None
+        self._living: Counters | None = None
+        self._subscriber: Any = session.declare_subscriber(
+            topics.COUNTERS.key(line, role=role, name=name),
+            zenoh.handlers.Callback(self._on_report, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+
+    def _on_report(self, sample: zenoh.Sample) -> None:
+        try:
+            report = Counters.decode(sample.payload.to_bytes())
+        except MessageError:
+            return  # whoever sent it is no node of this version
+        if (report.host, report.pid) == self._self:
+            return
+        now_s = time.monotonic()
+        with self._lock:
+            first = self._first
+            if first is None or (first[1].host, first[1].pid) != (report.host, report.pid):
+                self._first = (now_s, report)
+            elif now_s - first[0] >= REPORTS_APART_S and report.uptime_s > first[1].uptime_s:
+                self._living = report
+
+    def check_free(self, *, lease_s: float, stop: threading.Event) -> None:
+        """Return when nobody lives under this name.
+
+        Raises:
+            TakenError: somebody does; says who.
+            LinkError: a token is there that does not go, and nobody reports.
+        """
+        deadline = time.monotonic() + lease_s + LEASE_MARGIN_S
+        while self._token_is_there() and not stop.is_set():
+            self._raise_if_living()
+            if time.monotonic() > deadline:
+                raise LinkError(
+                    f"a {self._role} '{self._name}' of line '{self._line}' shows its token and reports nothing: "
+                    "it stands still; end it"
+                )
+            stop.wait(LOOK_EVERY_S)
+
+    def older(self, uptime_s: float) -> str:
+        """Who lives under this name longer than this process, in words; empty where nobody does."""
+        with self._lock:
+            other = self._living
+            self._living = None
+        if other is None:
+            return ""
+        ahead_s = other.uptime_s - uptime_s
+        older = ahead_s > 0 if abs(ahead_s) > SAME_AGE_S else (other.host, other.pid) < self._self
+        return self._who(other) if older else ""
+
+    def _raise_if_living(self) -> None:
+        with self._lock:
+            other = self._living
+        if other is not None:
+            raise TakenError(self._who(other))
+
+    def _token_is_there(self) -> bool:
+        return any(reply.ok is not None for reply in self._session.liveliness().get(self._token, timeout=ASK_S))
+
+    def _who(self, other: Counters) -> str:
+        return (
+            f"a {self._role} '{self._name}' of line '{self._line}' lives already: process {other.pid} on host "
+            f"{other.host}, run {other.run}, for {other.uptime_s:.0f} s. Stop it, or give this one another name"
+        )
+
+
+def check_port_free(link: LinkConfig, *, stop: Callable[[], bool] = lambda: False) -> None:
+    """Return when nobody listens where this line's router is to listen.
+
+    Raises:
+        TakenError: somebody does, and stays; says who.
+    """
+    deadline = time.monotonic() + PORT_IS_LEFT_WITHIN_S
+    while (endpoint := _listened_to(link)) is not None and not stop():
+        if time.monotonic() > deadline:
+            raise TakenError(
+                f"cannot listen on {endpoint}: {who_routes(link, endpoint)}. Stop it, choose another port in "
+                "link.router, or use --no-router to join that router with this line's nodes"
+            )
+        time.sleep(LOOK_EVERY_S)
+
+
+def who_routes(link: LinkConfig, endpoint: str) -> str:
+    """Who listens at `endpoint`, in words: a router with its host and the nodes that live at it, or something else."""
+    there = link.model_copy(update={"router": endpoint, "connect_timeout_s": ASK_S})
+    try:
+        with open_client(there, name="router") as session:
+            routers = [reply.ok for reply in session.get("@/*/router", timeout=ASK_S) if reply.ok is not None]
+            names = [str(r.ok.key_expr) for r in session.liveliness().get(f"{topics.ROOT}/*/alive/**") if r.ok]
+            host = json.loads(routers[0].payload.to_string())["metadata"]["host"] if routers else "an unknown host"
+    except (TuberlineError, zenoh.ZError, ValueError, KeyError, TypeError):
+        return "another program listens there"
+    nodes = sorted(name.removeprefix(f"{topics.ROOT}/").replace("/alive/", ": ", 1) for name in names)
+    return f"a router on {host} listens there, with {', '.join(nodes) or 'no nodes'}"
+
+
+def _listened_to(link: LinkConfig) -> str | None:
+    """The first of the router's own endpoints at which somebody accepts connections, as a client reaches it."""
+    for endpoint in link.listen or (link.router,):
+        protocol, _, rest = endpoint.partition("/")
+        host, _, port = rest.partition("#")[0].partition("?")[0].rpartition(":")
+        if protocol not in ("tcp", "tls", "ws") or not port.isdecimal():
+            continue
+        host = {"0.0.0.0": "127.0.0.1", "[::]": "::1", "*": "127.0.0.1"}.get(host, host).strip("[]")
+        try:
+            socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
+        except OSError:
+            continue
+        return f"{protocol}/{f'[{host}]' if ':' in host else host}:{port}"
+    return None

@@ -1,0 +1,152 @@
+"""On PYTHONPATH of a camera process: stands in for the RealSense SDK, with one device that misbehaves on command.
+
+It shows a plane at 0.46 m, 30 times a second in real time. Files in the folder REALSENSE_STAND_IN command it: `gone`
+(off the bus), `stalled` (no frames until it is reset), `unit` (depth unit in metres after the next start), `fixed` (the
+unit cannot be set), `refuses` (does not start). A reset takes it off the bus for a second. `asked` tells what was done.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+FOLDER = Path(os.environ["REALSENSE_STAND_IN"])
+SERIAL, DISTANCE_M, FPS = "123622270001", 0.46, 30
+camera_info = SimpleNamespace(serial_number=0, usb_type_descriptor=1, physical_port=2)
+stream = SimpleNamespace(depth=0)
+format = SimpleNamespace(z16=0)
+option = SimpleNamespace(depth_units=0)
+_away_until = 0.0
+_unit_m = 0.0001
+
+
+def _is(what: str) -> bool:
+    return (FOLDER / what).exists()
+
+
+def _asked(what: str) -> None:
+    with (FOLDER / "asked").open("a") as file:
+        file.write(what + "\n")
+
+
+def _there() -> bool:
+    return not _is("gone") and time.monotonic() >= _away_until
+
+
+def _need_device() -> None:
+    if not _there():
+        raise RuntimeError("Device disconnected")
+
+
+class device:
+    def get_info(self, what: int) -> str:
+        _need_device()
+        return (SERIAL, "3.2", "2-1.4")[what]
+
+    def supports(self, what: int) -> bool:
+        return True
+
+    def hardware_reset(self) -> None:
+        global _away_until
+        _need_device()
+        _asked("reset")
+        _away_until = time.monotonic() + 1.0
+        (FOLDER / "stalled").unlink(missing_ok=True)
+
+    def first_depth_sensor(self) -> sensor:
+        return sensor()
+
+
+class sensor:
+    def get_depth_scale(self) -> float:
+        _need_device()
+        return _unit_m
+
+    def set_option(self, what: int, value: float) -> None:
+        global _unit_m
+        _asked(f"unit {value:g}")
+        if _is("fixed"):
+            raise RuntimeError("set_option is not supported")
+        _unit_m = value
+
+
+class context:
+    def query_devices(self) -> list[device]:
+        return [device()] if _there() else []
+
+
+class config:
+    def enable_device(self, serial: str) -> None:
+        assert serial == SERIAL
+
+    def enable_stream(self, what: int, width: int, height: int, how: int, fps: int) -> None:
+        assert fps == FPS
+
+
+class profile:
+    def get_device(self) -> device:
+        return device()
+
+    def get_stream(self, what: int) -> profile:
+        return self
+
+    def as_video_stream_profile(self) -> profile:
+        return self
+
+    def get_intrinsics(self) -> SimpleNamespace:
+        return SimpleNamespace(width=64, height=48, fx=42.0, fy=42.0, ppx=32.0, ppy=24.0)
+
+
+class frame:
+    def __init__(self, number: int, time_ms: float) -> None:
+        self._number, self._time_ms = number, time_ms
+
+    def get_depth_frame(self) -> frame:
+        return self
+
+    def get_frame_number(self) -> int:
+        return self._number
+
+    def get_timestamp(self) -> float:
+        return self._time_ms
+
+    def get_data(self) -> np.ndarray:
+        return np.full((48, 64), round(DISTANCE_M / _unit_m), np.uint16)
+
+
+class pipeline:
+    def __init__(self) -> None:
+        self._started = 0.0
+        self._number = 0
+        self._lost = False  # a pipeline does not survive its device's leaving the bus
+
+    def start(self, wanted: config) -> profile:
+        global _unit_m
+        _need_device()
+        _asked("start")
+        if _is("refuses"):
+            raise RuntimeError("Couldn't resolve requests")
+        if _is("unit"):
+            _unit_m = float((FOLDER / "unit").read_text())
+            (FOLDER / "unit").unlink()
+        self._started = time.monotonic()
+        return profile()
+
+    def wait_for_frames(self, timeout_ms: int) -> frame:
+        deadline = time.monotonic() + timeout_ms / 1000
+        due = self._started + (self._number + 1) / FPS
+        while time.monotonic() < deadline:
+            self._lost |= not _there()
+            if not self._lost and not _is("stalled") and time.monotonic() >= due:
+                self._number = int((time.monotonic() - self._started) * FPS)
+                return frame(self._number, (time.monotonic() - self._started) * 1000)  # its clock starts anew too
+            time.sleep(0.004)
+        raise RuntimeError(f"Frame didn't arrive within {timeout_ms}")
+
+    def stop(self) -> None:
+        if not self._started:
+            raise RuntimeError("stop() cannot be called before start()")

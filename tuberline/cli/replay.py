@@ -1,0 +1,83 @@
+"""`tuberline replay`: count and weigh everything in a recording."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+
+from conveyor.errors import InputError
+from tuberline.replayer import replay_recording, resume_replay
+
+
+def replay(
+    recording: Path,
+    /,
+    *,
+    out: Path,
+    speed: str = "max",
+    weights: Path | None = None,
+    regressors: int = 2,
+    rrd: Path | None = None,
+    ignore_masks: bool = False,
+    resume: bool = False,
+    json: bool = False,
+) -> None:
+    """Count and weigh everything in a recording. Writes ledger.db, summary.json and tubers.csv.
+
+    Parameters
+    ----------
+    recording
+        Folder, .mcap file or 3DPotatoTwin folder; all its cameras are used.
+    out
+        Folder for the results; it must not hold a run yet, unless that one is resumed.
+    speed
+        real, max, or a factor such as 2.5. Nothing is lost at any speed: a replay waits for the line.
+    weights
+        PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
+    regressors
+        Number of weighing processes.
+    rrd
+        Also write a Rerun recording to this file.
+    ignore_masks
+        Find the tubers on depth though the recording has masks of its own.
+    resume
+        Go on with a replay into the same folder that was killed or gave up. The options of its first start hold.
+    json
+        Print the summary as JSON on stdout.
+    """
+    factor = parse_speed(speed)
+    if resume:
+        summary = resume_replay(recording, out=out, show=not json)
+    else:
+        summary = replay_recording(
+            recording,
+            out=out,
+            speed=factor,
+            weights=weights,
+            regressors=regressors,
+            rrd=rrd,
+            ignore_masks=ignore_masks,
+            show=not json,
+        )
+    if json:
+        sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
+    else:
+        from rich.console import Console
+
+        from tuberline.cli.report import print_summary
+
+        print_summary(Console(), summary, out=out)
+
+
+def parse_speed(text: str) -> float:
+    """Times real time; 0 means as fast as the line takes it."""
+    if text in ("max", "real"):
+        return 0.0 if text == "max" else 1.0
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = -1.0
+    if not 0 < factor < 1000:
+        raise InputError(f"--speed {text}: give real, max or a factor above 0 and below 1000")
+    return factor
