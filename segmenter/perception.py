@@ -1,4 +1,4 @@
-"""How a frame's instances are found, and how tracks are told from clods: classically, or with what was learned."""
+"""How tracks are told from clods: not at all, or by a small network that looks at each track before it counts."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from segmenter.classes import ClassNet
-from segmenter.classes_split import split_by_classes
 from segmenter.classify.classifier import Judge
 from segmenter.classify.patch import COARSEST_MM, LEAST_LOOKS, Portrait, take_look
 from segmenter.classify.prior import Prior
@@ -16,7 +14,7 @@ from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances, SplitSettings, split
 from segmenter.track.track import State, TrackState
 
-Method = Literal["classical", "classes", "learned"]
+Method = Literal["classical", "classes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +23,7 @@ class EyesSettings:
 
     Attributes:
         method: 'classical' finds instances by flooding heights and takes all for tubers; 'classes' finds them so too
-            and has each track judged by its portrait before it counts; 'learned' also finds them with a network.
+            and has each track judged by its portrait before it counts.
         weights: the judge, an ONNX file of `tuberline train-eyes`, or None for the shipped one.
         look_every_m: belt travel between two looks of a portrait.
     """
@@ -47,7 +45,6 @@ class Eyes:
         self._split = split_settings
         self._judge = None if settings.method == "classical" else Judge(settings.weights)
         self._prior = Prior()
-        self._cells = ClassNet() if settings.method == "learned" else None
         self._looked_m: float | None = None
         self.coarse = 0
 
@@ -58,8 +55,6 @@ class Eyes:
 
     def find(self, heights: HeightMap, belt: BeltGeometry) -> Instances:
         """The instances of a frame."""
-        if self._cells is not None and heights.cell_mm <= COARSEST_MM:
-            return split_by_classes(self._cells(heights), heights, belt, self._split)
         return split(heights, belt, self._split)
 
     def portray(

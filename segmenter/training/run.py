@@ -16,14 +16,11 @@ from torch import nn
 
 from conveyor import __version__
 from conveyor.errors import InputError
-from segmenter.classes import MULTIPLE
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
-from segmenter.training.cells_net import OPEN_AXES
-from segmenter.training.cells_train import CellsRecipe, agreement, train_cells
 from segmenter.training.classifier_net import JudgeRecipe, judged, scores, train_judge
 from segmenter.training.cut import cut_pack
-from segmenter.training.pack import load_pack, pack_origin
+from segmenter.training.pack import pack_origin
 from segmenter.training.samples import Sitter, origin_of, read_sitters, sitter_files
 
 OnStep = Callable[[int, int, float], None]
@@ -56,17 +53,6 @@ def make_judge(run: EyesRun, recipe: JudgeRecipe, *, on_step: OnStep) -> dict[st
     export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
     origins["bodies"] = len(sitters)
     return _sidecar(run, net, asdict(recipe), origins, seconds, scores(judged(net, held_out), held_out))
-
-
-def make_cells(run: EyesRun, recipe: CellsRecipe, *, on_step: OnStep) -> dict[str, Any]:
-    """The same for the network of cells, which the method 'learned' finds instances with; raises likewise."""
-    origins = _prepare(run)
-    grids = [grid for folder in run.data for grid in load_pack(folder)]
-    held_out = load_pack(run.validation)
-    net, seconds = train_cells(grids, recipe, on_step=lambda step, loss: on_step(step, recipe.steps, loss))
-    example = torch.zeros(1, 3, 8 * MULTIPLE, 10 * MULTIPLE)
-    export_net(net, run.out / f"{run.name}.onnx", example, open_axes=OPEN_AXES)
-    return _sidecar(run, net, asdict(recipe), origins, seconds, agreement(net, held_out))
 
 
 def _prepare(run: EyesRun) -> dict[str, Any]:

@@ -14,10 +14,8 @@ import pytest
 from segmenter_scene import MEDIUM, Scene, scattered
 
 from conveyor.config import parse_config
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from segmenter.classes import BELT, REACH, TUBER, ClassMap
-from segmenter.classes_split import split_by_classes
 from segmenter.classify.classifier import Judge
 from segmenter.classify.patch import LEAST_LOOKS, Look, Portrait, take_look
 from segmenter.classify.prior import Prior
@@ -176,24 +174,6 @@ def test_looks_are_due_by_belt_travel_and_not_where_nothing_can_be_seen() -> Non
     assert not Eyes(EyesSettings("classical"), SplitSettings()).look_due(heights, 0.0)
 
 
-def test_votes_for_two_centres_make_two_instances() -> None:
-    answer = np.zeros((5, 60, 100), np.float32)
-    answer[BELT] = 5.0
-    i, j = np.mgrid[:60, :100]
-    height_mm = np.zeros((120, 200), np.float32)
-    for column in (42, 52):
-        disc = ((i - 30) ** 2 + (j - column) ** 2 <= 49) & ((j < 47) == (column < 47))
-        answer[BELT][disc], answer[TUBER][disc] = -5.0, 5.0
-        answer[3][disc], answer[4][disc] = (30 - i[disc]) / REACH, (column - j[disc]) / REACH
-        height_mm[np.kron(disc, np.ones((2, 2), bool))] = 40.0
-    heights = HeightMap(height_mm, np.ones((120, 200), np.uint8), 2, 2.0)
-    belt = BeltGeometry(Intrinsics(400, 240, 435.0, 435.0, 200.0, 120.0), BELT_POSE)
-    found = split_by_classes(ClassMap(answer, (0.5, 0.5)), heights, belt, SplitSettings())
-    assert len(found) == 2
-    assert np.sort(found.centroid_px[:, 0]) == pytest.approx([167, 211], abs=6)
-    assert 0.15 < found.contact.min() < 0.5
-
-
 def test_every_lot_is_booked_once() -> None:
     score = LoadScore()
     truth = LoadTruth(
@@ -221,9 +201,14 @@ def test_the_config_chooses_and_a_missing_file_says_what_to_do(tmp_path: Path) -
     assert core_settings(parse_config({}, where="here")).eyes == Settings().eyes
 
 
+def test_the_method_that_is_gone_is_refused_with_what_to_use() -> None:
+    with pytest.raises(ConfigError, match=r"segmenter\.method: .*'learned' was removed.*\"classes\""):
+        parse_config({"segmenter": {"method": "learned"}}, where="here")
+
+
 def test_what_runs_never_imports_torch() -> None:
     for path in (ROOT / "segmenter").rglob("*.py"):
-        if path.is_relative_to(ROOT / "segmenter" / "learn"):
+        if path.is_relative_to(ROOT / "segmenter" / "training"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

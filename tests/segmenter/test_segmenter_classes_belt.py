@@ -16,23 +16,18 @@ from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor.errors import InputError
-from segmenter.classes import ClassNet, grid_of
-from segmenter.classify.classifier import Judge
+from segmenter.classify.classifier import Judge, read_network
 from segmenter.classify.patch import CHANNELS, Look, Portrait
-from segmenter.frame.heights import HeightMap
 from segmenter.perception import EyesSettings
 from segmenter.pipeline import Settings
 from segmenter.studies.evaluate import evaluate_recording
 from segmenter.studies.offline import segment_recording
 from segmenter.training.blocks import export_net
-from segmenter.training.cells_crops import draw_crop, towards_centres
-from segmenter.training.cells_net import OPEN_AXES, BeltNet
-from segmenter.training.cells_train import CellsRecipe
-from segmenter.training.classifier_net import JudgeRecipe
+from segmenter.training.classifier_net import JudgeNet, JudgeRecipe
 from segmenter.training.cut import cut_pack
-from segmenter.training.pack import HEIGHT_STEP_MM, load_pack, pack_frames
+from segmenter.training.pack import HEIGHT_STEP_MM, pack_frames
 from segmenter.training.patches import draw_portraits, plain_portraits
-from segmenter.training.run import EyesRun, make_cells, make_judge
+from segmenter.training.run import EyesRun, make_judge
 from segmenter.training.samples import INSIDE_BIT, Sitter, origin_of, read_sitters, sitter_files, sitter_of
 from tuberline.cli.train_classifier import cut_portraits
 
@@ -84,12 +79,9 @@ def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -
     assert [pack["seed"] for pack in sidecar["trained_on"]] == [5]
     assert sidecar["held_out"]["tubers"] >= 3
     assert Judge(tmp_path / "judge.onnx").path.stat().st_size < 600_000
-    cells = EyesRun((packs / "train",), packs / "val", tmp_path, "cells", "test")
-    sidecar = make_cells(cells, CellsRecipe(steps=20, batch=1), on_step=lambda step, total, loss: None)
-    assert set(sidecar["held_out"]) == {"iou_belt", "iou_tuber", "iou_other"}
-    assert ClassNet(tmp_path / "cells.onnx").path.stat().st_size < 600_000
+    export_net(torch.nn.Conv2d(3, 1, 5), tmp_path / "other.onnx", torch.zeros(1, 3, 96, 128))
     with pytest.raises(InputError, match="portrait"):
-        Judge(tmp_path / "cells.onnx")
+        Judge(tmp_path / "other.onnx")
 
 
 def test_nothing_is_judged_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
@@ -98,17 +90,16 @@ def test_nothing_is_judged_on_what_it_learned_from(packs: Path, tmp_path: Path) 
         make_judge(same, JudgeRecipe(), on_step=lambda step, total, loss: None)
 
 
-def test_opencv_answers_as_torch_does_at_any_size(tmp_path: Path) -> None:
+def test_opencv_answers_as_torch_does(tmp_path: Path) -> None:
     torch.manual_seed(3)
-    net = BeltNet().eval()
-    export_net(net, tmp_path / "net.onnx", torch.zeros(1, 3, 96, 128), open_axes=OPEN_AXES)
-    read = ClassNet(tmp_path / "net.onnx")
-    rng = np.random.default_rng(3)
-    for shape in ((200, 330), (96, 128)):
-        heights = HeightMap(rng.uniform(0, 60, shape).astype(np.float32), np.ones(shape, np.uint8), 1, 1.6)
+    net = JudgeNet().eval()
+    export_net(net, tmp_path / "net.onnx", torch.zeros(1, CHANNELS, 48, 48))
+    read = read_network(tmp_path / "net.onnx")
+    for image in np.random.default_rng(3).uniform(0, 1, (4, 1, CHANNELS, 48, 48)).astype(np.float32):
         with torch.inference_mode():
-            expected = net(torch.from_numpy(grid_of(heights).image[None]))[0].numpy()
-        assert np.abs(read(heights).answer - expected).max() < 1e-4
+            expected = net(torch.from_numpy(image)).numpy()
+        read.setInput(image)
+        assert np.abs(np.asarray(read.forward()).ravel() - expected).max() < 1e-4
 
 
 def looks_of(sitter: Sitter) -> list[Look]:
@@ -195,24 +186,3 @@ def test_belts_of_look_alikes_are_half_clods_and_stones(tmp_path: Path) -> None:
     (frame,) = pack_frames(tmp_path)
     assert frame.kinds.count("tuber") == 12
     assert sum(kind in ("clod", "stone") for kind in frame.kinds) >= 8
-
-
-def test_crops_keep_heights_and_labels_together(packs: Path) -> None:
-    grids = load_pack(packs / "train")
-    assert len(grids) == 3
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        crop = draw_crop(grids[int(rng.integers(3))], rng)
-        height = crop.image[0].reshape(80, 2, 80, 2).mean(axis=(1, 3)) * 60
-        if (crop.classes == 1).sum() > 100:
-            assert height[crop.classes == 1].mean() > height[crop.classes == 0].mean() + 15
-        assert ((crop.bodies > 0) == (crop.classes > 0)).all()
-
-
-def test_the_way_to_the_centre_ends_there() -> None:
-    classes, bodies = np.zeros((20, 30), np.uint8), np.zeros((20, 30), np.int32)
-    classes[4:11, 6:15], bodies[4:11, 6:15] = 1, 7
-    towards = towards_centres(classes, bodies)
-    assert towards[:, 4, 6].tolist() == pytest.approx([0.3, 0.4])
-    assert towards[:, 7, 10].tolist() == [0.0, 0.0]
-    assert not towards[:, classes == 0].any()

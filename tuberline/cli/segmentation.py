@@ -81,7 +81,7 @@ def evaluate_segmentation(
     /,
     *,
     every: int = 1,
-    method: Literal["classical", "classes", "learned"] | None = None,
+    method: Literal["classical", "classes"] | None = None,
     weights: Path | None = None,
     json: bool = False,
 ) -> None:
