@@ -13,7 +13,7 @@ from segmenter.classify.patch import CHANNELS, SIZE, Portrait
 
 CLEAR_OTHER, CLEAR_TUBER = -7.0, 3.0
 """Log-odds below and above which a second look changes nothing, on a clean belt as on a cloddy one."""
-SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-eyes.onnx"
+SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-classifier.onnx"
 
 
 class Judge:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from segmenter_scene import MEDIUM, Body, Scene
 
-from benchmarks.eyes_table import counting_table, shortfalls
+from benchmarks.perception_table import counting_table, shortfalls
 from conveyor.geometry import straight_down_belt_from_camera
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map

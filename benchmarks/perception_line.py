@@ -1,7 +1,7 @@
 """A recording through the code of the whole line in one process: what the nodes run, without sockets between them.
 
 `CameraRun` with its dispatcher and log, `Weigher`, `Aggregation`: the same objects with the same embedded defaults as
-`tuberline replay`, which gives the same ledger (`python -m benchmarks eyes --graph` compares the two).
+`tuberline replay`, which gives the same ledger (`python -m benchmarks perception --graph` compares the two).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from segmenter.camera_run import CameraRun
 from segmenter.setup import run_settings
 from segmenter.warmup import warm_up
 
-RUN = "eyes"
+RUN = "perception"
 WORKER = "inline"
 
 

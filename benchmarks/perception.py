@@ -1,9 +1,9 @@
 """The eyes' fixed suite: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
 
-    python -m benchmarks eyes --out runs/eyes [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
+    python -m benchmarks perception --out runs/perception [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
 Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
-not done again, so the command may be stopped and called again. Tables: OUT/eyes.md, of all results in OUT. The
+not done again, so the command may be stopped and called again. Tables: OUT/perception.md, of all results in OUT. The
 recordings' masks serve as truth only.
 """
 
@@ -17,10 +17,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks.eyes_case import SUITE, Case, suite
-from benchmarks.eyes_line import run_line
-from benchmarks.eyes_table import shortfalls, tables
-from benchmarks.eyes_time import stage_times
+from benchmarks.perception_case import SUITE, Case, suite
+from benchmarks.perception_line import run_line
+from benchmarks.perception_table import shortfalls, tables
+from benchmarks.perception_time import stage_times
 from conveyor.config import parse_config
 from conveyor.errors import InputError, TuberlineError
 from regressor.weigh.weigher import Weigher
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     rows = _all_kept(out)
     text = tables(rows, times)
-    (out / "eyes.md").write_text(text, encoding="utf-8")
+    (out / "perception.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
     for line in shortfalls(rows):
         sys.stdout.write(f"\nmisses its goal: {line}")
@@ -126,9 +126,9 @@ def _compare_graph(case: Case, out: Path) -> None:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="benchmarks eyes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="benchmarks perception", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("runs/eyes"), help="recordings, results and tables")
+    parser.add_argument("--out", type=Path, default=Path("runs/perception"), help="recordings, results and tables")
     parser.add_argument("--scenes", nargs="+", default=list(SUITE), metavar="SCENE", help="default: all eight")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1301], metavar="N")
     parser.add_argument("--tubers", type=int, default=300)
