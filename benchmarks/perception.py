@@ -1,4 +1,4 @@
-"""The eyes' fixed suite: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
+"""The fixed suite of perception: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
 
     python -m benchmarks perception --out runs/perception [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
@@ -33,7 +33,7 @@ TIMED_TUBERS = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make and judge the suite."""
+    """Make the suite's recordings and score them."""
     options = _options(arguments)
     unknown = [scene for scene in options.scenes if scene not in SUITE]
     if unknown:
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = core_settings(parse_config({}, where="of the benchmark"))
     cases = suite(tuple(options.scenes), seeds=tuple(options.seeds), tubers=options.tubers, preset=options.preset)
     for case in cases:
-        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _judge(c, options, settings))
+        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _score(c, options, settings))
     timed = [Case(scene, options.seeds[0], TIMED_TUBERS, options.preset, camera) for scene, camera in TIMED]
     times = [
         _kept(out / f"time-{case.name}.json", options.fresh, lambda c=case: _time(c, out, settings))
@@ -79,7 +79,7 @@ def _all_kept(out: Path) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (SUITE.index(row["scene"]), row["seed"], row["name"]))
 
 
-def _judge(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
+def _score(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
     recording = case.recording(options.out / "recordings")
     weigher = Weigher.load()
     line = run_line(recording, weigher)
@@ -133,8 +133,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1301], metavar="N")
     parser.add_argument("--tubers", type=int, default=300)
     parser.add_argument("--preset", choices=("easy", "field"), default="field")
-    parser.add_argument("--every", type=int, default=3, help="judge the masks of every n-th frame")
+    parser.add_argument("--every", type=int, default=3, help="score the masks of every n-th frame")
     parser.add_argument("--times", action="store_true", help="also time the stages at both resolutions")
     parser.add_argument("--graph", action="store_true", help="also run each recording through `tuberline replay`")
-    parser.add_argument("--fresh", action="store_true", help="judge again what was judged before")
+    parser.add_argument("--fresh", action="store_true", help="score again what was scored before")
     return parser.parse_args(arguments)

@@ -70,7 +70,7 @@ class SegmenterConfig(Section):
     method: Literal["classical", "classes"] = Field(
         "classes", description="classes: a network tells clods and stones from tubers; classical: all are counted"
     )
-    weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
+    weights: Path | None = Field(None, description="an .onnx of train-classifier; default: the shipped network")
     reject_below: float = Field(
         0.3, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )

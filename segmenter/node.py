@@ -207,7 +207,7 @@ class SegmenterNode:
         return self._works[regressor]
 
     def _report(self) -> None:
-        """Balance sheets as gauges: they are levels of one run, and a new run starts them anew."""
+        """Balance sheets as gauges: they are levels of one run, and a new run starts them at zero."""
         camera_run, counters = self._current, self._node.counters
         for sheet, values in camera_run.counts().items():
             for name, value in values.items():

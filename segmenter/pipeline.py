@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame, Track, View
-from segmenter.classify.patch import Portrait
+from segmenter.classify.patch import Patch
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
 from segmenter.frame.plane import DRIFT_M, BeltCheck
 from segmenter.frame.sides import completed_centres
-from segmenter.perception import Eyes, EyesSettings
+from segmenter.perception import Perception, PerceptionSettings
 from segmenter.resume import Resume
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.coverage import Coverage
@@ -43,7 +43,7 @@ class Settings:
     split: SplitSettings = field(default_factory=SplitSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     count: CountSettings = field(default_factory=CountSettings)
-    eyes: EyesSettings = field(default_factory=EyesSettings)
+    perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     views_per_tuber: int = 3
     belt_sd_m: float = TYPICAL_BELT_SD_M
     belt_follow_m: float = DRIFT_M
@@ -79,7 +79,7 @@ class Segmenter:
         self.counted = 0
         self.tracker: Tracker | None = None
         self.instances: Instances | None = None
-        self.eyes = Eyes(settings.eyes, settings.split)
+        self.perception = Perception(settings.perception, settings.split)
         self._belts = BeltKeeper(settings.belt_follow_m)
         self._found: list[tuple[TrackState, int]] = []
         self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
@@ -110,7 +110,7 @@ class Segmenter:
         heights = height_map(
             frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=self.settings.split.pixel_mm
         )
-        instances = self.eyes.find(heights, belt) if frame.mask is None else given(frame.mask, heights, belt)
+        instances = self.perception.find(heights, belt) if frame.mask is None else given(frame.mask, heights, belt)
         instances = replace(instances, centre_m=completed_centres(instances, belt))
         self.refused.update(instances.refused)
         before_m = self.travel_m if self._processed else None
@@ -120,7 +120,7 @@ class Segmenter:
             frame.seq, instances, pairs, self.history, self.travel_m, moved=moved, travel_before_m=before_m
         )
         if frame.mask is None:
-            self.eyes.portray(heights, instances, found, belt, self.travel_m)
+            self.perception.observe(heights, instances, found, belt, self.travel_m)
         coverage.step(self.travel_m)
         self._keep_views(frame, instances, found, belt, tracker)
         self.instances, self._found, self._last = instances, found, frame
@@ -304,7 +304,7 @@ class Segmenter:
                 if track.reason == "distractor":
                     self.rejected.append(at)
             track.shelf.clear()
-            track.portrait = Portrait()
+            track.patch = Patch()
         return closed
 
     def _closed_track(self, track: TrackState, at: Crossing, frame: Frame, tracker: Tracker) -> ClosedTrack | str:
@@ -317,10 +317,10 @@ class Segmenter:
         track_id = f"{frame.run}/{frame.camera}/{track.first_seq}-{track.number}"
         usual = [h for h in track.hits if h.whole] or track.hits
         height_mm = float(np.median([h.height_mm for h in usual]))
-        looks = tracker.looks_at(track, self.history, self.travel_m)
-        refused = shape_refusal(track, width_m=width_m, looks=looks, settings=self.settings.count)
+        in_view = tracker.frames_in_view(track, self.history, self.travel_m)
+        refused = shape_refusal(track, width_m=width_m, in_view=in_view, settings=self.settings.count)
         if not refused:
-            track.log_odds = self.eyes.judge(track.portrait)
+            track.log_odds = self.perception.classify(track.patch)
             refused = class_refusal(track.log_odds, self.settings.count)
         if refused:
             return refused

@@ -8,7 +8,7 @@ from conveyor.config import LineConfig
 from segmenter.camera_run import RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.frame.instances import SplitSettings
-from segmenter.perception import EyesSettings
+from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Settings
 from segmenter.track.counting import CountSettings
 from segmenter.track.tracker import TrackSettings
@@ -21,7 +21,7 @@ def core_settings(config: LineConfig) -> Settings:
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
         track=TrackSettings(gate_m=s.gate_mm / 1000),
         count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm, reject_below=s.reject_below),
-        eyes=EyesSettings(method=s.method, weights=s.weights),
+        perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
         belt_sd_m=s.belt_sd_mm / 1000,
         belt_follow_m=s.belt_follow_mm / 1000,

@@ -18,7 +18,7 @@ from segmenter.frame.edges import LEAST_ROWS, cut_by_unseen
 from segmenter.frame.flood import flood, instance_sums, regrow, relabel
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.place import centre_in_belt
-from segmenter.frame.seams import SeamSettings, sew
+from segmenter.frame.seams import SeamSettings, merge_fragments
 
 QUANTUM_MM = 0.5
 LEAST_SEEN = 0.5
@@ -98,7 +98,7 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     relief = np.asarray(cv2.GaussianBlur(relief, (5, 5), 0), np.float32)
     labels, n = flood(relief, foreground, settings.least_dynamics_mm, settings.dynamics_share)
     regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
-    sew(labels, n, smooth_mm, cell_mm, settings.seam)
+    merge_fragments(labels, n, smooth_mm, cell_mm, settings.seam)
     return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
 
 

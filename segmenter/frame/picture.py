@@ -1,6 +1,6 @@
 """A picture of what the segmenter found in a frame: height in grey, instances in colour, centres and the centre row.
 
-What the network holds for a clod, a stone or haulm is red with a cross over it.
+What the classifier takes for a clod, a stone or haulm is red with a cross over it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def picture(
     """(H, W, 3) uint8 BGR at the frame's own resolution.
 
     Args:
-        rejected: (n,) which instances are held for no tubers; None: nobody was asked.
+        rejected: (n,) which instances the classifier takes for no tubers; None: there is no classifier.
     """
     refused = np.zeros(len(instances), bool) if rejected is None else rejected
     a, b, c, t = belt.height_coefficients()

@@ -276,4 +276,4 @@ def _disagreement(camera: str, given_m: float, seen_m: float, scale_m: float) ->
     if 6 < ratio < 15 or 1 / 15 < ratio < 1 / 6:
         right_m = scale_m / 10 if ratio > 1 else scale_m * 10
         return f"{text}: a factor of about ten, so the depth scale of {scale_m:g} m is wrong (try {right_m:g})"
-    return f"{text}: measure the belt anew (`tuberline calibrate belt`) or mend belt_distance_m / belt_from_camera"
+    return f"{text}: measure the belt again (`tuberline calibrate belt`) or correct belt_distance_m / belt_from_camera"

@@ -35,10 +35,11 @@ class CountSettings:
             more than this of its outline with another.
         seam_slender, seam_share: or this.
         sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
-        lump_area_mm2, lump_contact: a lump of a tuber is smaller than this, shares more than this of its outline, and
-        lump_share: was one with a larger instance in more than this share of the frames that had its place in view;
-        hidden_area_mm2, lump_seen: or it is smaller than this and stood apart in less than this share of them.
-        steady_share: what stood apart in this share of those frames, and was never one with another, is no sliver.
+        fragment_area_mm2, fragment_contact: a fragment of an over-segmented tuber is smaller than this, shares more
+            than this of its outline, and
+        fragment_share: was one with a larger instance in more than this share of the frames that had its place in view;
+        hidden_area_mm2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
+        steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
         reject_below: log-odds of tuber against other (clod, stone, haulm) under which a track is no tuber.
     """
@@ -55,11 +56,11 @@ class CountSettings:
     seam_share: float = 0.4
     sliver_area_mm2: float = 1500.0
     sliver_height_m: float = 0.033
-    lump_area_mm2: float = 3500.0
-    lump_contact: float = 0.2
-    lump_share: float = 0.12
+    fragment_area_mm2: float = 3500.0
+    fragment_contact: float = 0.2
+    fragment_share: float = 0.12
     hidden_area_mm2: float = 2000.0
-    lump_seen: float = 0.75
+    fragment_seen: float = 0.75
     steady_share: float = 0.9
     same_share: float = 0.6
     reject_below: float = 0.3
@@ -101,12 +102,12 @@ def refusal(
         return "born_late"
     if track.vacant >= VANISHED_FRAMES and track.hits[-1].x_m < at.x_m - 0.03:
         return "vanished"
-    looks = tracker.looks_at(track, history, travel_m)
+    in_view = tracker.frames_in_view(track, history, travel_m)
     inner = [h for h in track.hits if not h.ends_cut]
     # Where frames are few, those that showed it cut by a border were no chance to see it whole.
-    if len(inner) < min(settings.min_frames, max(1, looks - (len(track.hits) - len(inner)))):
+    if len(inner) < min(settings.min_frames, max(1, in_view - (len(track.hits) - len(inner)))):
         return "few_frames"
-    if len(inner) < settings.min_share * looks:
+    if len(inner) < settings.min_share * in_view:
         return "fragment"
     if np.median([h.area_mm2 for h in inner]) < settings.min_area_mm2:
         return "small"
@@ -120,18 +121,18 @@ def refusal(
     return "duplicate" if _is_double(track, tracker, settings) else ""
 
 
-def shape_refusal(track: TrackState, *, width_m: float, looks: int, settings: CountSettings) -> str:
+def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: CountSettings) -> str:
     """Why the shape of a track is no tuber's; empty where it may be one.
 
     Haulm is thin. A piece split off a knobby tuber's flank stands as high as the tuber but is narrow, and much of its
-    outline is seam: no tuber rests on its edge like that. A lump on a tuber may look like a small tuber beside it, but
-    time and again it is taken for what it is, a part of its neighbour.
+    outline is seam: no tuber rests on its edge like that. A knob on a tuber may look like a small tuber beside it in
+    one frame; in others it is found as a part of its neighbour.
     """
     if width_m < settings.min_width_m:
         return "thin"
-    if _is_lump(track, looks, settings):
+    if _is_fragment(track, in_view, settings):
         return "sliver"
-    if track.covered == 0 and _apart(track) >= settings.steady_share * looks:
+    if track.covered == 0 and _apart(track) >= settings.steady_share * in_view:
         return ""
     height_m = float(np.median([h.volume_ml / h.area_mm2 for h in track.hits])) / ROUND_FILL
     slender = height_m / width_m
@@ -142,13 +143,13 @@ def shape_refusal(track: TrackState, *, width_m: float, looks: int, settings: Co
     return "sliver" if mostly_seam or (contact > settings.contact_share and slender > settings.max_slender) else ""
 
 
-def _is_lump(track: TrackState, looks: int, settings: CountSettings) -> bool:
-    """`looks`: frames that had the track's place in view so far."""
+def _is_fragment(track: TrackState, in_view: int, settings: CountSettings) -> bool:
+    """`in_view`: frames that had the track's place in view so far."""
     contact = float(np.median([h.contact for h in track.hits]))
-    if track.area_mm2 >= settings.lump_area_mm2 or contact <= settings.lump_contact:
+    if track.area_mm2 >= settings.fragment_area_mm2 or contact <= settings.fragment_contact:
         return False
-    swallowed = track.covered >= max(2.0, settings.lump_share * looks)
-    hidden = track.area_mm2 < settings.hidden_area_mm2 and _apart(track) + 2 < settings.lump_seen * looks
+    swallowed = track.covered >= max(2.0, settings.fragment_share * in_view)
+    hidden = track.area_mm2 < settings.hidden_area_mm2 and _apart(track) + 2 < settings.fragment_seen * in_view
     return swallowed or hidden
 
 
@@ -158,7 +159,7 @@ def _apart(track: TrackState) -> int:
 
 
 def class_refusal(log_odds: float | None, settings: CountSettings) -> str:
-    """Why what was seen is no tuber; empty where it is one, where the judge is unsure, and where nobody was asked."""
+    """Why what was seen is no tuber; empty where it is one, where the classifier is unsure, and without one."""
     return "distractor" if log_odds is not None and log_odds < settings.reject_below else ""
 
 

@@ -22,7 +22,7 @@ class TravelHistory:
     _moved: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     def step(self, captured_ns: int, travel_m: float) -> bool:
-        """Add a frame; True where the belt moved since the last frame that counts as a look of its own."""
+        """Add a frame; True where the belt moved since the last frame that counts of its own."""
         if self.anchor is None:
             self.anchor = (captured_ns, travel_m)
         if not self._times:
@@ -47,7 +47,7 @@ class TravelHistory:
         """Travel at which counting starts."""
         return self.anchor[1] if self.anchor else 0.0
 
-    def looks_between(self, low_m: float, high_m: float) -> int:
+    def frames_between(self, low_m: float, high_m: float) -> int:
         """Frames, standing ones once, whose travel lies within."""
         return sum(low_m <= travel_m <= high_m for travel_m in self._moved)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from statistics import median
 
-from segmenter.classify.patch import Portrait
+from segmenter.classify.patch import Patch
 from segmenter.track.views import ViewShelf
 
 TRUST_CAP = 8.0
@@ -52,7 +52,7 @@ class TrackState:
 
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
-    `log_odds` is what the judge said of its portrait, tuber against other; None before, and where nobody was asked.
+    `log_odds` is what the classifier said of its patch, tuber against other; None before, and without a classifier.
     """
 
     number: int
@@ -72,7 +72,7 @@ class TrackState:
     state: State = State.OPEN
     reason: str = ""
     hits: list[Hit] = field(default_factory=list)
-    portrait: Portrait = field(default_factory=Portrait)
+    patch: Patch = field(default_factory=Patch)
     log_odds: float | None = None
 
     def is_odd(self, area_mm2: float) -> bool:

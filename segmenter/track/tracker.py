@@ -22,7 +22,7 @@ from segmenter.track.views import ViewShelf
 NO_MATCH = 1e6
 VACANT_GONE = 12
 SWALLOWED = 2.5
-"""So many times the area of a track has the instance that it is one with, where it is a lump of that one."""
+"""So many times the area of a track has the instance that it is one with, where it is a fragment of that one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class TrackSettings:
 
 
 class Tracker:
-    """The tracks of one camera. Per frame: `match`, then `update`; `gone` hands over what left the view."""
+    """The tracks of one camera. Per frame: `match`, then `update`; `drop_gone` forgets what left the view."""
 
     def __init__(self, belt: BeltGeometry, settings: TrackSettings, view_offsets_m: tuple[float, ...]) -> None:
         self.belt = belt
@@ -120,10 +120,10 @@ class Tracker:
         inside = self._low_m - self.settings.leave_m <= x_m <= self._high_m + self.settings.leave_m
         return inside and track.vacant < VACANT_GONE
 
-    def looks_at(self, track: TrackState, history: TravelHistory, travel_m: float) -> int:
+    def frames_in_view(self, track: TrackState, history: TravelHistory, travel_m: float) -> int:
         """Frames in which the track's place lay well inside the view so far."""
         edge = self.settings.edge_m
-        return history.looks_between(
+        return history.frames_between(
             self._low_m + edge - track.place_x_m, min(travel_m, self._high_m - edge - track.place_x_m)
         )
 

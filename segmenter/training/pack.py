@@ -55,7 +55,7 @@ def pack_frames(
             with np.load(path) as shard:
                 frames = list(_shard(shard, number))
         except (OSError, ValueError, KeyError) as error:
-            raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
+            raise InputError(f"{path} cannot be read: {error}; make the pack again") from error
         yield from frames
         on_shard(number + 1, len(shards))
 
@@ -72,7 +72,7 @@ def pack_origin(folder: Path) -> dict[str, Any]:
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
+        raise InputError(f"{path} cannot be read: {error}; make the pack again") from error
     return dict(meta) if isinstance(meta, dict) else {}
 
 

@@ -16,20 +16,20 @@ from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor.errors import InputError
-from segmenter.classify.classifier import Judge, read_network
-from segmenter.classify.patch import CHANNELS, Look, Portrait
-from segmenter.perception import EyesSettings
+from segmenter.classify.classifier import Classifier, read_network
+from segmenter.classify.patch import CHANNELS, Observation, Patch
+from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Settings
 from segmenter.studies.evaluate import evaluate_recording
 from segmenter.studies.offline import segment_recording
 from segmenter.training.blocks import export_net
-from segmenter.training.classifier_net import JudgeNet, JudgeRecipe
+from segmenter.training.classifier_net import ClassifierNet, ClassifierRecipe
 from segmenter.training.cut import cut_pack
 from segmenter.training.pack import HEIGHT_STEP_MM, pack_frames
-from segmenter.training.patches import draw_portraits, plain_portraits
-from segmenter.training.run import EyesRun, make_judge
-from segmenter.training.samples import INSIDE_BIT, Sitter, origin_of, read_sitters, sitter_files, sitter_of
-from tuberline.cli.train_classifier import cut_portraits
+from segmenter.training.patches import draw_patches, plain_patches
+from segmenter.training.run import TrainingRun, make_classifier
+from segmenter.training.samples import INSIDE_BIT, TrainingSample, origin_of, read_samples, sample_files, sample_of
+from tuberline.cli.train_classifier import make_patches
 
 SEED = 4201
 
@@ -45,11 +45,11 @@ def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_tuber_is_counted_and_less_of_what_rides_along(belt: Path) -> None:
-    plain = evaluate_recording(belt, settings=Settings(eyes=EyesSettings("classical")))
-    score = evaluate_recording(belt, settings=Settings(eyes=EyesSettings("classes")))
+    plain = evaluate_recording(belt, settings=Settings(perception=PerceptionSettings("classical")))
+    score = evaluate_recording(belt, settings=Settings(perception=PerceptionSettings("classes")))
     assert plain.load is not None
     assert score.load is not None
-    assert plain.load.distractors_counted >= 2, "the recording must have distractors that look like tubers"
+    assert plain.load.distractors_counted >= 2, "the recording must have distractors that observation like tubers"
     assert (score.load.tubers_counted, score.load.tubers_rejected) == (plain.load.tubers_counted, 0)
     # On this noisy belt the shipped network is sure of few: docs/segmentation.md.
     assert score.load.distractors_rejected >= 1
@@ -57,9 +57,9 @@ def test_every_tuber_is_counted_and_less_of_what_rides_along(belt: Path) -> None
 
 
 def test_what_is_rejected_is_counted_as_such(belt: Path) -> None:
-    (result,) = segment_recording(belt, settings=Settings(eyes=EyesSettings("classes")))
+    (result,) = segment_recording(belt, settings=Settings(perception=PerceptionSettings("classes")))
     assert result.discarded["distractor"] >= 1
-    (blind,) = segment_recording(belt, settings=Settings(eyes=EyesSettings("classical")))
+    (blind,) = segment_recording(belt, settings=Settings(perception=PerceptionSettings("classical")))
     assert len(blind.tracks) - len(result.tracks) == result.discarded["distractor"]
 
 
@@ -73,26 +73,26 @@ def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -> None:
-    judge = EyesRun((packs / "train",), packs / "val", tmp_path, "judge", "test")
-    sidecar = make_judge(judge, JudgeRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
-    assert json.loads((tmp_path / "judge.json").read_text()) == sidecar
+    classifier = TrainingRun((packs / "train",), packs / "val", tmp_path, "classifier", "test")
+    sidecar = make_classifier(classifier, ClassifierRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
+    assert json.loads((tmp_path / "classifier.json").read_text()) == sidecar
     assert [pack["seed"] for pack in sidecar["trained_on"]] == [5]
     assert sidecar["held_out"]["tubers"] >= 3
-    assert Judge(tmp_path / "judge.onnx").path.stat().st_size < 600_000
+    assert Classifier(tmp_path / "classifier.onnx").path.stat().st_size < 600_000
     export_net(torch.nn.Conv2d(3, 1, 5), tmp_path / "other.onnx", torch.zeros(1, 3, 96, 128))
-    with pytest.raises(InputError, match="portrait"):
-        Judge(tmp_path / "other.onnx")
+    with pytest.raises(InputError, match="patch"):
+        Classifier(tmp_path / "other.onnx")
 
 
-def test_nothing_is_judged_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
-    same = EyesRun((packs / "val", packs / "train"), packs / "train", tmp_path, "judge", "test")
+def test_nothing_is_validated_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
+    same = TrainingRun((packs / "val", packs / "train"), packs / "train", tmp_path, "classifier", "test")
     with pytest.raises(InputError, match="learned from"):
-        make_judge(same, JudgeRecipe(), on_step=lambda step, total, loss: None)
+        make_classifier(same, ClassifierRecipe(), on_step=lambda step, total, loss: None)
 
 
 def test_opencv_answers_as_torch_does(tmp_path: Path) -> None:
     torch.manual_seed(3)
-    net = JudgeNet().eval()
+    net = ClassifierNet().eval()
     export_net(net, tmp_path / "net.onnx", torch.zeros(1, CHANNELS, 48, 48))
     read = read_network(tmp_path / "net.onnx")
     for image in np.random.default_rng(3).uniform(0, 1, (4, 1, CHANNELS, 48, 48)).astype(np.float32):
@@ -102,86 +102,88 @@ def test_opencv_answers_as_torch_does(tmp_path: Path) -> None:
         assert np.abs(np.asarray(read.forward()).ravel() - expected).max() < 1e-4
 
 
-def looks_of(sitter: Sitter) -> list[Look]:
-    """The looks of a body, as exactly as they were kept."""
-    steps = (sitter.looks & ~INSIDE_BIT).astype(np.float32)
+def observations_of(sample: TrainingSample) -> list[Observation]:
+    """The observations of a body, as exactly as they were kept."""
+    steps = (sample.observations & ~INSIDE_BIT).astype(np.float32)
     seen = (steps > 0).astype(np.float32)
     height_mm = (np.maximum(steps - 1, 0) * np.float32(HEIGHT_STEP_MM)).astype(np.float32)
-    inside = ((sitter.looks & INSIDE_BIT) > 0).astype(np.float32)
-    return [Look(*one) for one in zip(height_mm, seen, inside, strict=True)]
+    inside = ((sample.observations & INSIDE_BIT) > 0).astype(np.float32)
+    return [Observation(*one) for one in zip(height_mm, seen, inside, strict=True)]
 
 
-def test_sitters_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
-    sitters = cut_pack(packs / "train")
-    assert sum(sitter.is_tuber for sitter in sitters) >= 3
-    for sitter in sitters:
-        assert sitter.looks.shape[1:] == (48, 48)
-        looks = looks_of(sitter)
-        assert np.mean([look.height_mm[look.inside > 0].mean() for look in looks]) > 10
-    drawn = draw_portraits(sitters, np.random.default_rng(1))
-    assert drawn.shape == (len(sitters), CHANNELS, 48, 48)
+def test_samples_are_what_the_splitter_finds_of_each_body(packs: Path) -> None:
+    samples = cut_pack(packs / "train")
+    assert sum(sample.is_tuber for sample in samples) >= 3
+    for sample in samples:
+        assert sample.observations.shape[1:] == (48, 48)
+        observations = observations_of(sample)
+        assert np.mean([observation.height_mm[observation.inside > 0].mean() for observation in observations]) > 10
+    drawn = draw_patches(samples, np.random.default_rng(1))
+    assert drawn.shape == (len(samples), CHANNELS, 48, 48)
     assert np.isfinite(drawn).all()
 
 
-def test_a_sitter_averages_as_the_running_portrait_does(packs: Path) -> None:
-    sitters = cut_pack(packs / "train")[:3]
-    for sitter, plain in zip(sitters, plain_portraits(sitters), strict=True):
-        portrait = Portrait()
-        for look in looks_of(sitter):
-            portrait.add(look)
+def test_a_sample_averages_as_the_running_patch_does(packs: Path) -> None:
+    samples = cut_pack(packs / "train")[:3]
+    for sample, plain in zip(samples, plain_patches(samples), strict=True):
+        patch = Patch()
+        for observation in observations_of(sample):
+            patch.add(observation)
         # The spread of like heights is a small difference of large sums.
-        assert np.abs(plain - portrait.channels()).max() < 0.06
+        assert np.abs(plain - patch.channels()).max() < 0.06
 
 
-def test_a_sitter_keeps_heights_and_in_the_mean_the_shares_of_its_looks() -> None:
+def test_a_sample_keeps_heights_and_in_the_mean_the_shares_of_its_observations() -> None:
     rng = np.random.default_rng(2)
     share = rng.uniform(0, 1, (48, 48)).astype(np.float32)
     seen = (rng.random((48, 48)) < 0.9).astype(np.float32)
-    looks = [Look((seen * rng.uniform(0, 90, (48, 48))).astype(np.float32), seen, seen * share) for _ in range(40)]
-    kept = looks_of(sitter_of(looks, "tuber"))
-    for before, after in zip(looks, kept, strict=True):
+    observations = [
+        Observation((seen * rng.uniform(0, 90, (48, 48))).astype(np.float32), seen, seen * share) for _ in range(40)
+    ]
+    kept = observations_of(sample_of(observations, "tuber"))
+    for before, after in zip(observations, kept, strict=True):
         assert np.array_equal(before.seen, after.seen)
         assert np.abs(before.height_mm - after.height_mm).max() <= 0.0051
-    assert np.abs(np.mean([look.inside for look in kept], axis=0) - seen * share).max() < 0.06
+    assert np.abs(np.mean([observation.inside for observation in kept], axis=0) - seen * share).max() < 0.06
 
 
-def test_portraits_are_cut_once_and_train_the_same_judge(packs: Path, tmp_path: Path) -> None:
-    cut_portraits(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
-    files = sitter_files(tmp_path / "cut")
+def test_patches_are_made_once_and_train_the_same_classifier(packs: Path, tmp_path: Path) -> None:
+    make_patches(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
+    files = sample_files(tmp_path / "cut")
     assert [origin_of(path)["seed"] for path in files] == [5, 6]
     for path, pack in zip(files, ("train", "val"), strict=True):
-        for stored, cut in zip(read_sitters(path), cut_pack(packs / pack), strict=True):
+        for stored, cut in zip(read_samples(path), cut_pack(packs / pack), strict=True):
             assert stored.kind == cut.kind
-            assert np.array_equal(stored.looks, cut.looks)
+            assert np.array_equal(stored.observations, cut.observations)
     with pytest.raises(InputError, match="--force"):
-        cut_portraits(data=[packs / "train"], out=tmp_path / "cut")
+        make_patches(data=[packs / "train"], out=tmp_path / "cut")
     (tmp_path / "train").mkdir()
     files[0].rename(tmp_path / "train" / files[0].name)
     with pytest.raises(InputError, match="--force"):
-        cut_portraits(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
-    assert sitter_files(tmp_path / "cut") == files[1:], "refused before anything was cut"
+        make_patches(data=[packs / "train", packs / "val"], out=tmp_path / "cut")
+    assert sample_files(tmp_path / "cut") == files[1:], "refused before anything was cut"
     again = shutil.copytree(packs / "train", tmp_path / "again")
     with pytest.raises(InputError, match="would both become"):
-        cut_portraits(data=[packs / "train", again], out=tmp_path / "elsewhere")
+        make_patches(data=[packs / "train", again], out=tmp_path / "elsewhere")
     answers = []
-    for name, data in (("of-portraits", tmp_path / "train"), ("of-belts", packs / "train")):
-        run = EyesRun((data,), tmp_path / "cut", tmp_path, name, "test")
-        make_judge(run, JudgeRecipe(epochs=1, batch=4), on_step=lambda step, total, loss: None)
-        answers.append(Judge(tmp_path / f"{name}.onnx").log_odds(_portrait(packs / "val")))
+    for name, data in (("of-patches", tmp_path / "train"), ("of-belts", packs / "train")):
+        run = TrainingRun((data,), tmp_path / "cut", tmp_path, name, "test")
+        make_classifier(run, ClassifierRecipe(epochs=1, batch=4), on_step=lambda step, total, loss: None)
+        answers.append(Classifier(tmp_path / f"{name}.onnx").log_odds(_patch(packs / "val")))
     assert answers[0] == answers[1]
     files[1].write_bytes(files[1].read_bytes()[:5000])
-    with pytest.raises(InputError, match="cut-portraits"):
-        read_sitters(files[1])
+    with pytest.raises(InputError, match="make-patches"):
+        read_samples(files[1])
 
 
-def _portrait(pack: Path) -> Portrait:
-    portrait = Portrait()
-    for look in looks_of(cut_pack(pack)[0]):
-        portrait.add(look)
-    return portrait
+def _patch(pack: Path) -> Patch:
+    patch = Patch()
+    for observation in observations_of(cut_pack(pack)[0]):
+        patch.add(observation)
+    return patch
 
 
-def test_belts_of_look_alikes_are_half_clods_and_stones(tmp_path: Path) -> None:
+def test_belts_of_hard_negatives_are_half_clods_and_stones(tmp_path: Path) -> None:
     write_belt_pack(tmp_path, belts=1, frames=1, tubers=12, seed=7, command="test", look_alikes=True)
     (frame,) = pack_frames(tmp_path)
     assert frame.kinds.count("tuber") == 12

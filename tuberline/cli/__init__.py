@@ -55,7 +55,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "simulate-belts": (
             "tuberline.cli.simulate_belts:simulate_belts",
-            "Make labelled frames of belts, for train-eyes.",
+            "Make labelled frames of belts, for train-classifier.",
         ),
         "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),
         "evaluate-segmentation": (
@@ -65,12 +65,12 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     },
     "Model": {
         "train": ("tuberline.cli.model:train", "Train PointRAFT."),
-        "cut-portraits": (
-            "tuberline.cli.train_classifier:cut_portraits",
-            "Cut belts into what train-eyes learns from.",
+        "make-patches": (
+            "tuberline.cli.train_classifier:make_patches",
+            "Make the patches that train-classifier learns from.",
         ),
-        "train-eyes": (
-            "tuberline.cli.train_classifier:train_eyes",
+        "train-classifier": (
+            "tuberline.cli.train_classifier:train_classifier",
             "Train the segmenter's network to tell clods from tubers.",
         ),
         "evaluate": ("tuberline.cli.model:evaluate", "Evaluate weights and baselines on views with known weights."),
