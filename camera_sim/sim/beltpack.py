@@ -23,7 +23,7 @@ def write_belt_pack(
     tubers: int,
     seed: int,
     command: str,
-    look_alikes: bool = False,
+    hard_negatives: bool = False,
     on_belt: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Simulate `belts` belts and write `frames` frames of each under `out`; returns how many frames were made.
@@ -35,7 +35,7 @@ def write_belt_pack(
     out.mkdir(parents=True, exist_ok=True)
     made = 0
     for belt in range(belts):
-        views = list(random_belt_views(seed, belt, frames=frames, tubers=tubers, look_alikes=look_alikes))
+        views = list(random_belt_views(seed, belt, frames=frames, tubers=tubers, hard_negatives=hard_negatives))
         np.savez(out / f"belts-{belt:05d}.npz", **_packed(views))
         made += len(views)
         on_belt(belt)
@@ -45,7 +45,7 @@ def write_belt_pack(
         "belts": belts,
         "frames": made,
         "tubers_per_belt": tubers,
-        "look_alikes": look_alikes,
+        "hard_negatives": hard_negatives,
         "tuberline": __version__,
         "numpy": np.__version__,
     }

@@ -184,7 +184,7 @@ def _patch(pack: Path) -> Patch:
 
 
 def test_belts_of_hard_negatives_are_half_clods_and_stones(tmp_path: Path) -> None:
-    write_belt_pack(tmp_path, belts=1, frames=1, tubers=12, seed=7, command="test", look_alikes=True)
+    write_belt_pack(tmp_path, belts=1, frames=1, tubers=12, seed=7, command="test", hard_negatives=True)
     (frame,) = pack_frames(tmp_path)
     assert frame.kinds.count("tuber") == 12
     assert sum(kind in ("clod", "stone") for kind in frame.kinds) >= 8
