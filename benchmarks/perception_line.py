@@ -91,7 +91,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
         mark = camera.log.last_mark
         looked[name] = None if mark is None else Looked(mark.looked_at_m, mark.travelled_m)
         estimated |= mark is not None and mark.travel_estimated
-        discarded.update(camera.core.discarded)
+        discarded.update({str(reason): n for reason, n in camera.core.discarded.items()})
         if (drift_m := camera.core.belt_check.drift_m) is not None:
             belt_off_mm[name] = 1000 * drift_m
     batch = line.commit(now_s=0.0)

@@ -19,6 +19,7 @@ from conveyor.delivery import (
 )
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
+from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
 from segmenter.frame.watch import BeltWatch
@@ -131,12 +132,12 @@ class SegmenterNode:
         if camera_run is not self._current:
             counters.add("frames_of_older_runs")
             return
-        drop = ""
+        drop: FrameDrop | None = None
         if not self._waits:
             age_ms = self._age.age_ms(frame.captured_ns, time.monotonic_ns())
             self._note_overwritten(camera_run)
             if age_ms > self._config.segmenter.max_age_ms:
-                drop = "too_old"
+                drop = FrameDrop.TOO_OLD
             else:
                 self._oldest_ms = max(self._oldest_ms, age_ms)
                 counters.gauge("frame_age_ms", age_ms)

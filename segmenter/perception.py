@@ -69,7 +69,7 @@ class Perception:
         if not self.observation_due(heights, travel_m):
             return
         for track, index in found:
-            whole = not instances.cut[index, :2].any() and not track.is_odd(float(instances.area_mm2[index]))
+            whole = not instances.cut[index, :2].any() and not track.is_odd(float(instances.area_m2[index]))
             if track.state is State.OPEN and whole:
                 x_m, y_m = track.place_x_m + travel_m, track.place_y_m
                 track.patch.add(observe_instance(heights, instances, index, belt, x_m=x_m, y_m=y_m))

@@ -20,7 +20,7 @@ def core_settings(config: LineConfig) -> Settings:
     return Settings(
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
         track=TrackSettings(gate_m=s.gate_mm / 1000),
-        count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm, reject_below=s.reject_below),
+        count=CountSettings(min_frames=s.min_frames, min_height_m=s.min_height_mm / 1000, reject_below=s.reject_below),
         perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
         belt_sd_m=s.belt_sd_mm / 1000,

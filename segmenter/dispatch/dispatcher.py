@@ -26,6 +26,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from conveyor.messages import View
+from conveyor.reasons import Requeue, ViewLoss
 from segmenter.dispatch.throughput import Throughput
 
 FIRSTS_PER_SPARE = 8
@@ -52,7 +53,7 @@ class DispatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class LostView:
-    """A view that will not be weighed, and why."""
+    """A view that will not be weighed. `reason`: a `ViewLoss`, or 'refused_' and the regressor's own reason."""
 
     view_id: str
     track_id: str
@@ -92,7 +93,7 @@ class Dispatcher:
     sent: int = 0
     weighed: int = 0
     duplicates: int = 0
-    requeued: Counter[str] = field(default_factory=Counter)
+    requeued: Counter[Requeue] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
     pace: Throughput = field(default_factory=Throughput)
     pressed: bool = False
@@ -147,7 +148,7 @@ class Dispatcher:
         for name in sorted(set(self._held) - names):
             held = self._held.pop(name)
             for view_id in sorted(held):
-                self._give_back(self._jobs[view_id], "regressor_left")
+                self._give_back(self._jobs[view_id], Requeue.REGRESSOR_LEFT)
             for view_id in sorted(self._suspects.pop(name, set()) - held):
                 self._blame(view_id)
             self.pace.gone(name)
@@ -181,14 +182,14 @@ class Dispatcher:
             self.duplicates += 1
             return False
         if not usable:
-            self._lose(job, f"refused_{reason}" if reason else "refused")
+            self._lose(job, f"{ViewLoss.REFUSED}_{reason}" if reason else ViewLoss.REFUSED)
             return True
         self.weighed += 1
         tuber = self._tubers[job.view.track_id]
         tuber.weighed = True
         self._forget(job)
         for other in [j for j in tuber.jobs if j.fallback]:
-            self._lose(other, "shed")
+            self._lose(other, ViewLoss.SHED)
         return True
 
     def expire(self, now_s: float) -> None:
@@ -207,7 +208,7 @@ class Dispatcher:
                 if self.settings.shed_over is None and not blamed:
                     blamed.add(view_id)
                 held.discard(view_id)
-                self._give_back(job, "deadline")
+                self._give_back(job, Requeue.DEADLINE)
         if self.settings.shed_over is not None:
             self._shed(now_s, self.settings.shed_over)
 
@@ -241,7 +242,7 @@ class Dispatcher:
         """Shed a spare view, unless its tuber needs it as its fallback view."""
         tuber = self._tubers[job.view.track_id]
         if tuber.weighed or any(not other.first and other.view.rank < job.view.rank for other in tuber.jobs):
-            self._lose(job, "shed")
+            self._lose(job, ViewLoss.SHED)
         else:
             job.fallback = True
 
@@ -250,7 +251,7 @@ class Dispatcher:
         for job in firsts:
             tuber = self._tubers[job.view.track_id]
             if not tuber.weighed and all(other.regressor is None for other in tuber.jobs):
-                self.cancel(job.view.track_id, "overload")
+                self.cancel(job.view.track_id, ViewLoss.OVERLOAD)
 
     def _done_in(self, seconds: float) -> int:
         """Views that the regressors get done in that time; any number where their pace is not known."""
@@ -276,11 +277,11 @@ class Dispatcher:
     def _enqueue(self, job: _Job) -> None:
         heapq.heappush(self._queue, (job.key, job.view.view_id))
 
-    def _give_back(self, job: _Job, reason: str) -> None:
+    def _give_back(self, job: _Job, reason: Requeue) -> None:
         job.regressor = None
         self.requeued[reason] += 1
         if job.attempts >= self.settings.max_attempts:
-            self._lose(job, "max_attempts")
+            self._lose(job, ViewLoss.MAX_ATTEMPTS)
         else:
             self._enqueue(job)
 
@@ -289,7 +290,7 @@ class Dispatcher:
         if job := self._jobs.get(view_id):
             job.attempts += 1
             if job.attempts >= self.settings.max_attempts:
-                self._lose(job, "max_attempts")
+                self._lose(job, ViewLoss.MAX_ATTEMPTS)
 
     def _lose(self, job: _Job, reason: str) -> None:
         self.lost[reason] += 1

@@ -44,7 +44,7 @@ def picture(
     row = round(frame.intrinsics.cy)
     cv2.line(image, (0, row), (frame.intrinsics.width - 1, row), (0, 220, 255), 1)
     for n, (x_m, y_m) in enumerate(instances.centre_m.tolist()):
-        at = belt.project(x_m, y_m, float(instances.height_mm[n]) / 2000)
+        at = belt.project(x_m, y_m, float(instances.height_m[n]) / 2)
         kind, size = (cv2.MARKER_TILTED_CROSS, 31) if refused[n] else (cv2.MARKER_CROSS, 9)
         cv2.drawMarker(image, (round(at[0]), round(at[1])), RED, kind, size, 1)
     return np.asarray(image, np.uint8)

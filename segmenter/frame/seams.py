@@ -10,6 +10,7 @@ frames later it does not.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -58,22 +59,13 @@ def merge_fragments(
     """
     if n < 2 or n > MOST_INSTANCES:
         return 0
-    length, height, jump, cells, outline, top, at_end = _seams(labels, n, height_mm)
+    seams = _seams(labels, n, height_mm)
     names = np.arange(n + 1, dtype=np.int32)
-    order = np.argsort(cells[1:], kind="stable") + 1
+    # Small ones first, so that a fragment of a fragment ends up with the tuber.
+    order = np.argsort(seams.cells[1:], kind="stable") + 1
     for small in order.tolist():
-        area_mm2 = cells[small] * cell_mm**2
-        if area_mm2 == 0 or area_mm2 > seam.max_area_mm2:
-            continue
-        if top[small] < seam.min_top_mm or at_end[small]:
-            continue
-        other = int(np.argmax(length[small]))
-        count = length[small, other]
-        if count == 0 or cells[other] < cells[small] or jump[small, other] > seam.max_jump_mm * count:
-            continue
-        height_share = height[small, other] / count / top[small]
-        least = seam.min_sum_large if area_mm2 > seam.small_area_mm2 else seam.min_sum
-        if height_share >= seam.min_height_share and height_share + count / outline[small] >= least:
+        other = _main_neighbour(seams, small, cell_mm, seam)
+        if other is not None:
             names[names == small] = names[other]
     merged = int((names != np.arange(n + 1)).sum())
     if merged:
@@ -81,21 +73,46 @@ def merge_fragments(
     return merged
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _seams(
-    labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]
-) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.bool_],
-]:
-    """Per pair: length, sum of heights, sum of steps of the seam in cells; per label: cells, outline length, top, and
-    whether it reaches the first or last rows.
+class _Seams(NamedTuple):
+    """Sums over the cells of all seams.
+
+    Attributes:
+        length, height_mm, jump_mm: (n + 1, n + 1) cells, sum of the lower heights along, and of the steps across the
+            seam of two labels.
+        cells, outline, top_mm: (n + 1,) cells, outline cells and highest point of each label.
+        at_end: (n + 1,) bool, it reaches the first or last rows.
     """
+
+    length: NDArray[np.float64]
+    height_mm: NDArray[np.float64]
+    jump_mm: NDArray[np.float64]
+    cells: NDArray[np.float64]
+    outline: NDArray[np.float64]
+    top_mm: NDArray[np.float64]
+    at_end: NDArray[np.bool_]
+
+
+def _main_neighbour(seams: _Seams, small: int, cell_mm: float, seam: SeamSettings) -> int | None:
+    """The instance that `small` is a fragment of; None where it stands for itself."""
+    area_mm2 = seams.cells[small] * cell_mm**2
+    if area_mm2 == 0 or area_mm2 > seam.max_area_mm2:
+        return None
+    if seams.top_mm[small] < seam.min_top_mm or seams.at_end[small]:
+        return None
+    other = int(np.argmax(seams.length[small]))
+    count = seams.length[small, other]
+    if count == 0 or seams.cells[other] < seams.cells[small]:
+        return None
+    if seams.jump_mm[small, other] > seam.max_jump_mm * count:
+        return None
+    height_share = seams.height_mm[small, other] / count / seams.top_mm[small]
+    least = seam.min_sum_large if area_mm2 > seam.small_area_mm2 else seam.min_sum
+    clear = height_share >= seam.min_height_share and height_share + count / seams.outline[small] >= least
+    return other if clear else None
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _seams(labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]) -> _Seams:
     rows, columns = labels.shape
     length = np.zeros((n + 1, n + 1))
     height = np.zeros((n + 1, n + 1))
@@ -131,4 +148,4 @@ def _seams(
                 height[b, a] += low
                 jump[a, b] += step
                 jump[b, a] += step
-    return length, height, jump, cells, outline, top, at_end
+    return _Seams(length, height, jump, cells, outline, top, at_end)

@@ -53,14 +53,14 @@ class Tracker:
         if not self.tracks or not len(instances):
             return []
         expected = np.array([[t.place_x_m + travel_m, t.place_y_m] for t in self.tracks])
-        areas = np.array([t.area_mm2 for t in self.tracks])
+        areas = np.array([t.area_m2 for t in self.tracks])
         unsure = np.array([t.trust < 0.5 for t in self.tracks])
         ends_cut = np.asarray(instances.cut[:, :2].any(axis=1))
         gap = expected[:, None, :] - instances.centre_m[None, :, :]
         distance = np.hypot(gap[..., 0], gap[..., 1])
         loose = ends_cut[None, :] | unsure[:, None]
         gate = np.where(loose, self.settings.cut_gate_m, self.settings.gate_m)
-        growth = np.log(instances.area_mm2[None, :] / areas[:, None]) ** 2
+        growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
         rows, columns = linear_sum_assignment(cost)
@@ -73,7 +73,7 @@ class Tracker:
             float(instances.centre_m[j, 0]) - travel_m - self.tracks[i].place_x_m
             for i, j in pairs
             if self.tracks[i].trust >= 3 and not instances.cut[j, :2].any()
-            and abs(np.log(instances.area_mm2[j] / self.tracks[i].area_mm2)) < 0.2
+            and abs(np.log(instances.area_m2[j] / self.tracks[i].area_m2)) < 0.2
         ]  # fmt: skip
         return float(np.median(residuals)) if residuals else None
 
@@ -94,7 +94,7 @@ class Tracker:
                 shown = self._shown_at(track, instances, travel_m)
                 track.vacant += moved and shown == 0
                 if moved and shown:
-                    track.covered += bool(instances.area_mm2[shown - 1] > SWALLOWED * track.area_mm2)
+                    track.covered += bool(instances.area_m2[shown - 1] > SWALLOWED * track.area_m2)
         for j in range(len(instances)):
             if j not in taken:
                 track = self._open(seq, instances, j, travel_m, travel_before_m)
@@ -112,7 +112,7 @@ class Tracker:
     def past_row_m(self, track: TrackState, travel_m: float) -> float:
         """How far the track's centre lies past the centre row."""
         x_m = track.place_x_m + travel_m
-        return x_m - self.belt.row_crossing_x(track.place_y_m, track.height_mm / 2000.0)
+        return x_m - self.belt.row_crossing_x(track.place_y_m, track.height_m / 2)
 
     def in_view(self, track: TrackState, travel_m: float) -> bool:
         """The track's place has not left the view, and something may still be seen there."""
@@ -135,9 +135,9 @@ class Tracker:
         self, seq: int, instances: Instances, j: int, travel_m: float, travel_before_m: float | None
     ) -> TrackState:
         x_m, y_m = (float(value) for value in instances.centre_m[j])
-        height_mm = float(instances.height_mm[j])
+        height_m = float(instances.height_m[j])
         self.opened += 1
-        past_m = x_m - self.belt.row_crossing_x(y_m, height_mm / 2000.0)
+        past_m = x_m - self.belt.row_crossing_x(y_m, height_m / 2)
         jump_m = travel_m - travel_before_m if travel_before_m is not None else np.inf
         return TrackState(
             number=self.opened,
@@ -146,8 +146,8 @@ class Tracker:
             place_x_m=x_m - travel_m,
             place_y_m=y_m,
             trust=0.0,
-            area_mm2=float(instances.area_mm2[j]),
-            height_mm=height_mm,
+            area_m2=float(instances.area_m2[j]),
+            height_m=height_m,
             shelf=ViewShelf(self._view_offsets_m),
         )
 
@@ -158,9 +158,9 @@ class Tracker:
             x_m=float(instances.centre_m[j, 0]),
             y_m=float(instances.centre_m[j, 1]),
             travel_m=travel_m,
-            area_mm2=float(instances.area_mm2[j]),
-            volume_ml=float(instances.volume_ml[j]),
-            height_mm=float(instances.height_mm[j]),
+            area_m2=float(instances.area_m2[j]),
+            volume_m3=float(instances.volume_m3[j]),
+            height_m=float(instances.height_m[j]),
             contact=float(instances.contact[j]),
             whole=not bool(instances.cut[j].any()),
             ends_cut=ends_cut,
@@ -171,7 +171,7 @@ class Tracker:
         x_m = track.place_x_m + travel_m
         if not self._low_m + self.settings.edge_m < x_m < self._high_m - self.settings.edge_m:
             return None
-        u, v = self.belt.project(x_m, track.place_y_m, track.height_mm / 2000.0)
+        u, v = self.belt.project(x_m, track.place_y_m, track.height_m / 2)
         return _label_at(instances.labels, u / instances.stride, v / instances.stride)
 
 

@@ -21,7 +21,7 @@ from segmenter.training.samples import TrainingSample, sample_of
 
 MOSTLY = 0.7
 """Of an instance's cells that one body must have for the instance to stand for it."""
-LEAST_AREA_MM2, LEAST_HEIGHT_MM = 450.0, 18.0
+LEAST_AREA_M2, LEAST_HEIGHT_M = 450e-6, 0.018
 
 Seen = tuple[LabelledFrame, HeightMap, Instances, int]
 """A body in a frame, and which instance of the frame it is."""
@@ -55,7 +55,7 @@ def cut_belt(frames: Iterable[LabelledFrame]) -> list[TrainingSample]:
 
 def _sample(body: int, seen: list[Seen]) -> TrainingSample:
     """A body's observations without those whose area the tracker would find odd."""
-    areas = np.array([instances.area_mm2[index] for _, _, instances, index in seen])
+    areas = np.array([instances.area_m2[index] for _, _, instances, index in seen])
     usual = float(np.median(areas))
     kept = [one for one, area in zip(seen, areas, strict=True) if max(area / usual, usual / area) <= ODD_AREA] or seen
     places = _steadied(np.array([instances.centre_m[i] - (frame.travel_m, 0) for frame, _, instances, i in kept]))
@@ -92,6 +92,6 @@ def _bodies(frame: LabelledFrame, heights: HeightMap, instances: Instances) -> l
         counts = shared[index + 1]
         body = int(counts.argmax())
         clear = counts[body] >= MOSTLY * counts.sum()
-        large = instances.area_mm2[index] >= LEAST_AREA_MM2 and instances.height_mm[index] >= LEAST_HEIGHT_MM
+        large = instances.area_m2[index] >= LEAST_AREA_M2 and instances.height_m[index] >= LEAST_HEIGHT_M
         bodies.append(body if clear and large else 0)
     return bodies

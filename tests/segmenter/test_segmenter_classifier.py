@@ -21,7 +21,7 @@ from segmenter.classify.patch import LEAST_OBSERVATIONS, Observation, Patch, obs
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap, height_map
-from segmenter.frame.instances import SplitSettings, described, split
+from segmenter.frame.instances import SplitSettings, given, split
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.setup import core_settings
@@ -40,7 +40,7 @@ def patch_of(height_mm: np.ndarray, *, noise_mm: float, observations: int, seed:
     for _ in range(observations):
         noisy = np.maximum(height_mm + rng.normal(0, noise_mm, height_mm.shape), 0).astype(np.float32)
         heights = HeightMap(noisy, np.ones(height_mm.shape, np.uint8), 1, 1.0)
-        instances = described((height_mm > 8).astype(np.int32), 1, heights, belt, SplitSettings())
+        instances = given((height_mm > 8).astype(np.uint16), heights, belt)
         x_m, y_m = instances.centre_m[0].tolist()
         patch.add(observe_instance(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
     return patch
@@ -93,8 +93,8 @@ def test_a_patch_shows_the_same_millimetres_whatever_the_camera() -> None:
 
 def test_only_sure_answers_reject() -> None:
     settings = CountSettings(reject_below=-1.5)
-    assert class_refusal(None, settings) == ""
-    assert class_refusal(-1.4, settings) == ""
+    assert class_refusal(None, settings) is None
+    assert class_refusal(-1.4, settings) is None
     assert class_refusal(-1.6, settings) == "distractor"
 
 
@@ -136,10 +136,7 @@ def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
     intrinsics = Intrinsics(depth.shape[1], depth.shape[0], k[0], k[4], k[6], k[7])
     belt = BeltGeometry(intrinsics, straight_down_belt_from_camera(0.345))
     heights = height_map(np.where(mask, depth, 345).astype(np.uint16), depth_scale_m=0.001, belt=belt, pixel_mm=1.45)
-    step = heights.stride
-    rows, columns = heights.height_mm.shape
-    labels = mask[step // 2 :: step, step // 2 :: step][:rows, :columns].astype(np.int32)
-    instances = described(labels, 1, heights, belt, SplitSettings())
+    instances = given(mask.astype(np.uint16), heights, belt)
     x_m, y_m = instances.centre_m[0].tolist()
     patch = Patch()
     for _ in range(LEAST_OBSERVATIONS):
@@ -197,7 +194,7 @@ def test_the_config_chooses_and_a_missing_file_says_what_to_do(tmp_path: Path) -
     with pytest.raises(InputError, match="no network that OpenCV"):
         Segmenter(core_settings(config))
     off = core_settings(parse_config({"segmenter": {"method": "classical"}}, where="here"))
-    assert Segmenter(off).perception.find is not None
+    assert Segmenter(off).belt is None
     assert core_settings(parse_config({}, where="here")).perception == Settings().perception
 
 

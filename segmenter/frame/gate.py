@@ -1,0 +1,57 @@
+"""Which frames cannot be processed: the camera sees nothing, or shows a still picture of a moving belt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from conveyor.errors import InputError
+from conveyor.messages import Frame
+from conveyor.reasons import FrameDrop
+
+LEAST_SEEN = 0.1
+"""Share of the image that must have depth; a covered lens has next to none, a belt 0.8 and more."""
+SAMPLE_STRIDE = 4
+FROZEN_M = 0.001
+"""Metres of travel; a shorter way need not change a single pixel."""
+
+
+class FrameGate:
+    """Checks each frame against the run's first one and the last one that was processed."""
+
+    def __init__(self) -> None:
+        self._first: Frame | None = None
+        self._last: Frame | None = None
+        self._last_had_load = False
+
+    def drop(self, frame: Frame) -> FrameDrop | None:
+        """Why a frame cannot be processed; None where it can.
+
+        Raises:
+            InputError: the camera's intrinsics or depth scale changed within the run.
+        """
+        first = self._first = self._first or frame
+        if frame.intrinsics != first.intrinsics or frame.depth_scale_m != first.depth_scale_m:
+            raise InputError(
+                f"camera '{frame.camera}' changed within run '{frame.run}' at frame {frame.seq}: intrinsics "
+                f"{frame.intrinsics}, depth scale {frame.depth_scale_m}; it began with {first.intrinsics}, "
+                f"{first.depth_scale_m}. Start a new run after changing a camera"
+            )
+        if frame.mask is None and _is_blind(frame):
+            return FrameDrop.BLIND
+        return FrameDrop.FROZEN if self._frozen(frame) else None
+
+    def processed(self, frame: Frame, *, instances: int) -> None:
+        """A frame was processed, and `instances` were found on it."""
+        self._last, self._last_had_load = frame, instances > 0
+
+    def _frozen(self, frame: Frame) -> bool:
+        """The picture stands still though the belt moved on. An empty belt may look the same in every frame."""
+        last = self._last
+        if last is None or frame.travel_m is None or last.travel_m is None or not self._last_had_load:
+            return False
+        return abs(frame.travel_m - last.travel_m) >= FROZEN_M and np.array_equal(frame.depth, last.depth)
+
+
+def _is_blind(frame: Frame) -> bool:
+    sample = frame.depth[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+    return bool(np.count_nonzero(sample) < LEAST_SEEN * frame.depth.size / SAMPLE_STRIDE**2)
