@@ -89,8 +89,6 @@ class SegmenterNode:
             self._camera, run, run_settings(self._config, self._camera), log_path(self._config, self._camera, run)
         )
         camera_run.open()
-        if camera_run.log.cut_bytes:
-            self._node.log.warning("cut %d bytes of a torn record off the track log", camera_run.log.cut_bytes)
         if camera_run.log.newest:
             self._node.counters.add("log_entries_restored", camera_run.log.newest)
             self._node.log.info("goes on after entry %d of run %s", camera_run.log.newest, run)

@@ -52,4 +52,4 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
 def log_path(config: LineConfig, camera: str, run: str) -> Path | None:
     """File of a camera's log in a run; None where nothing is kept across restarts."""
     folder = config.segmenter.state_dir
-    return None if folder is None else folder / f"{config.name}.{camera}.{run}.log"
+    return None if folder is None else folder / f"{config.name}.{camera}.{run}.db"

@@ -198,7 +198,7 @@ def test_a_refused_view_is_lost_with_the_regressors_reason(frames: list[Frame]) 
 def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(
     frames: list[Frame], tmp_path: Path, killed_after: int
 ) -> None:
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     first = CameraRun("front", "r1", SETTINGS, path)
     first.open()
     play(first, frames[:killed_after], names={"a"})
@@ -307,7 +307,7 @@ def killed_and_back(
     frames: list[Frame], tmp_path: Path, *, killed_after: int, back_at: int, answered: int = FRAMES
 ) -> tuple[list[TrackEntry], Mark]:
     """A process that dies after `killed_after` frames, of which `answered` had answers, and one that begins later."""
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     first = CameraRun("front", "r1", SETTINGS, path)
     first.open()
     answered = min(answered, killed_after)
