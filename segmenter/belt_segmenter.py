@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
-from segmenter.frame.plane import DRIFT_M
 from segmenter.frame.sides import completed_centres
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
+"""Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -72,6 +73,7 @@ def flood(
     Returns:
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
+    # A rim of one cell around the image, so that no neighbour needs a check of the border.
     rows, columns = relief_mm.shape
     width = columns + 2
     levels = np.zeros((rows + 2) * width, np.int32)
@@ -89,7 +91,9 @@ def flood(
     order = _falling(levels, count, top)
     around = np.array([-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1], np.int32)
     parent = np.full((rows + 2) * width, -1, np.int32)
+    # `parent` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
     for cell in order:
+        # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
         home, highest = -1, np.float32(-1.0)
         for step in around:
             near = cell + step
@@ -101,12 +105,14 @@ def flood(
             continue
         root = _find(parent, home)
         parent[cell] = root
+        # Where it touches other basins it is the pass between them: the highest, for cells come in falling order.
         for step in around:
             near = cell + step
             if parent[near] >= 0 and parent[near] != root:
                 other = _find(parent, near)
                 if other != root:
                     low, high = (other, root) if relief[other] < relief[root] else (root, other)
+                    # The lower peak hardly rises over the pass: no tuber of its own.
                     if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
                         parent[low] = high
                         root = high

@@ -7,12 +7,7 @@ import numpy as np
 from conveyor.errors import InputError
 from conveyor.messages import Frame
 from conveyor.reasons import FrameDrop
-
-LEAST_SEEN = 0.1
-"""Share of the image that must have depth; a covered lens has next to none, a belt 0.8 and more."""
-SAMPLE_STRIDE = 4
-FROZEN_M = 0.001
-"""Metres of travel; a shorter way need not change a single pixel."""
+from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME
 
 
 class FrameGate:
@@ -53,5 +48,5 @@ class FrameGate:
 
 
 def _is_blind(frame: Frame) -> bool:
-    sample = frame.depth[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
-    return bool(np.count_nonzero(sample) < LEAST_SEEN * frame.depth.size / SAMPLE_STRIDE**2)
+    sample = frame.depth[::GATE_STRIDE, ::GATE_STRIDE]
+    return bool(np.count_nonzero(sample) < LEAST_SEEN_OF_FRAME * frame.depth.size / GATE_STRIDE**2)

@@ -15,24 +15,34 @@ from numpy.typing import NDArray
 
 from conveyor.reasons import InstanceRefusal
 from segmenter.frame.belt import BeltGeometry
-from segmenter.frame.edges import LEAST_ROWS, cut_by_unseen
+from segmenter.frame.constants import LEAST_ROWS, LEAST_SEEN_OF_RASTER, QUANTUM_MM
+from segmenter.frame.edges import cut_by_unseen
 from segmenter.frame.flood import flood, regrow, relabel
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.place import centre_in_belt
 from segmenter.frame.seams import SeamSettings, merge_fragments
 from segmenter.frame.sums import BORDERS, BOX, STEP_MM, instance_sums
 
-QUANTUM_MM = 0.5
-LEAST_SEEN = 0.5
-"""Where less of the image has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
-
 
 @dataclass(frozen=True, slots=True)
 class SplitSettings:
-    """Lengths in millimetres. The defaults hold for tubers of 25 to 120 mm.
+    """Of the raster, in millimetres; the defaults hold for tubers of 25 to 120 mm.
 
-    `min_mean_mm`: mean height below which an instance is the belt's own relief, a cleat or soil: what lies beside a
-    tuber has part of its flank, so its peak does not tell.
+    Attributes:
+        pixel_mm: size of a cell. Finer costs time with its square, coarser blurs seams; 2 and more show no skin.
+        foreground_mm: lower is belt. Lower takes in cleats and soil, higher loses rims, which regrowth brings back.
+        cut_mm_per_mm: a steeper step is the contour of one tuber over another, and cut.
+        opening_mm: radius of what is opened away: bridges between tubers, stalks.
+        height_share: of the height in the relief, beside the distance to the background. More splits tubers that lie
+            on one another, less those side by side.
+        least_dynamics_mm, dynamics_share: what a peak of the relief must rise over the pass to a higher one, absolutely
+            and of its own height. More merges small tubers, less splits knobby ones.
+        regrow_mm, rim_mm: how far an instance grows back over cells higher than `rim_mm`, to its rim.
+        min_area_mm2, min_height_mm: smaller or lower is no tuber.
+        min_mean_mm: mean height below which an instance is the belt's own relief, a cleat or soil (at most 14.1 mm in
+            the suite, tubers 17.2 mm and more): what lies beside a tuber has part of its flank, so its peak does not
+            tell.
+        seam: when fragments are merged.
     """
 
     pixel_mm: float = 1.45
@@ -145,7 +155,7 @@ def _describe(
         labels, n, height_mm, coefficients_mm=(a, b, c, t), stride=stride, area_factor=area_factor, margin=margin
     )
     cut = np.stack([sums[side] > 0 for side in BORDERS], axis=1)
-    if seen.mean() > LEAST_SEEN:
+    if seen.mean() > LEAST_SEEN_OF_RASTER:
         cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     gone = sums["cells"] == 0
     low = ~gone & (sums["area_mm2"] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)

@@ -12,14 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from conveyor.reasons import TrackRefusal
+from segmenter.track.constants import NEAR_ROW_M, ROUND_FILL, VANISHED_FRAMES
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
-
-NEAR_ROW_M = 0.06
-VANISHED_FRAMES = 4
-ROUND_FILL = 0.7
-"""Mean over highest height of a lying tuber. The mean is the safer one: a seam lends its height to a few cells only."""
 
 
 @dataclass(frozen=True, slots=True)

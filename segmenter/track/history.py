@@ -6,8 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field
 
-KEPT = 4096
-STILL_M = 0.001
+from segmenter.track.constants import KEPT_FRAMES, STILL_M
 
 
 @dataclass(slots=True)
@@ -18,8 +17,8 @@ class TravelHistory:
     """
 
     anchor: tuple[int, float] | None = None
-    _times: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
-    _moved: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    _times: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
+    _moved: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
 
     def step(self, captured_ns: int, travel_m: float) -> bool:
         """Add a frame; True where the belt moved since the last frame that counts of its own."""
@@ -39,8 +38,8 @@ class TravelHistory:
         """The belt had moved `by_m` more than was known since the anchor."""
         if self.anchor is not None:
             later = [(t, x + by_m) for t, x in self._times if t > self.anchor[0] and x != self.anchor[1]]
-            self._times = deque([self.anchor, *later], maxlen=KEPT)
-            self._moved = deque([x + by_m for x in self._moved], maxlen=KEPT)
+            self._times = deque([self.anchor, *later], maxlen=KEPT_FRAMES)
+            self._moved = deque([x + by_m for x in self._moved], maxlen=KEPT_FRAMES)
 
     @property
     def start_m(self) -> float:

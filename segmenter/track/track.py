@@ -8,14 +8,8 @@ from statistics import median
 
 from conveyor.reasons import TrackRefusal
 from segmenter.classify.patch import Patch
+from segmenter.track.constants import CUT_TRUST, ODD_AREA, ODD_TRUST, TRUST_CAP
 from segmenter.track.views import ViewShelf
-
-TRUST_CAP = 8.0
-"""Effective number of readings behind a place: older ones fade, so that a tuber may roll a little."""
-CUT_TRUST = 0.02
-ODD_TRUST = 0.15
-ODD_AREA = 1.35
-"""A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
 
 
 def trusted(trust: float, weight: float) -> float:

@@ -15,19 +15,26 @@ from scipy.optimize import linear_sum_assignment
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
+from segmenter.track.constants import STEADY_TRUST, SWALLOWED, VACANT_GONE
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import Hit, State, TrackState
 from segmenter.track.views import ViewShelf
 
 NO_MATCH = 1e6
-VACANT_GONE = 12
-SWALLOWED = 2.5
-"""So many times the area of a track has the instance that it is one with, where it is a fragment of that one."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """Metres. `decide_m`: how far past the centre row a track is closed; `gate_m`: how far a tuber may be off."""
+    """When an instance belongs to a track. Metres.
+
+    Attributes:
+        gate_m: how far a tuber may be from its place. More follows rolling tubers, less keeps neighbours apart.
+        cut_gate_m: the same where a border cuts it or the track is new.
+        area_weight: of the squared change of log area, against the squared distance over the gate.
+        decide_m: how far past the centre row a track is closed. More sees more frames, and is later.
+        edge_m: from the rims of the view; nearer, a place counts as not seen.
+        leave_m: beyond the rims; farther, a track is forgotten.
+    """
 
     gate_m: float = 0.022
     cut_gate_m: float = 0.040
@@ -72,7 +79,7 @@ class Tracker:
         residuals = [
             float(instances.centre_m[j, 0]) - travel_m - self.tracks[i].place_x_m
             for i, j in pairs
-            if self.tracks[i].trust >= 3 and not instances.cut[j, :2].any()
+            if self.tracks[i].trust >= STEADY_TRUST and not instances.cut[j, :2].any()
             and abs(np.log(instances.area_m2[j] / self.tracks[i].area_m2)) < 0.2
         ]  # fmt: skip
         return float(np.median(residuals)) if residuals else None

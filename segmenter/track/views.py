@@ -17,12 +17,7 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import outline_size_m
-
-KEPT_PER_SLOT = 3
-NEAR_M = 0.025
-"""Within this of its wanted position every view is a candidate; farther off, only one that is this much nearer."""
-LEAST_HEIGHT_M = 0.004
-"""Pixels of a crop lower than this are belt at the rim of the mask."""
+from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +93,7 @@ class ViewShelf:
         """Metres away from the slot, with what makes a view worse expressed in metres."""
         odd = abs(float(np.log(candidate.area_m2 / usual_area_m2)))
         away_m = abs(candidate.offset_m - self._offsets_m[index])
-        return (0.0 if candidate.whole else 1.0) + away_m + 0.2 * max(0.0, odd - 0.05), candidate.seq
+        return (0.0 if candidate.whole else 1.0) + away_m + ODD_COST_M * max(0.0, odd - ODD_FREE), candidate.seq
 
 
 def slot_offsets(views: int, *, half_view_m: float) -> tuple[float, ...]:

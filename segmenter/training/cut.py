@@ -15,7 +15,8 @@ from segmenter.classify.patch import COARSEST_MM, observe_instance
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, split
 from segmenter.frame.sides import completed_centres
-from segmenter.track.track import ODD_AREA, trusted
+from segmenter.track.constants import ODD_AREA
+from segmenter.track.track import trusted
 from segmenter.training.pack import LabelledFrame, pack_frames
 from segmenter.training.samples import TrainingSample, sample_of
 
