@@ -20,20 +20,25 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances
 
+# What a patch is. The network was trained on exactly this: changing any of it needs a new training.
 SIZE = 48
+"""Cells along a side; with `CELL_MM` 96 mm, so that all but the longest tubers fit."""
 CELL_MM = 2.0
 CHANNELS = 10
 FULL_MM = 60.0
 FINE_MM = 1.5
-FINE_SIGMA = 2.0
 SPREAD_MM = 3.0
 UNSURE_MM = 0.5
+"""Millimetres that make 1: of the mean height, the fine relief, the spread over observations, the mean's error."""
+FINE_SIGMA = 2.0
+"""Cells over which the surroundings of the fine relief are smoothed."""
 BANDS = ((1.0, 3.0, 1.0), (2.5, 6.0, 3.0))
 """Of the body's own relief: cells over which it is smoothed, cells of its surroundings, millimetres that make 1."""
 DEPARTURES_MM = (1.5, 6.0)
 LEAST_OBSERVATIONS = 3
 """Fewer are no evidence: the network would classify the noise."""
 AROUND_MM = 12.0
+"""Millimetres around an instance's box that its observation shows too."""
 COARSEST_MM = 2.1
 """Raster cells larger than this show no skin: what is seen with them is no evidence."""
 

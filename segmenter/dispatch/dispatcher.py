@@ -112,18 +112,9 @@ class Dispatcher:
         return len(self._jobs)
 
     @property
-    def waiting(self) -> int:
-        """Views with no regressor."""
-        return len(self._jobs) - sum(len(held) for held in self._held.values())
-
-    @property
     def rate_per_s(self) -> float | None:
         """Views a second that the regressors get done, as measured; None where that is not known (yet, or any more)."""
         return self.pace.total_per_s(name for name in self._held if name not in self._suspects)
-
-    def regressors(self) -> set[str]:
-        """Names of the regressors that take work."""
-        return set(self._held)
 
     def balance(self) -> dict[str, int]:
         """sent = weighed + lost by reason + outstanding."""
