@@ -51,7 +51,7 @@ CLEAR_SHARE = 0.25
 CONSENSUS_TRIES = 120
 CONSENSUS_SCORED = 1500
 """Random planes, and samples that each is scored on. Where a third of the coarse cells shows belt, one try in 27 has
-three of them, and 120 tries miss all with 1 %. Fewer are quicker: a fit takes about 13 ms."""
+three of them, and 120 tries miss all with 1 %. Fewer are quicker: they are most of a fit's time."""
 CONSENSUS_FAR = 0.15
 """Of a coarse cell's samples, from the farthest, the one that stands for it: belt between the tubers, but no hole."""
 BELOW_M = 0.010
@@ -61,7 +61,7 @@ BELOW_M = 0.010
 FITTED_OVER = 15
 """Frames that a fitted belt is the mean of, and checks that a followed belt is the median of."""
 CHECK_EVERY = 30
-"""Frames between checks of a known belt: once a second. Each costs 13 ms."""
+"""Frames between checks of a known belt: once a second."""
 BELT_PATIENCE = 60
 """Frames without any belt before the run is refused: two seconds."""
 

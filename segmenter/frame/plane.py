@@ -235,15 +235,16 @@ def _consensus(design: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[n
     # The same draws every time: the same frame gives the same plane.
     rng = np.random.default_rng(20)
     scored = rng.permutation(len(q))[:CONSENSUS_SCORED]
+    triples = np.stack([rng.choice(far, 3, replace=False) for _ in range(CONSENSUS_TRIES)])
+    # Three points nearly in a line fix no plane.
+    triples = triples[np.abs(np.linalg.det(design[triples])) >= 1e-4]
+    planes = np.linalg.solve(design[triples], q[triples][:, :, None])[:, :, 0]
+    scored_design, scored_q = design[scored], q[scored]
     best, best_score = np.array([0.0, 0.0, float(np.median(q))]), -np.inf
-    for _ in range(CONSENSUS_TRIES):
-        triple = rng.choice(far, 3, replace=False)
-        if abs(np.linalg.det(design[triple])) < 1e-4:
-            continue  # nearly in a line: they fix no plane
-        plane = np.asarray(np.linalg.solve(design[triple], q[triple]), np.float64)
-        height = _height_over(design[scored], q[scored], plane)
+    for plane in planes:
+        height = _height_over(scored_design, scored_q, plane)
         # Nothing lies below the belt, so a plane through the tubers' tops loses by all the belt under it.
-        score = float(np.sum(np.abs(height) < BAND_M)) - float(np.sum(height < -BELOW_M))
+        score = float(np.count_nonzero(np.abs(height) < BAND_M)) - float(np.count_nonzero(height < -BELOW_M))
         if score > best_score:
             best, best_score = plane, score
     return best
