@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
+from conveyor.reasons import TrackRefusal
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
@@ -108,7 +109,7 @@ class BeltSegmenter:
         """(n,) which of `instances` belong to tracks that were refused as distractors."""
         taken = np.zeros(0 if self.instances is None else len(self.instances), bool)
         for track, index in self.found:
-            taken[index] = track.reason == "distractor"
+            taken[index] = track.reason is TrackRefusal.DISTRACTOR
         return taken
 
     def complete_travel_m(self) -> float:
