@@ -64,12 +64,13 @@ def bin_scene(data: Path, name: str, scene: str, background: str, camera: str, o
     inside = _floor(empty, belt)
     frame = _frame(np.where(inside, depth, 0).astype(np.uint16), intrinsics, SR300_UNIT_M, belt)
     found = _split(frame, belt)
+    areas_cm2, heights_mm = found.area_m2 * 1e4, found.height_m * 1e3
+    sizes = [f"{a:.0f} cm2 x {h:.0f} mm" for a, h in zip(areas_cm2, heights_mm, strict=True)]
     empty_frame = _frame(np.where(inside, empty, 0).astype(np.uint16), intrinsics, SR300_UNIT_M, belt)
     print(
         f"{name}: floor {fit.distance_m:.3f} m away, tilted {fit.tilt_deg:.1f} deg, residual "
         f"{fit.residual_m * 1000:.1f} mm; {len(_split(empty_frame, belt))} instances in the empty bin, "
-        f"{len(found)} with contents: "
-        f"{', '.join(f'{a / 100:.0f} cm2 x {h:.0f} mm' for a, h in zip(found.area_mm2, found.height_mm, strict=True))}"
+        f"{len(found)} with contents: {', '.join(sizes)}"
     )
     _save(out / f"real-{name}.jpg", [colour, picture(frame, found, belt)])
 
@@ -112,8 +113,9 @@ def tuber(data: Path, out: Path) -> None:
     found = _split(frame, belt)
     share = np.count_nonzero(full_resolution(found, depth)) / np.count_nonzero(depth)
     print(
-        f"R9-9: {len(found)} instance, {share:.1%} of the measured tuber in it, {found.height_mm.max():.1f} mm high, "
-        f"{found.area_mm2.sum() / 100:.1f} cm2, {found.volume_ml.sum():.1f} ml between its visible surface and the belt"
+        f"R9-9: {len(found)} instance, {share:.1%} of the measured tuber in it, "
+        f"{found.height_m.max() * 1e3:.1f} mm high, {found.area_m2.sum() * 1e4:.1f} cm2, "
+        f"{found.volume_m3.sum() * 1e6:.1f} ml between its visible surface and the belt"
     )
     v, u = np.nonzero(depth)
     box = np.s_[v.min() - 25 : v.max() + 25, u.min() - 40 : u.max() + 40]

@@ -70,12 +70,10 @@ class CameraConfig(Section):
 class SegmenterConfig(Section):
     """From a depth frame to tubers on the belt and views worth weighing."""
 
-    method: Literal["classical", "classes", "learned"] = Field(
-        "classes",
-        description="classes: a network tells clods and stones from tubers; classical: all are counted; learned: a "
-        "network finds the tubers too",
+    method: Literal["classical", "classes"] = Field(
+        "classes", description="classes: a network tells clods and stones from tubers; classical: all are counted"
     )
-    weights: Path | None = Field(None, description="the network, an .onnx of train-eyes; default: the shipped one")
+    weights: Path | None = Field(None, description="an .onnx of train-classifier; default: the shipped network")
     reject_below: float = Field(
         0.3, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )
@@ -107,6 +105,16 @@ class SegmenterConfig(Section):
         description="then a tuber is logged by its volume; live: at once if it had to wait for half",
     )
     state_dir: Path | None = Field(None, description="where the log not yet committed is kept across restarts")
+
+    @field_validator("method", mode="before")
+    @classmethod
+    def _method_that_is_there(cls, method: object) -> object:
+        if method == "learned":
+            raise ValueError(
+                "'learned' was removed, a network no longer finds the tubers; use \"classes\", which tells clods "
+                'from tubers, or "classical", which counts all'
+            )
+        return method
 
 
 class RegressorConfig(Section):

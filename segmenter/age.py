@@ -20,7 +20,7 @@ class FrameAge:
     _delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
     def age_ms(self, captured_ns: int, arrived_ns: int) -> float:
-        """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts anew."""
+        """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts over."""
         if self.speed <= 0:
             return 0.0
         delay_ns = arrived_ns - (captured_ns if self.speed == 1.0 else round(captured_ns / self.speed))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from conveyor.reasons import FrameDrop
+
 
 @dataclass(slots=True)
 class FrameBalance:
@@ -50,7 +52,7 @@ class FrameBalance:
         """Skipped frames that the ring overwrote did arrive: they are our drops, not gaps of the link."""
         booked = min(skipped, self._overwritten)
         if booked:
-            self.dropped["overwritten"] += booked
+            self.dropped[FrameDrop.OVERWRITTEN] += booked
             self._overwritten -= booked
 
     @property

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Travel, View, Weight
+from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.weighing import Weighing
-from segmenter.pipeline import ClosedTrack, Segmenter, Settings, StepResult
+from segmenter.pipeline import Segmenter, Settings
+from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.tracklog import TrackLog
 
@@ -79,7 +81,7 @@ class CameraRun:
         """Close the log's file."""
         self.log.__exit__(None, None, None)
 
-    def frame(self, frame: Frame, now_s: float, *, drop: str = "") -> StepResult | None:
+    def frame(self, frame: Frame, now_s: float, *, drop: FrameDrop | None = None) -> StepResult | None:
         """Take a frame; None where it is a duplicate, or the one before it is still to come.
 
         `drop`: count it as dropped for this reason instead.
@@ -87,13 +89,13 @@ class CameraRun:
         self._heard_s = now_s
         if self.ended or not self.frames.receive(frame.seq, after_seq=frame.after_seq):
             return None
-        if not drop and self.dispatcher.pressed and self._thinning.spares(frame.captured_ns):
-            drop = "overload"
-        if drop:
+        if drop is None and self.dispatcher.pressed and self._thinning.spares(frame.captured_ns):
+            drop = FrameDrop.OVERLOAD
+        if drop is not None:
             self.frames.dropped[drop] += 1
             return None
         result = self.core.step(frame)
-        if result.dropped:
+        if result.dropped is not None:
             self.frames.dropped[result.dropped] += 1
         else:
             self.frames.processed += 1
@@ -138,7 +140,7 @@ class CameraRun:
         self.dispatcher.present(regressors)
         self.dispatcher.expire(now_s)
         for track_id in self.weighing.overdue(now_s):
-            self.dispatcher.cancel(track_id, "weigh_deadline")
+            self.dispatcher.cancel(track_id, ViewLoss.WEIGH_DEADLINE)
         for loss in self.dispatcher.take_losses():
             self.weighing.lost(loss)
         items: list[Track | Mark] = list(self.weighing.take_done())
@@ -256,7 +258,8 @@ def _tracks_left(sheet: dict[str, int], *, logged: int) -> dict[str, int]:
     left = {name: n for name, n in sheet.items() if name != "open"}
     left["opened"] = left.get("opened", 0) + max(0, logged - still_open)
     left["counted"] = left.get("counted", 0) + logged
-    left["discarded_restart"] = left.get("discarded_restart", 0) + max(0, still_open - logged)
+    discarded = f"discarded_{TrackRefusal.RESTART}"
+    left[discarded] = left.get(discarded, 0) + max(0, still_open - logged)
     return left
 
 
@@ -269,7 +272,8 @@ def _views_left(sheet: dict[str, int], logged: list[Track]) -> dict[str, int]:
     left = {name: n for name, n in sheet.items() if name != "outstanding"}
     left["sent"] = left.get("sent", 0) + max(0, answered - outstanding)
     left["weighed"] = left.get("weighed", 0) + weighed
-    left["lost_restart"] = left.get("lost_restart", 0) + max(0, outstanding - answered)
+    restarted = f"lost_{ViewLoss.RESTART}"
+    left[restarted] = left.get(restarted, 0) + max(0, outstanding - answered)
     return _sum(left, {f"lost_{reason}": n for reason, n in lost.items()})
 
 

@@ -20,6 +20,7 @@ from conveyor.delivery import (
 )
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
+from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
 from segmenter.clock import CameraClock
@@ -92,8 +93,6 @@ class SegmenterNode:
             self._camera, run, run_settings(self._config, self._camera), log_path(self._config, self._camera, run)
         )
         camera_run.open()
-        if camera_run.log.cut_bytes:
-            self._node.log.warning("cut %d bytes of a torn record off the track log", camera_run.log.cut_bytes)
         if camera_run.log.newest:
             self._node.counters.add("log_entries_restored", camera_run.log.newest)
             self._node.log.info("goes on after entry %d of run %s", camera_run.log.newest, run)
@@ -137,13 +136,13 @@ class SegmenterNode:
         if camera_run is not self._current:
             counters.add("frames_of_older_runs")
             return
-        drop = ""
+        drop: FrameDrop | None = None
         if not self._waits:
             frame = self._on_time(frame)
             age_ms = self._age.age_ms(frame.captured_ns, time.monotonic_ns())
             self._note_overwritten(camera_run)
             if age_ms > self._config.segmenter.max_age_ms:
-                drop = "too_old"
+                drop = FrameDrop.TOO_OLD
             else:
                 self._oldest_ms = max(self._oldest_ms, age_ms)
                 counters.gauge("frame_age_ms", age_ms)
@@ -153,7 +152,7 @@ class SegmenterNode:
         if result is None:
             return
         counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
-        if result.dropped == "camera_changed":
+        if result.dropped == FrameDrop.CAMERA_CHANGED:
             self._tell_changed(camera_run, frame)
         counters.add("instances", result.instances)
         self._watch_belt(camera_run)
@@ -175,7 +174,7 @@ class SegmenterNode:
 
     def _tell_changed(self, camera_run: CameraRun, frame: Frame) -> None:
         """The first refused frame of a row, and how to go on where all of them are."""
-        changed = camera_run.frames.dropped["camera_changed"]
+        changed = camera_run.frames.dropped[FrameDrop.CAMERA_CHANGED]
         if changed & (changed - 1) == 0:  # 1, 2, 4, 8 ...: told, and never a flood
             self._node.log.error(
                 "refused frame %d, the %d. of run %s with intrinsics %s and depth unit %g m, unlike the first frame: "
@@ -238,7 +237,7 @@ class SegmenterNode:
         return self._works[regressor]
 
     def _report(self) -> None:
-        """Balance sheets as gauges: they are levels of one run, and a new run starts them anew."""
+        """Balance sheets as gauges: they are levels of one run, and a new run starts them at zero."""
         camera_run, counters = self._current, self._node.counters
         for sheet, values in camera_run.counts().items():
             for name, value in values.items():

@@ -1,4 +1,4 @@
-"""How a frame's instances are found, and how tracks are told from clods: classically, or with what was learned."""
+"""Perception of one camera: find the instances of a frame, and classify tracks as tuber or not before they count."""
 
 from __future__ import annotations
 
@@ -6,63 +6,58 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from segmenter.classes import ClassNet
-from segmenter.classes_split import split_by_classes
-from segmenter.classify.classifier import Judge
-from segmenter.classify.patch import COARSEST_MM, LEAST_LOOKS, Portrait, take_look
+from segmenter.classify.classifier import Classifier
+from segmenter.classify.patch import COARSEST_MM, LEAST_OBSERVATIONS, Patch, observe_instance
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances, SplitSettings, split
 from segmenter.track.track import State, TrackState
 
-Method = Literal["classical", "classes", "learned"]
+Method = Literal["classical", "classes"]
 
 
 @dataclass(frozen=True, slots=True)
-class EyesSettings:
-    """Which eyes to use.
+class PerceptionSettings:
+    """How to perceive.
 
     Attributes:
         method: 'classical' finds instances by flooding heights and takes all for tubers; 'classes' finds them so too
-            and has each track judged by its portrait before it counts; 'learned' also finds them with a network.
-        weights: the judge, an ONNX file of `tuberline train-eyes`, or None for the shipped one.
-        look_every_m: belt travel between two looks of a portrait.
+            and classifies each track by its patch before it counts.
+        weights: of the classifier, an ONNX file of `tuberline train-classifier`, or None for the shipped one.
+        observe_every_m: belt travel between two observations of a patch.
     """
 
     method: Method = "classes"
     weights: Path | None = None
-    look_every_m: float = 0.009
+    observe_every_m: float = 0.009
 
 
-class Eyes:
-    """The eyes of one camera. `coarse` counts frames whose cells are too large to show what anything is made of.
+class Perception:
+    """Finds and classifies. `coarse` counts frames whose cells are too large to show what anything is made of.
 
     Raises:
         InputError: the weights cannot be read.
     """
 
-    def __init__(self, settings: EyesSettings, split_settings: SplitSettings) -> None:
-        self._look_every_m = settings.look_every_m
+    def __init__(self, settings: PerceptionSettings, split_settings: SplitSettings) -> None:
+        self._observe_every_m = settings.observe_every_m
         self._split = split_settings
-        self._judge = None if settings.method == "classical" else Judge(settings.weights)
+        self._classifier = None if settings.method == "classical" else Classifier(settings.weights)
         self._prior = Prior()
-        self._cells = ClassNet() if settings.method == "learned" else None
-        self._looked_m: float | None = None
+        self._observed_m: float | None = None
         self.coarse = 0
 
     @property
-    def judges(self) -> bool:
-        """Tracks are judged by their portraits before they count."""
-        return self._judge is not None
+    def classifies(self) -> bool:
+        """Tracks are classified by their patches before they count."""
+        return self._classifier is not None
 
     def find(self, heights: HeightMap, belt: BeltGeometry) -> Instances:
         """The instances of a frame."""
-        if self._cells is not None and heights.cell_mm <= COARSEST_MM:
-            return split_by_classes(self._cells(heights), heights, belt, self._split)
         return split(heights, belt, self._split)
 
-    def portray(
+    def observe(
         self,
         heights: HeightMap,
         instances: Instances,
@@ -70,31 +65,32 @@ class Eyes:
         belt: BeltGeometry,
         travel_m: float,
     ) -> None:
-        """One more look for the portraits of the open tracks, where this frame is due and shows them whole."""
-        if not self.look_due(heights, travel_m):
+        """Add this frame to the patches of the open tracks, where it is due and shows them whole."""
+        if not self.observation_due(heights, travel_m):
             return
         for track, index in found:
-            whole = not instances.cut[index, :2].any() and not track.is_odd(float(instances.area_mm2[index]))
+            whole = not instances.cut[index, :2].any() and not track.is_odd(float(instances.area_m2[index]))
             if track.state is State.OPEN and whole:
                 x_m, y_m = track.place_x_m + travel_m, track.place_y_m
-                track.portrait.add(take_look(heights, instances, index, belt, x_m=x_m, y_m=y_m))
+                track.patch.add(observe_instance(heights, instances, index, belt, x_m=x_m, y_m=y_m))
 
-    def look_due(self, heights: HeightMap, travel_m: float) -> bool:
-        """This frame is one for portraits: the belt moved on, and its cells are fine enough."""
-        if self._judge is None:
+    def observation_due(self, heights: HeightMap, travel_m: float) -> bool:
+        """This frame adds to the patches: the belt moved on, and its cells are fine enough."""
+        if self._classifier is None:
             return False
-        if self._looked_m is not None and abs(travel_m - self._looked_m) < self._look_every_m:
+        if self._observed_m is not None and abs(travel_m - self._observed_m) < self._observe_every_m:
             return False
         if heights.cell_mm > COARSEST_MM:
             self.coarse += 1
             return False
-        self._looked_m = travel_m
+        self._observed_m = travel_m
         return True
 
-    def judge(self, portrait: Portrait) -> float | None:
-        """Log-odds of tuber against other, to be asked once per track; None where nobody is asked or too little was
-        seen.
+    def classify(self, patch: Patch) -> float | None:
+        """Log-odds of tuber against other; call it once per track, for the prior learns from it.
+
+        None without a classifier, and where a patch has too few observations.
         """
-        if self._judge is None or portrait.looks < LEAST_LOOKS:
+        if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
-        return self._prior.log_odds(self._judge.log_odds(portrait))
+        return self._prior.log_odds(self._classifier.log_odds(patch))

@@ -35,7 +35,7 @@ class Resume:
         return self.speed_mps * min(gap_s, STANDS_AFTER_S) if gap_s > 0 else 0.0
 
     def brought_to(self, captured_ns: int) -> Resume:
-        """The same as of the first frame, without an encoder: the belt has run on, and nobody looked at it.
+        """The same as of the first frame, without an encoder: the belt has run on, and no process looked at it.
 
         The travel at which counting goes on moves with it. So whatever the belt really did, no tuber that was logged is
         counted again, and those that crossed meanwhile count as belt not looked at.

@@ -8,7 +8,7 @@ from conveyor.config import LineConfig
 from segmenter.camera_run import RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.frame.instances import SplitSettings
-from segmenter.perception import EyesSettings
+from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Settings
 from segmenter.track.counting import CountSettings
 from segmenter.track.tracker import TrackSettings
@@ -20,8 +20,8 @@ def core_settings(config: LineConfig) -> Settings:
     return Settings(
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
         track=TrackSettings(gate_m=s.gate_mm / 1000),
-        count=CountSettings(min_frames=s.min_frames, min_height_mm=s.min_height_mm, reject_below=s.reject_below),
-        eyes=EyesSettings(method=s.method, weights=s.weights),
+        count=CountSettings(min_frames=s.min_frames, min_height_m=s.min_height_mm / 1000, reject_below=s.reject_below),
+        perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
         belt_sd_m=s.belt_sd_mm / 1000,
         belt_follow_m=s.belt_follow_mm / 1000,
@@ -52,4 +52,4 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
 def log_path(config: LineConfig, camera: str, run: str) -> Path | None:
     """File of a camera's log in a run; None where nothing is kept across restarts."""
     folder = config.segmenter.state_dir
-    return None if folder is None else folder / f"{config.name}.{camera}.{run}.log"
+    return None if folder is None else folder / f"{config.name}.{camera}.{run}.db"

@@ -1,4 +1,4 @@
-"""Belts drawn at random in everything that varies between harvesters: for training eyes that must not know one belt."""
+"""Belts drawn at random in everything that varies between harvesters: to train a classifier for more than one belt."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
 from camera_sim.sim.cultivars import draw_recipe
-from camera_sim.sim.distractors import draw_look_alike
+from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
 from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET, Preset
@@ -28,7 +28,7 @@ STEP_M = (0.015, 0.040)
 LOOK_STEP_M = (0.011, 0.021)
 """Up to twice the segmenter's way between two looks at a track: a training draws some of them anyway."""
 RESTLESS = 0.4
-"""Share of look-alike belts whose load rocks, slides and rolls, at any strength up to that of the scene `rolling`."""
+"""Share of belts of hard negatives whose load rocks, slides and rolls, up to the strength of the scene `rolling`."""
 HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
 """Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
 
@@ -55,15 +55,15 @@ class BeltView:
 
 
 def random_belt_views(
-    seed: int, number: int, *, frames: int, tubers: int, look_alikes: bool = False
+    seed: int, number: int, *, frames: int, tubers: int, hard_negatives: bool = False
 ) -> Iterator[BeltView]:
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
-    `look_alikes`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and
+    `hard_negatives`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and
     views are about as far apart as the segmenter's looks.
     """
     rng = np.random.default_rng([seed, 40, number])
-    drawn = _look_alikes if look_alikes else _settings
+    drawn = _hard_negatives if hard_negatives else _settings
     settings, layout = drawn(rng, seed=int(rng.integers(2**31)), tubers=tubers)
     world = build_world(settings, layout)
     relief = draw_belt(
@@ -78,7 +78,7 @@ def random_belt_views(
     bank = NoiseBank(rng, height=k.height, width=k.width)
     places = [body.place[0] for body in world.bodies]
     middle_m = camera.belt_from_camera[0, 3] - (max(places) + min(places)) / 2
-    step_m = rng.uniform(*(LOOK_STEP_M if look_alikes else STEP_M))
+    step_m = rng.uniform(*(LOOK_STEP_M if hard_negatives else STEP_M))
     for n in range(frames):
         travel_m = middle_m + (n - (frames - 1) / 2) * step_m + rng.uniform(-0.005, 0.005)
         yield _view(world, camera, settings, bank, rng, travel_m=travel_m)
@@ -104,14 +104,14 @@ def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings,
     return settings, layout
 
 
-def _look_alikes(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+def _hard_negatives(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
     half = rng.uniform(0.30, 0.52)
     layout = Layout(
         packing=(SINGULATED, TOUCHING, CROWDED)[int(rng.choice(3, p=[0.15, 0.60, 0.25]))],
         lanes_m=((-half, half),),
         distractors=1.0,
         one_tuber=_often_hard,
-        one_distractor=draw_look_alike,
+        one_distractor=draw_hard_negative,
         tilt_deg=(rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG), rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG)),
     )
     preset = FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET

@@ -17,14 +17,14 @@ def write_belt_pack(
     tubers: int,
     seed: int,
     command: str,
-    look_alikes: bool = False,
+    hard_negatives: bool = False,
     on_belt: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Simulate `belts` belts and write `frames` frames of each under `out`; returns how many frames were made."""
-    meta = {"command": command, "seed": seed, "tubers_per_belt": tubers, "look_alikes": look_alikes}
+    meta = {"command": command, "seed": seed, "tubers_per_belt": tubers, "hard_negatives": hard_negatives}
     with BeltPackWriter(out, meta=meta) as writer:
         for belt in range(belts):
-            views = random_belt_views(seed, belt, frames=frames, tubers=tubers, look_alikes=look_alikes)
+            views = random_belt_views(seed, belt, frames=frames, tubers=tubers, hard_negatives=hard_negatives)
             writer.add(_packed(list(views)))
             on_belt(belt)
     return writer.frames

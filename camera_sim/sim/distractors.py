@@ -14,7 +14,7 @@ from camera_sim.sim.tubers import smooth_relief
 Mesh = tuple[Vertices, Faces]
 HALF_M = (0.010, 0.042)
 """Longest half axis of clods and stones, metres: from crumbs to the size of a large tuber."""
-LOOK_ALIKE_HALF_M = (0.015, 0.046)
+HARD_NEGATIVE_HALF_M = (0.015, 0.046)
 FINE_RMS, WORN_RMS = (0.03, 0.07), (0.0, 0.03)
 """Fine roughness of a clod, as a share of its radius, and of one that was rained on or rolled about."""
 LUMP_FALL, LUMP_RMS, LUMP_FINEST = (0.5, 1.2), (0.06, 0.12), (7.0, 15.0)
@@ -129,7 +129,7 @@ def draw_distractor(rng: Generator) -> tuple[str, Mesh]:
     return kind, KINDS[kind](rng)
 
 
-def draw_look_alike(rng: Generator) -> tuple[str, Mesh]:
+def draw_hard_negative(rng: Generator) -> tuple[str, Mesh]:
     """(kind, mesh) of what is hard to tell from a tuber: clods (one in four worn, one in four a smooth lump) and stones
     of a tuber's size, hardly any haulm.
     """
@@ -137,8 +137,8 @@ def draw_look_alike(rng: Generator) -> tuple[str, Mesh]:
     if kind == "haulm":
         return kind, haulm(rng)
     if kind == "stone":
-        return kind, stone(rng, longest_m=LOOK_ALIKE_HALF_M)
+        return kind, stone(rng, longest_m=HARD_NEGATIVE_HALF_M)
     sort = rng.random()
     if sort < 1 / 4:
-        return kind, lump(rng, longest_m=LOOK_ALIKE_HALF_M)
-    return kind, clod(rng, longest_m=LOOK_ALIKE_HALF_M, fine_rms=WORN_RMS if sort < 1 / 2 else FINE_RMS)
+        return kind, lump(rng, longest_m=HARD_NEGATIVE_HALF_M)
+    return kind, clod(rng, longest_m=HARD_NEGATIVE_HALF_M, fine_rms=WORN_RMS if sort < 1 / 2 else FINE_RMS)

@@ -30,13 +30,13 @@ class View(Message):
     """One tuber in one frame: the depth crop inside its mask, so lossless and about 30 kB.
 
     Attributes:
+        camera: whose tuber it is; the answer goes to its topic `weight/<camera>`.
         view_id: unique and the same in every replay: `<track_id>/<seq>`. A second answer to it changes nothing.
         depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber's mask.
         u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
         belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
         belt_sd_m: how well the belt's height is known, standard deviation.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
-        reply_to: camera whose `weight/<camera>` topic takes the answer.
     """
 
     view_id: Id

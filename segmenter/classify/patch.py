@@ -1,4 +1,4 @@
-"""What a track looks like from straight above: the heights around its centre, averaged over its frames, at 2 mm a cell.
+"""The averaged top view (patch) of a track: heights around its centre from straight above, at 2 mm a cell.
 
 A stereo camera's noise makes the smooth skin of a tuber as rough as a clod in any single frame; it differs from frame
 to frame, and the clod does not. Each point is put where it lies on the belt, by its own height: in the image the top of
@@ -20,27 +20,32 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances
 
+# What a patch is. The network was trained on exactly this: changing any of it needs a new training.
 SIZE = 48
+"""Cells along a side; with `CELL_MM` 96 mm, so that all but the longest tubers fit."""
 CELL_MM = 2.0
 CHANNELS = 10
 FULL_MM = 60.0
 FINE_MM = 1.5
-FINE_SIGMA = 2.0
 SPREAD_MM = 3.0
 UNSURE_MM = 0.5
+"""Millimetres that make 1: of the mean height, the fine relief, the spread over observations, the mean's error."""
+FINE_SIGMA = 2.0
+"""Cells over which the surroundings of the fine relief are smoothed."""
 BANDS = ((1.0, 3.0, 1.0), (2.5, 6.0, 3.0))
 """Of the body's own relief: cells over which it is smoothed, cells of its surroundings, millimetres that make 1."""
 DEPARTURES_MM = (1.5, 6.0)
-LEAST_LOOKS = 3
-"""Fewer are no evidence: the noise would be judged."""
+LEAST_OBSERVATIONS = 3
+"""Fewer are no evidence: the network would classify the noise."""
 AROUND_MM = 12.0
+"""Millimetres around an instance's box that its observation shows too."""
 COARSEST_MM = 2.1
 """Raster cells larger than this show no skin: what is seen with them is no evidence."""
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """One frame's part of a portrait, each (48, 48) float32, rows along the belt's x, columns along y.
+class Observation:
+    """One frame's part of a patch, each (48, 48) float32, rows along the belt's x, columns along y.
 
     `height_mm`: mean of what was seen there, 0 where nothing was; `seen`: 1 where something was; `inside`: share of it
     that belongs to the instance.
@@ -56,27 +61,27 @@ def _empty() -> NDArray[np.float32]:
 
 
 @dataclass(slots=True)
-class Portrait:
-    """The sums over the looks of one track."""
+class Patch:
+    """The averaged top view of one track, kept as sums over its observations."""
 
-    looks: int = 0
+    observations: int = 0
     _height: NDArray[np.float32] = field(default_factory=_empty)
     _square: NDArray[np.float32] = field(default_factory=_empty)
     _seen: NDArray[np.float32] = field(default_factory=_empty)
     _inside: NDArray[np.float32] = field(default_factory=_empty)
 
-    def add(self, look: Look) -> None:
-        """Take one more look."""
-        self.looks += 1
-        self._height += look.height_mm
-        self._square += look.height_mm * look.height_mm
-        self._seen += look.seen
-        self._inside += look.inside
+    def add(self, observation: Observation) -> None:
+        """Take one more observation."""
+        self.observations += 1
+        self._height += observation.height_mm
+        self._square += observation.height_mm * observation.height_mm
+        self._seen += observation.seen
+        self._inside += observation.inside
 
     def channels(self) -> NDArray[np.float32]:
-        """(10, 48, 48) float32 as the network takes it; there must be a look."""
+        """(10, 48, 48) float32 as the network takes it; there must be an observation."""
         sums = (image[None] for image in (self._height, self._square, self._seen, self._inside))
-        return np.asarray(as_channels(*sums, looks=np.array([self.looks], np.float32))[0])
+        return np.asarray(as_channels(*sums, observations=np.array([self.observations], np.float32))[0])
 
 
 def as_channels(
@@ -85,13 +90,19 @@ def as_channels(
     seen: NDArray[np.float32],
     inside: NDArray[np.float32],
     *,
-    looks: NDArray[np.float32],
+    observations: NDArray[np.float32],
 ) -> NDArray[np.float32]:
-    """(n, 10, 48, 48) float32 from n bodies' sums over their looks, each (n, 48, 48), and how many looks they are (n,).
+    """(n, 10, 48, 48) float32 channels of n bodies from the sums over their observations.
 
-    Mean height / 60 mm, the same over its surroundings / 1.5 mm, how much of it is the instance, spread from look to
-    look / 3 mm, share of the looks that saw it, standard error of the mean / 0.5 mm, the instance's own relief at two
-    scales (`BANDS`), to which its neighbours add nothing, and how far it departs from an ellipsoid / 1.5 and / 6 mm.
+    Args:
+        height, square, seen, inside: (n, 48, 48) sums over the observations of each body.
+        observations: (n,) how many there were.
+
+    Returns:
+        Mean height / 60 mm, the same over its surroundings / 1.5 mm, how much of it is the instance, spread from
+        observation to observation / 3 mm, share of the observations that saw it, standard error of the mean / 0.5 mm,
+        the instance's own relief at two scales (`BANDS`), to which its neighbours add nothing, and how far it departs
+        from an ellipsoid / 1.5 and / 6 mm.
     """
     count: NDArray[np.float32] = np.maximum(seen, np.float32(1)).astype(np.float32)
     mean_mm: NDArray[np.float32] = (height / count).astype(np.float32)
@@ -110,7 +121,7 @@ def as_channels(
             np.clip(fine / FINE_MM, -4, 4),
             share,
             np.minimum(spread_mm / SPREAD_MM, 3),
-            seen / looks[:, None, None],
+            seen / observations[:, None, None],
             np.minimum(spread_mm / np.sqrt(count) / UNSURE_MM, 4),
             *bands,
             *(np.clip(departure_mm / unit_mm, -4, 4) for unit_mm in DEPARTURES_MM),
@@ -135,9 +146,9 @@ def _blur(sigma: float) -> NDArray[np.float32]:
     return np.asarray(rows, np.float32)
 
 
-def take_look(
+def observe_instance(
     heights: HeightMap, instances: Instances, index: int, belt: BeltGeometry, *, x_m: float, y_m: float
-) -> Look:
+) -> Observation:
     """What a frame shows of instance `index`, around (x, y) on the belt.
 
     An instance's own centre wanders by a millimetre from frame to frame, and the body's skin would be blurred by that.
@@ -152,7 +163,7 @@ def take_look(
         np.array(belt.height_coefficients()), np.array([k.fx, k.fy, k.cx, k.cy]),
         np.ascontiguousarray(m[:2, :3]), m[:2, 3].copy(), x_m, y_m,
     )  # fmt: skip
-    return Look(height_mm, seen, inside)
+    return Observation(height_mm, seen, inside)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

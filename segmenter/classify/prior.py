@@ -1,8 +1,8 @@
-"""How much of a load is no tuber, learned from the load itself: the same portrait is a clod's oftener on a cloddy belt.
+"""How much of a load is no tuber, learned from the load itself: the same patch is a clod's oftener on a cloddy belt.
 
-The judge says how much likelier a portrait is for a tuber than for a clod or a stone. What to believe also depends on
+The classifier says how much likelier a patch is for a tuber than for a clod or a stone. What to believe also depends on
 how many of them ride along. On a clean belt next to none do, and an odd tuber is given the benefit of the doubt; where
-every fourth body was surely a clod, it is not. Each judged track counts for both sides by what was believed of it.
+every fourth body was surely a clod, it is not. Each classified track counts for both sides by what was believed of it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Prior:
     tubers: float = TUBERS
 
     def log_odds(self, evidence: float) -> float:
-        """Log-odds of tuber against other for a body, from the log of how much likelier its portrait is for a tuber.
+        """Log-odds of tuber against other for a body, from the log of how much likelier its patch is for a tuber.
 
         The body is taken into account for those after it.
         """

@@ -1,20 +1,20 @@
-"""Which view goes to which regressor, so that none is lost, none is waited for in vain, and every tuber gets its turn.
+"""Which view goes to which regressor: no view is lost, no lost view is waited for, every tuber gets its turn.
 
 Credits bound what a regressor holds; what it holds stands in a table until answered, and goes back into the queue
 when it leaves or lets the deadline pass. First views of all tubers go before second views. Pure: time comes in as a
 number.
 
-Where the camera waits for nobody, more tubers may come than can be weighed (`shed_over`). Then second and third views
-go first, and early: those beyond what the regressors, at the pace they are measured at, get done in `spare_wait_s`.
-One of them stands aside until its tuber's first view is weighed, and takes its place where that one is refused or
-lost. Only where the regressors cannot weigh even one view of each tuber, the newest tubers are given up at once
+A live camera does not wait, and more tubers may come than can be weighed (`shed_over`). Then second and third views
+are shed first, and early: those beyond what the regressors, at their measured pace, get done in `spare_wait_s`. One of
+them is kept as the fallback view until its tuber's first view is weighed, and takes its place where that one is refused
+or lost. Only where the regressors cannot weigh even one view of each tuber, the newest tubers are given up at once
 ('overload') instead of letting all of them wait for `first_wait_s` and longer.
 
 Where the camera waits (a replay), a slow machine must not decide what is weighed: that a regressor did not answer in
 time counts as an attempt only where it never answered again and left.
 
-The law, at every moment: sent = weighed + lost + outstanding, where outstanding is queued, aside or held by a
-regressor.
+The law, at every moment: sent = weighed + lost + outstanding, where outstanding is queued, kept as a fallback or held
+by a regressor.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from conveyor.messages import View
+from conveyor.reasons import Requeue, ViewLoss
 from segmenter.dispatch.throughput import Throughput
 
 FIRSTS_PER_SPARE = 8
@@ -52,7 +53,7 @@ class DispatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class LostView:
-    """A view that will not be weighed, and why."""
+    """A view that will not be weighed. `reason`: a `ViewLoss`, or 'refused_' and the regressor's own reason."""
 
     view_id: str
     track_id: str
@@ -68,8 +69,9 @@ class _Job:
     regressor: str | None = None
     deadline_s: float = 0.0
     first: bool = False
-    """It is the one its tuber hopes for: no view of it is weighed yet, and no better one is on its way."""
-    aside: bool = False
+    """No view of its tuber is weighed yet, and no better one is on its way."""
+    fallback: bool = False
+    """Not queued: it takes the first view's place where that one is refused or lost."""
 
     @property
     def key(self) -> tuple[int, int]:
@@ -91,7 +93,7 @@ class Dispatcher:
     sent: int = 0
     weighed: int = 0
     duplicates: int = 0
-    requeued: Counter[str] = field(default_factory=Counter)
+    requeued: Counter[Requeue] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
     pace: Throughput = field(default_factory=Throughput)
     pressed: bool = False
@@ -101,7 +103,7 @@ class Dispatcher:
     _queue: list[tuple[tuple[int, int], str]] = field(default_factory=list)
     _held: dict[str, set[str]] = field(default_factory=dict)
     _suspects: dict[str, set[str]] = field(default_factory=dict)
-    """Who missed a deadline and did not answer since, with the view that counts as an attempt once it leaves."""
+    """Regressors that missed a deadline and did not answer since; the view counts as an attempt if they leave."""
     _fresh_losses: list[LostView] = field(default_factory=list)
 
     @property
@@ -110,18 +112,9 @@ class Dispatcher:
         return len(self._jobs)
 
     @property
-    def waiting(self) -> int:
-        """Views with no regressor."""
-        return len(self._jobs) - sum(len(held) for held in self._held.values())
-
-    @property
     def rate_per_s(self) -> float | None:
         """Views a second that the regressors get done, as measured; None where that is not known (yet, or any more)."""
         return self.pace.total_per_s(name for name in self._held if name not in self._suspects)
-
-    def regressors(self) -> set[str]:
-        """Names of those who take work."""
-        return set(self._held)
 
     def balance(self) -> dict[str, int]:
         """sent = weighed + lost by reason + outstanding."""
@@ -140,13 +133,13 @@ class Dispatcher:
         self._enqueue(job)
 
     def present(self, names: set[str]) -> None:
-        """Take note of who is alive: newcomers get work, what the missing ones held goes back into the queue."""
+        """Take note of the regressors alive: new ones get work, what missing ones held goes back into the queue."""
         if names == self._held.keys():
             return
         for name in sorted(set(self._held) - names):
             held = self._held.pop(name)
             for view_id in sorted(held):
-                self._give_back(self._jobs[view_id], "regressor_left")
+                self._give_back(self._jobs[view_id], Requeue.REGRESSOR_LEFT)
             for view_id in sorted(self._suspects.pop(name, set()) - held):
                 self._blame(view_id)
             self.pace.gone(name)
@@ -162,7 +155,7 @@ class Dispatcher:
                 break
             key, view_id = heapq.heappop(self._queue)
             job = self._jobs.get(view_id)
-            if job is None or job.key != key or job.regressor is not None or job.aside:
+            if job is None or job.key != key or job.regressor is not None or job.fallback:
                 continue
             job.regressor, job.deadline_s = name, now_s + self.settings.deadline_s
             job.attempts += 1
@@ -180,20 +173,20 @@ class Dispatcher:
             self.duplicates += 1
             return False
         if not usable:
-            self._lose(job, f"refused_{reason}" if reason else "refused")
+            self._lose(job, f"{ViewLoss.REFUSED}_{reason}" if reason else ViewLoss.REFUSED)
             return True
         self.weighed += 1
         tuber = self._tubers[job.view.track_id]
         tuber.weighed = True
         self._forget(job)
-        for other in [j for j in tuber.jobs if j.aside]:
-            self._lose(other, "shed")
+        for other in [j for j in tuber.jobs if j.fallback]:
+            self._lose(other, ViewLoss.SHED)
         return True
 
     def expire(self, now_s: float) -> None:
-        """Take back what was not answered in time, and shed what would wait in vain.
+        """Take back what was not answered in time, and shed what would not be weighed in time.
 
-        Who missed a deadline gets one view at a time until it answers.
+        A regressor that missed a deadline gets one view at a time until it answers.
         """
         self.pace.step(now_s, [name for name, held in self._held.items() if held and name not in self._suspects])
         for name, held in self._held.items():
@@ -206,7 +199,7 @@ class Dispatcher:
                 if self.settings.shed_over is None and not blamed:
                     blamed.add(view_id)
                 held.discard(view_id)
-                self._give_back(job, "deadline")
+                self._give_back(job, Requeue.DEADLINE)
         if self.settings.shed_over is not None:
             self._shed(now_s, self.settings.shed_over)
 
@@ -223,33 +216,33 @@ class Dispatcher:
 
     def _shed(self, now_s: float, limit: int) -> None:
         """Give up what would wait too long: spare views from the highest rank down and newest first, then tubers."""
-        waiting = [job for job in self._jobs.values() if job.regressor is None and not job.aside]
+        waiting = [job for job in self._jobs.values() if job.regressor is None and not job.fallback]
         spare = sorted((job for job in waiting if not job.first), key=lambda job: job.key)
         excess = len(waiting) - min(limit, self._done_in(self.settings.spare_wait_s))
         kept = len(spare) - max(0, excess)
         for at, job in enumerate(spare):
             if at >= kept or now_s - job.offered_s >= self.settings.spare_wait_s:
-                self._set_aside(job)
+                self._keep_or_shed(job)
         firsts = len(waiting) - len(spare)
         self.pressed = firsts > self._done_in(self.settings.spare_wait_s)
         most = min(limit * FIRSTS_PER_SPARE, self._done_in(self.settings.first_wait_s))
         if firsts > most:
             self._give_up(sorted((job for job in waiting if job.first), key=lambda job: job.key)[most:])
 
-    def _set_aside(self, job: _Job) -> None:
-        """A spare view is lost, unless it is the one that its tuber needs if its first view fails."""
+    def _keep_or_shed(self, job: _Job) -> None:
+        """Shed a spare view, unless its tuber needs it as its fallback view."""
         tuber = self._tubers[job.view.track_id]
         if tuber.weighed or any(not other.first and other.view.rank < job.view.rank for other in tuber.jobs):
-            self._lose(job, "shed")
+            self._lose(job, ViewLoss.SHED)
         else:
-            job.aside = True
+            job.fallback = True
 
     def _give_up(self, firsts: list[_Job]) -> None:
-        """Tubers that nobody will weigh in time are not let wait in vain."""
+        """Give up tubers that no regressor will weigh in time."""
         for job in firsts:
             tuber = self._tubers[job.view.track_id]
             if not tuber.weighed and all(other.regressor is None for other in tuber.jobs):
-                self.cancel(job.view.track_id, "overload")
+                self.cancel(job.view.track_id, ViewLoss.OVERLOAD)
 
     def _done_in(self, seconds: float) -> int:
         """Views that the regressors get done in that time; any number where their pace is not known."""
@@ -257,7 +250,7 @@ class Dispatcher:
         return sys.maxsize if rate is None else round(rate * seconds)
 
     def _freest(self) -> str | None:
-        """The regressor to serve next: trusted ones first, the emptiest first; None where nobody has a credit left."""
+        """The regressor to serve next: trusted ones first, the emptiest first; None where none has a credit left."""
         free = [
             (name in self._suspects, len(held), name)
             for name, held in self._held.items()
@@ -275,11 +268,11 @@ class Dispatcher:
     def _enqueue(self, job: _Job) -> None:
         heapq.heappush(self._queue, (job.key, job.view.view_id))
 
-    def _give_back(self, job: _Job, reason: str) -> None:
+    def _give_back(self, job: _Job, reason: Requeue) -> None:
         job.regressor = None
         self.requeued[reason] += 1
         if job.attempts >= self.settings.max_attempts:
-            self._lose(job, "max_attempts")
+            self._lose(job, ViewLoss.MAX_ATTEMPTS)
         else:
             self._enqueue(job)
 
@@ -288,7 +281,7 @@ class Dispatcher:
         if job := self._jobs.get(view_id):
             job.attempts += 1
             if job.attempts >= self.settings.max_attempts:
-                self._lose(job, "max_attempts")
+                self._lose(job, ViewLoss.MAX_ATTEMPTS)
 
     def _lose(self, job: _Job, reason: str) -> None:
         self.lost[reason] += 1
@@ -298,11 +291,11 @@ class Dispatcher:
         if job.first and tuber is not None and not tuber.weighed:
             self._promote(min(tuber.jobs, key=lambda j: j.view.rank))
 
-    def _promote(self, heir: _Job) -> None:
-        """A tuber's best view is gone: the next one is its hope now."""
-        heir.first, heir.aside = True, False
-        if heir.regressor is None:
-            self._enqueue(heir)
+    def _promote(self, successor: _Job) -> None:
+        """A tuber's first view is lost: its next view takes its place."""
+        successor.first, successor.fallback = True, False
+        if successor.regressor is None:
+            self._enqueue(successor)
 
     def _forget(self, job: _Job) -> None:
         if job.regressor is not None and job.regressor in self._held:

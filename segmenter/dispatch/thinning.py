@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 LOOK_EVERY_M = 0.06
-"""The belt is looked at at least this often: views are 0.38 to 0.51 m long, so that a tuber is whole in four looks."""
+"""The belt is looked at at least this often: views are 0.38 to 0.51 m long, so that a tuber is whole in four frames."""
 
 
 @dataclass(slots=True)
 class Thinning:
-    """Where the last looks were, in capture time and belt travel."""
+    """When and where the belt was last looked at, in capture time and travel."""
 
     _last: tuple[int, float] | None = None
     _speed_m_ns: float = 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from conveyor.messages import Track, WeighedView, Weight
 from segmenter.dispatch.dispatcher import LostView
-from segmenter.pipeline import ClosedTrack
+from segmenter.results import ClosedTrack
 
 
 @dataclass(slots=True)
@@ -92,5 +92,5 @@ def _finished(waiting: _Waiting) -> Track:
         waiting.closed.track,
         views_sent=len(waiting.closed.views),
         views=views,
-        views_lost=dict(sorted(waiting.losses.items())),
+        views_lost={str(reason): n for reason, n in sorted(waiting.losses.items())},
     )

@@ -32,7 +32,7 @@ class BeltGeometry:
             raise InputError(
                 f"belt_from_camera says that the belt travels across the image (x along rows: {along:.2f}, at least "
                 f"{MIN_ROW_ALIGNMENT} is needed): tubers are counted where they cross the centre row, so turn the "
-                "camera by 90 degrees or mend the calibration"
+                "camera by 90 degrees or correct the calibration"
             )
 
     @property

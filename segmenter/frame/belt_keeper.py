@@ -9,11 +9,8 @@ from numpy.typing import NDArray
 
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.constants import BELT_PATIENCE, CHECK_EVERY, FITTED_OVER
 from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
-
-FITTED_OVER = 15
-CHECK_EVERY = 30
-BELT_PATIENCE = 60
 
 
 class BeltKeeper:

@@ -8,9 +8,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-LEAST_ROWS = 3
-"""So many rows (or columns) of an instance must end at the unseen band: one ragged cell is no cut."""
-
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], reach: int) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Numba kernels of the splitter: descending flood with dynamics, regrowth, and the sums over each instance."""
+"""Numba kernels of the splitter: descending flood with dynamics, and regrowth."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
-COLUMNS = 16
-"""Columns of `instance_sums`, see there."""
+"""Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -74,6 +73,7 @@ def flood(
     Returns:
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
+    # A rim of one cell around the image, so that no neighbour needs a check of the border.
     rows, columns = relief_mm.shape
     width = columns + 2
     levels = np.zeros((rows + 2) * width, np.int32)
@@ -91,7 +91,9 @@ def flood(
     order = _falling(levels, count, top)
     around = np.array([-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1], np.int32)
     parent = np.full((rows + 2) * width, -1, np.int32)
+    # `parent` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
     for cell in order:
+        # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
         home, highest = -1, np.float32(-1.0)
         for step in around:
             near = cell + step
@@ -103,12 +105,14 @@ def flood(
             continue
         root = _find(parent, home)
         parent[cell] = root
+        # Where it touches other basins it is the pass between them: the highest, for cells come in falling order.
         for step in around:
             near = cell + step
             if parent[near] >= 0 and parent[near] != root:
                 other = _find(parent, near)
                 if other != root:
                     low, high = (other, root) if relief[other] < relief[root] else (root, other)
+                    # The lower peak hardly rises over the pass: no tuber of its own.
                     if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
                         parent[low] = high
                         root = high
@@ -150,80 +154,6 @@ def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: 
             return
         front, fresh = fresh, front
         size = grown
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def instance_sums(
-    labels: NDArray[np.int32],
-    n: int,
-    height_mm: NDArray[np.float32],
-    a: float,
-    b: float,
-    c: float,
-    t: float,
-    stride: int,
-    area_factor: float,
-    margin: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Sums over each instance in one pass.
-
-    Args:
-        labels: (h, w) int32, 1..n, 0 = none.
-        n: highest label.
-        height_mm: (h, w) float32 height over the belt.
-        a, b, c, t: height coefficients in millimetres per metre and millimetres (`BeltGeometry.height_coefficients`).
-        stride: full-resolution pixels per cell.
-        area_factor: stride**2 / (fx fy) * 1e6.
-        margin: cells from the border that count as touching it.
-
-    Returns:
-        ((n + 1, COLUMNS) float64: 0 cells, 1 sum of columns, 2 sum of rows, 3 area mm2, 4 volume mm3, 5-8 touching top,
-        bottom, left, right (cells), 9-12 lowest and highest row, lowest and highest column, 13 outline cells next to
-        another instance, 14 outline cells, 15 peak mm; (n + 1, 128) int32 histogram of heights in 2 mm steps)
-    """
-    rows, columns = labels.shape
-    sums = np.zeros((n + 1, COLUMNS), np.float64)
-    histogram = np.zeros((n + 1, 128), np.int32)
-    sums[:, 9] = rows
-    sums[:, 11] = columns
-    sums[:, 10] = -1
-    sums[:, 12] = -1
-    half = (stride - 1) / 2.0
-    for i in range(rows):
-        for j in range(columns):
-            k = labels[i, j]
-            if k == 0:
-                continue
-            s = sums[k]
-            h = height_mm[i, j]
-            slope = a * (j * stride + half) + b * (i * stride + half) + c
-            z = (h - t) / slope
-            area = area_factor * z * z / abs(slope * 1e-3)
-            s[0] += 1
-            s[1] += j
-            s[2] += i
-            s[3] += area
-            s[4] += area * h
-            s[5] += i < margin
-            s[6] += i >= rows - margin
-            s[7] += j < margin
-            s[8] += j >= columns - margin
-            s[9] = min(s[9], i)
-            s[10] = max(s[10], i)
-            s[11] = min(s[11], j)
-            s[12] = max(s[12], j)
-            s[15] = max(s[15], h)
-            histogram[k, min(127, int(h * 0.5))] += 1
-            touching, outline = False, False
-            for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                y, x = i + di, j + dj
-                if 0 <= y < rows and 0 <= x < columns and labels[y, x] != k:
-                    outline = True
-                    if labels[y, x] > 0:
-                        touching = True
-            s[13] += touching
-            s[14] += outline
-    return sums, histogram
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

@@ -9,11 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from segmenter.frame.belt import BeltGeometry
-
-CEILING_MM = 250.0
-"""Whatever is seen higher above the belt than this (a hand, a cable) is no belt load and taken as unseen."""
-GAP_MM = 15.0
-"""Gaps in the depth up to this width are closed with the lower of their two sides."""
+from segmenter.frame.constants import CEILING_MM, GAP_MM
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,24 +13,36 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.reasons import InstanceRefusal
 from segmenter.frame.belt import BeltGeometry
-from segmenter.frame.edges import LEAST_ROWS, cut_by_unseen
-from segmenter.frame.flood import flood, instance_sums, regrow, relabel
+from segmenter.frame.constants import LEAST_ROWS, LEAST_SEEN_OF_RASTER, QUANTUM_MM
+from segmenter.frame.edges import cut_by_unseen
+from segmenter.frame.flood import flood, regrow, relabel
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.place import centre_in_belt
-from segmenter.frame.seams import SeamSettings, sew
-
-QUANTUM_MM = 0.5
-LEAST_SEEN = 0.5
-"""Where less of the image has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
+from segmenter.frame.seams import SeamSettings, merge_fragments
+from segmenter.frame.sums import BORDERS, BOX, STEP_MM, instance_sums
 
 
 @dataclass(frozen=True, slots=True)
 class SplitSettings:
-    """Lengths in millimetres. The defaults hold for tubers of 25 to 120 mm.
+    """Of the raster, in millimetres; the defaults hold for tubers of 25 to 120 mm.
 
-    `min_mean_mm`: mean height below which an instance is the belt's own relief, a cleat or soil: what lies beside a
-    tuber has part of its flank, so its peak does not tell.
+    Attributes:
+        pixel_mm: size of a cell. Finer costs time with its square, coarser blurs seams; 2 and more show no skin.
+        foreground_mm: lower is belt. Lower takes in cleats and soil, higher loses rims, which regrowth brings back.
+        cut_mm_per_mm: a steeper step is the contour of one tuber over another, and cut.
+        opening_mm: radius of what is opened away: bridges between tubers, stalks.
+        height_share: of the height in the relief, beside the distance to the background. More splits tubers that lie
+            on one another, less those side by side.
+        least_dynamics_mm, dynamics_share: what a peak of the relief must rise over the pass to a higher one, absolutely
+            and of its own height. More merges small tubers, less splits knobby ones.
+        regrow_mm, rim_mm: how far an instance grows back over cells higher than `rim_mm`, to its rim.
+        min_area_mm2, min_height_mm: smaller or lower is no tuber.
+        min_mean_mm: mean height below which an instance is the belt's own relief, a cleat or soil (at most 14.1 mm in
+            the suite, tubers 17.2 mm and more): what lies beside a tuber has part of its flank, so its peak does not
+            tell.
+        seam: when fragments are merged.
     """
 
     pixel_mm: float = 1.45
@@ -56,9 +68,9 @@ class Instances:
         labels: (h, w) int32 on the analysis raster, 0 = none; `stride` full-resolution pixels per cell.
         centre_m: (n, 2) belt x, y of the centres, free of lean.
         centroid_px: (n, 2) full-resolution u, v of the masks' centroids.
-        area_mm2: (n,) visible area, projected onto the belt.
-        volume_ml: (n,) under the visible surface down to the belt.
-        height_mm: (n,) highest point but for the last percent.
+        area_m2: (n,) visible area, projected onto the belt.
+        volume_m3: (n,) under the visible surface down to the belt.
+        height_m: (n,) highest point but for the last percent.
         cut: (n, 4) bool: touches the top, bottom, left, right border of the image, or of what was seen of it.
         box: (n, 4) int: first and last row, first and last column, cells.
         contact: (n,) share of the outline that touches another instance.
@@ -69,20 +81,20 @@ class Instances:
     stride: int
     centre_m: NDArray[np.float64]
     centroid_px: NDArray[np.float64]
-    area_mm2: NDArray[np.float64]
-    volume_ml: NDArray[np.float64]
-    height_mm: NDArray[np.float64]
+    area_m2: NDArray[np.float64]
+    volume_m3: NDArray[np.float64]
+    height_m: NDArray[np.float64]
     cut: NDArray[np.bool_]
     box: NDArray[np.int64]
     contact: NDArray[np.float64]
-    refused: dict[str, int]
+    refused: dict[InstanceRefusal, int]
 
     def __len__(self) -> int:
-        return len(self.area_mm2)
+        return len(self.area_m2)
 
 
 def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> Instances:
-    """The instances on a height map."""
+    """The instances on a height map. The raster is worked on in millimetres; what comes out is SI."""
     cell_mm = heights.cell_mm
     quantised = np.minimum(heights.height_mm * (1 / QUANTUM_MM), 255).astype(np.uint8)
     quantised = np.asarray(cv2.medianBlur(quantised, 5), np.uint8)
@@ -98,7 +110,7 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     relief = np.asarray(cv2.GaussianBlur(relief, (5, 5), 0), np.float32)
     labels, n = flood(relief, foreground, settings.least_dynamics_mm, settings.dynamics_share)
     regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
-    sew(labels, n, smooth_mm, cell_mm, settings.seam)
+    merge_fragments(labels, n, smooth_mm, cell_mm, settings.seam)
     return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
 
 
@@ -112,13 +124,6 @@ def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> I
     labels = flat.reshape(coarse.shape).astype(np.int32) + (0 if names[0] == 0 else 1)
     n = int(labels.max(initial=0))
     return _describe(labels, n, heights.height_mm, heights.seen, stride, belt, None)
-
-
-def described(
-    labels: NDArray[np.int32], n: int, heights: HeightMap, belt: BeltGeometry, settings: SplitSettings
-) -> Instances:
-    """The instances that labels 1..n found in some other way stand for; `labels` are renumbered in place."""
-    return _describe(labels, n, heights.height_mm, heights.seen, heights.stride, belt, settings)
 
 
 def full_resolution(instances: Instances, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -145,58 +150,59 @@ def _describe(
     k = belt.intrinsics
     a, b, c, t = (1000.0 * value for value in belt.height_coefficients())
     margin = max(1, round(2 / stride))
+    area_factor = stride * stride / (k.fx * k.fy) * 1e6
     sums, histogram = instance_sums(
-        labels, n, height_mm, a, b, c, t, stride, stride * stride / (k.fx * k.fy) * 1e6, margin
+        labels, n, height_mm, coefficients_mm=(a, b, c, t), stride=stride, area_factor=area_factor, margin=margin
     )
-    cut = sums[:, 5:9] > 0
-    if seen.mean() > LEAST_SEEN:
+    cut = np.stack([sums[side] > 0 for side in BORDERS], axis=1)
+    if seen.mean() > LEAST_SEEN_OF_RASTER:
         cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
-    gone = sums[:, 0] == 0
-    low = ~gone & (sums[:, 3] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
+    gone = sums["cells"] == 0
+    low = ~gone & (sums["area_mm2"] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)
     flat = ~gone & ~low & _lies_flat(sums, settings) if settings else np.zeros(n + 1, bool)
-    refused = {"small": int(low[1:].sum()), "flat": int(flat[1:].sum())} if settings else {}
+    small = int(low[1:].sum())
+    refused = {InstanceRefusal.SMALL: small, InstanceRefusal.FLAT: int(flat[1:].sum())} if settings else {}
     keep = ~(gone | low | flat)
     keep[0] = False
     names = np.zeros(n + 1, np.int32)
     names[keep] = np.arange(1, int(keep.sum()) + 1)
     relabel(labels, names)
     sums, histogram, cut = sums[keep], histogram[keep], cut[keep]
-    cells = sums[:, 0]
     half = (stride - 1) / 2
-    centroid = np.stack([sums[:, 1] / cells * stride + half, sums[:, 2] / cells * stride + half], axis=1)
-    top_mm = _percentile(histogram, sums[:, 15])
-    centres = [
-        centre_in_belt(belt, u, v, h / 1000.0) for (u, v), h in zip(centroid.tolist(), top_mm.tolist(), strict=True)
-    ]
+    centroid = np.stack([sums[axis] / sums["cells"] * stride + half for axis in ("columns", "rows")], axis=1)
+    height_m = _percentile_mm(histogram, sums["peak_mm"]) / 1000.0
+    centres = [centre_in_belt(belt, u, v, h) for (u, v), h in zip(centroid.tolist(), height_m.tolist(), strict=True)]
     return Instances(
         labels=labels,
         stride=stride,
         centre_m=np.array(centres).reshape(-1, 2),
         centroid_px=centroid,
-        area_mm2=sums[:, 3],
-        volume_ml=sums[:, 4] / 1000.0,
-        height_mm=top_mm,
+        area_m2=sums["area_mm2"] * 1e-6,
+        volume_m3=sums["volume_mm3"] * 1e-9,
+        height_m=height_m,
         cut=cut,
-        box=sums[:, 9:13].astype(np.int64),
-        contact=sums[:, 13] / np.maximum(sums[:, 14], 1),
+        box=np.stack([sums[end] for end in BOX], axis=1),
+        contact=sums["touching"] / np.maximum(sums["outline"], 1),
         refused=refused,
     )
 
 
-def _lies_flat(sums: NDArray[np.float64], settings: SplitSettings) -> NDArray[np.bool_]:
+def _lies_flat(sums: NDArray[np.void], settings: SplitSettings) -> NDArray[np.bool_]:
     """(n + 1,) which labels are too low for a tuber, by their peak or by their mean height."""
-    mean_mm = sums[:, 4] / np.maximum(sums[:, 3], 1.0)
-    flat: NDArray[np.bool_] = (sums[:, 15] < settings.min_height_mm) | (mean_mm < settings.min_mean_mm)
+    mean_mm = sums["volume_mm3"] / np.maximum(sums["area_mm2"], 1.0)
+    flat: NDArray[np.bool_] = (sums["peak_mm"] < settings.min_height_mm) | (mean_mm < settings.min_mean_mm)
     return flat
 
 
-def _percentile(histogram: NDArray[np.int32], peak_mm: NDArray[np.float64], share: float = 0.99) -> NDArray[np.float64]:
-    """Height below which `share` of an instance's cells lie, interpolated in its 2 mm histogram, at most its peak."""
+def _percentile_mm(
+    histogram: NDArray[np.int32], peak_mm: NDArray[np.float64], share: float = 0.99
+) -> NDArray[np.float64]:
+    """Height below which `share` of an instance's cells lie, interpolated in its histogram, at most its peak."""
     cumulated = np.cumsum(histogram, axis=1)
     wanted = share * cumulated[:, -1]
     step = np.argmax(cumulated >= wanted[:, None], axis=1)
     rows = np.arange(len(histogram))
     inside = np.maximum(histogram[rows, step], 1)
     before = cumulated[rows, step] - histogram[rows, step]
-    height: NDArray[np.float64] = np.minimum(2.0 * (step + (wanted - before) / inside), peak_mm)
+    height: NDArray[np.float64] = np.minimum(STEP_MM * (step + (wanted - before) / inside), peak_mm)
     return height

@@ -1,6 +1,6 @@
 """A picture of what the segmenter found in a frame: height in grey, instances in colour, centres and the centre row.
 
-What the network holds for a clod, a stone or haulm is red with a cross over it.
+What the classifier takes for a clod, a stone or haulm is red with a cross over it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def picture(
     """(H, W, 3) uint8 BGR at the frame's own resolution.
 
     Args:
-        rejected: (n,) which instances are held for no tubers; None: nobody was asked.
+        rejected: (n,) which instances the classifier takes for no tubers; None: there is no classifier.
     """
     refused = np.zeros(len(instances), bool) if rejected is None else rejected
     a, b, c, t = belt.height_coefficients()
@@ -44,7 +44,7 @@ def picture(
     row = round(frame.intrinsics.cy)
     cv2.line(image, (0, row), (frame.intrinsics.width - 1, row), (0, 220, 255), 1)
     for n, (x_m, y_m) in enumerate(instances.centre_m.tolist()):
-        at = belt.project(x_m, y_m, float(instances.height_mm[n]) / 2000)
+        at = belt.project(x_m, y_m, float(instances.height_m[n]) / 2)
         kind, size = (cv2.MARKER_TILTED_CROSS, 31) if refused[n] else (cv2.MARKER_CROSS, 9)
         cv2.drawMarker(image, (round(at[0]), round(at[1])), RED, kind, size, 1)
     return np.asarray(image, np.uint8)

@@ -14,21 +14,26 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics, belt_distance_m, straight_down_belt_from_camera
-
-SAMPLE_STRIDE = 8
-BAND_M = 0.004
-"""Samples this close to a plane support it."""
-MIN_SAMPLES = 300
-MIN_SHARE = 0.15
-"""A plane that fewer of the samples support is not taken for the belt."""
-MOSTLY = 0.5
-FLOOR_BELOW_M = 0.06
-"""A plane that fills most of the image's middle and lies this much above all else is the belt, beside it the floor."""
-LOAD_M = 0.1
-REFUSE_M = 0.020
-DRIFT_M = 0.006
-TILT_OFF_DEG = 1.0
-TILT_WORTH_DEG = 0.5
+from segmenter.frame.constants import (
+    BAND_M,
+    BELOW_M,
+    CLEAR_SHARE,
+    CONSENSUS_FAR,
+    CONSENSUS_SCORED,
+    CONSENSUS_TRIES,
+    DRIFT_M,
+    FIT_BANDS_M,
+    FLOOR_BELOW_M,
+    LOAD_M,
+    MIN_FIT_SAMPLES,
+    MIN_SAMPLES,
+    MIN_SHARE,
+    MOSTLY,
+    REFUSE_M,
+    SAMPLE_STRIDE,
+    TILT_OFF_DEG,
+    TILT_WORTH_DEG,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +100,9 @@ def fit_plane(
 
 def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
     best = _consensus(design, q)
-    for band_m in (0.008, BAND_M, BAND_M, 0.003, 0.003):
+    for band_m in FIT_BANDS_M:
         near = np.abs(_height_over(design, q, best)) < band_m
-        if near.sum() < 50:
+        if near.sum() < MIN_FIT_SAMPLES:
             return None
         best = np.asarray(np.linalg.lstsq(design[near], q[near], rcond=None)[0], np.float64)
     return _summary(best, design, q)
@@ -142,10 +147,10 @@ def check_belt(
     ratio = fit.distance_m / given_m
     if ratio > 3 or ratio < 1 / 3:
         raise InputError(_disagreement(camera, given_m, fit.distance_m, depth_scale_m))
-    if abs(drift_m) > REFUSE_M and fit.share > 0.25 and given_share < 0.05:
+    if abs(drift_m) > REFUSE_M and fit.share > CLEAR_SHARE and given_share < 0.05:
         raise InputError(_disagreement(camera, given_m, fit.distance_m, depth_scale_m))
     # A plane much farther off is the floor beside the belt, or the load upon it: it says nothing of the calibration.
-    if fit.share <= 0.25 or abs(drift_m) > FLOOR_BELOW_M:
+    if fit.share <= CLEAR_SHARE or abs(drift_m) > FLOOR_BELOW_M:
         return BeltCheck(fit, None)
     return BeltCheck(fit, drift_m, _angle_deg(fit, belt_from_camera))
 
@@ -218,24 +223,28 @@ def _samples(
 
 def _consensus(design: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
     """A first plane by consensus among the far points of coarse cells: the belt is what lies behind the tubers."""
+    # The far samples of coarse cells, 0.1 wide in x/z and y/z: what lies behind the tubers, but for holes and noise.
     cell = np.round(design[:, 0] * 10).astype(int) * 1000 + np.round(design[:, 1] * 10).astype(int)
     order = np.lexsort((q, cell))
     starts = np.flatnonzero(np.r_[True, np.diff(cell[order]) != 0])
     counts = np.diff(np.r_[starts, len(order)])
     full = counts >= 8
-    far = order[starts[full] + (counts[full] * 0.15).astype(int)]
+    far = order[starts[full] + (counts[full] * CONSENSUS_FAR).astype(int)]
     if len(far) < 3:
         far = order
+    # The same draws every time: the same frame gives the same plane.
     rng = np.random.default_rng(20)
-    scored = rng.permutation(len(q))[:1500]
+    scored = rng.permutation(len(q))[:CONSENSUS_SCORED]
+    triples = np.stack([rng.choice(far, 3, replace=False) for _ in range(CONSENSUS_TRIES)])
+    # Three points nearly in a line fix no plane.
+    triples = triples[np.abs(np.linalg.det(design[triples])) >= 1e-4]
+    planes = np.linalg.solve(design[triples], q[triples][:, :, None])[:, :, 0]
+    scored_design, scored_q = design[scored], q[scored]
     best, best_score = np.array([0.0, 0.0, float(np.median(q))]), -np.inf
-    for _ in range(120):
-        triple = rng.choice(far, 3, replace=False)
-        if abs(np.linalg.det(design[triple])) < 1e-4:
-            continue
-        plane = np.asarray(np.linalg.solve(design[triple], q[triple]), np.float64)
-        height = _height_over(design[scored], q[scored], plane)
-        score = float(np.sum(np.abs(height) < BAND_M)) - float(np.sum(height < -0.010))
+    for plane in planes:
+        height = _height_over(scored_design, scored_q, plane)
+        # Nothing lies below the belt, so a plane through the tubers' tops loses by all the belt under it.
+        score = float(np.count_nonzero(np.abs(height) < BAND_M)) - float(np.count_nonzero(height < -BELOW_M))
         if score > best_score:
             best, best_score = plane, score
     return best
@@ -276,4 +285,4 @@ def _disagreement(camera: str, given_m: float, seen_m: float, scale_m: float) ->
     if 6 < ratio < 15 or 1 / 15 < ratio < 1 / 6:
         right_m = scale_m / 10 if ratio > 1 else scale_m * 10
         return f"{text}: a factor of about ten, so the depth scale of {scale_m:g} m is wrong (try {right_m:g})"
-    return f"{text}: measure the belt anew (`tuberline calibrate belt`) or mend belt_distance_m / belt_from_camera"
+    return f"{text}: measure the belt again (`tuberline calibrate belt`) or correct belt_distance_m / belt_from_camera"

@@ -23,7 +23,7 @@ def completed_centres(instances: Instances, belt: BeltGeometry) -> NDArray[np.fl
     for index in np.flatnonzero(instances.cut[:, 2:].any(axis=1) & ~instances.cut[:, :2].any(axis=1)).tolist():
         found = _ellipse_centre(instances, index)
         if found is not None:
-            centres[index] = centre_in_belt(belt, *found, float(instances.height_mm[index]) / 1000.0)
+            centres[index] = centre_in_belt(belt, *found, float(instances.height_m[index]))
     return centres
 
 

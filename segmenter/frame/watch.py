@@ -8,19 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from segmenter.frame.constants import (
+    BACKWARDS_M,
+    BACKWARDS_SHARE,
+    KEPT_CHECKS,
+    LEAST_CHECKS,
+    LEAST_STEP_M,
+    LEAST_VOTES,
+    LONGEST_STEP_M,
+    SAME_M,
+)
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
-
-KEPT_CHECKS = 5
-LEAST_CHECKS = 2
-"""One frame's plane may be off; the median of the last few checks is not."""
-LEAST_STEP_M = 0.003
-LONGEST_STEP_M = 0.03
-"""Between two frames: tubers that moved less or more say nothing of the direction."""
-SAME_M = 0.006
-LEAST_VOTES = 20
-BACKWARDS_SHARE = 0.8
-BACKWARDS_M = -0.2
 
 
 class BeltWatch:

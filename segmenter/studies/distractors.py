@@ -66,12 +66,6 @@ class LoadScore:
         """Tubers rejected as distractors, over all tubers."""
         return self.tubers_rejected / self.tubers if self.tubers else 0.0
 
-    @property
-    def precision(self) -> float:
-        """Tubers among all that was counted."""
-        counted = self.tubers_counted + self.distractors_counted + self.false
-        return self.tubers_counted / counted if counted else 1.0
-
 
 def load_truth(recording: Path, camera: str) -> LoadTruth | None:
     """What crosses a camera of a recording; None where its truth.json does not say where the distractors are.

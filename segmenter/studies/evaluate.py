@@ -1,7 +1,7 @@
 """How well found masks agree with given ones: F1 at IoU 0.5 and 0.75, panoptic quality, count bias, stage times.
 
-Masks are judged frame by frame, before any track is: a distractor found is a false positive there. What the tracks
-make of it, with the judge's word, is counted beside it where the recording's truth knows its distractors' places.
+Masks are scored frame by frame, before any track is decided: a distractor found is a false positive there. What the
+tracks make of it, with the classifier, is counted beside it where the recording's truth has its distractors' places.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
 from segmenter.frame.instances import full_resolution
 from segmenter.frame.plane import fit_plane, given_or_fitted
-from segmenter.perception import Eyes
+from segmenter.perception import Perception
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.studies.distractors import LoadScore, load_truth
 
@@ -90,8 +90,9 @@ def agreement(truth: NDArray[np.uint16], found: NDArray[np.uint16], *, least_px:
 class SegmentationScore:
     """Result for one recording; times are medians, milliseconds of processor time of one core per frame.
 
-    `mean_step_ms` is the mean: the judge works in some frames only. `load`: None where the truth does not say where the
-    distractors are. `unreadable`: frames that the recording names but cannot give, by reason.
+    `mean_step_ms` is the mean: the classifier works in some frames only. `load`: None where the truth does not say
+    where the distractors are. `unreadable`: frames that the recording names but cannot give, by reason.
+
     """
 
     recording: str
@@ -141,7 +142,7 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
     unreadable: Counter[str] = Counter()
     for camera in open_cameras(recording):
         core = Segmenter(settings)
-        eyes = Eyes(settings.eyes, settings.split)
+        perception = Perception(settings.perception, settings.split)
         counted: list[tuple[float, float]] = []
         rejected: list[tuple[float, float]] = []
         belt: BeltGeometry | None = None
@@ -149,7 +150,7 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
             if index % every or frame.mask is None:
                 continue
             belt = belt or _belt(frame)
-            seen = _seen(frame, belt, eyes, settings)
+            seen = _seen(frame, belt, perception, settings)
             least_px = LEAST_AREA_MM2 / belt.footprint_mm() ** 2
             total.add(agreement(np.where(frame.depth > 0, frame.mask, 0), seen.labels, least_px=least_px))
             started = time.thread_time()
@@ -184,7 +185,7 @@ def _summary(
     heights_ms, split_ms, step_ms = (float(value) for value in np.median(times, axis=0))
     return SegmentationScore(
         recording=name,
-        method=settings.eyes.method,
+        method=settings.perception.method,
         frames=len(times),
         unreadable=unreadable,
         instances_given=total.truths,
@@ -219,10 +220,10 @@ def _belt(frame: Frame) -> BeltGeometry:
     return BeltGeometry(frame.intrinsics, pose)
 
 
-def _seen(frame: Frame, belt: BeltGeometry, eyes: Eyes, settings: Settings) -> _Seen:
+def _seen(frame: Frame, belt: BeltGeometry, perception: Perception, settings: Settings) -> _Seen:
     started = time.thread_time()
     heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=settings.split.pixel_mm)
     mapped = time.thread_time()
-    instances = eyes.find(heights, belt)
+    instances = perception.find(heights, belt)
     found = time.thread_time()
     return _Seen(full_resolution(instances, frame.depth), (mapped - started) * 1000, (found - mapped) * 1000)

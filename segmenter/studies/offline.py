@@ -77,15 +77,15 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         frames += 1
         tracks += [closed.track for closed in result.closed]
         if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:
-            save_picture(target, draw(frame, core.instances, core.belt, rejected=core.held_for_distractors))
+            save_picture(target, draw(frame, core.instances, core.belt, rejected=core.taken_for_distractors))
     tracks += [closed.track for closed in core.finish()]
     return CameraResult(
         camera=camera.description.name,
         frames=frames,
         unreadable=dict(camera.unreadable),
         tracks=tuple(tracks),
-        discarded=dict(core.discarded),
-        refused=dict(core.refused),
+        discarded={str(reason): n for reason, n in core.discarded.items()},
+        refused={str(reason): n for reason, n in core.refused.items()},
         looked_at_m=core.looked_at_m,
         travelled_m=core.travelled_m,
         step_ms=1000 * elapsed_s / max(frames, 1),

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from conveyor.reasons import TrackRefusal
+from segmenter.track.constants import NEAR_ROW_M, ROUND_FILL, VANISHED_FRAMES
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
-
-NEAR_ROW_M = 0.06
-VANISHED_FRAMES = 4
-ROUND_FILL = 0.7
-"""Mean over highest height of a lying tuber. The mean is the safer one: a seam lends its height to a few cells only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,38 +25,39 @@ class CountSettings:
     Attributes:
         min_frames: fewest frames, or all there were.
         min_share: of the frames in which its place was in view; slivers of knobby tubers show up in fewer.
-        min_area_mm2, min_height_mm: medians over frames that no border cuts.
+        min_area_m2, min_height_m: medians over frames that no border cuts.
         min_width_m: haulm is thinner.
-        min_volume_ml: under the visible surface; the smallest tuber of three seasons, 16 g, has 18 ml.
+        min_volume_m3: under the visible surface; the smallest tuber of three seasons, 16 g, has 18 ml.
         max_slender, contact_share: a piece split off a tuber is more slender (height over width) than this and shares
             more than this of its outline with another.
         seam_slender, seam_share: or this.
-        sliver_area_mm2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
-        lump_area_mm2, lump_contact: a lump of a tuber is smaller than this, shares more than this of its outline, and
-        lump_share: was one with a larger instance in more than this share of the frames that had its place in view;
-        hidden_area_mm2, lump_seen: or it is smaller than this and stood apart in less than this share of them.
-        steady_share: what stood apart in this share of those frames, and was never one with another, is no sliver.
+        sliver_area_m2, sliver_height_m: and it is smaller and higher than this; what stands free is a tuber on end.
+        fragment_area_m2, fragment_contact: a fragment of an over-segmented tuber is smaller than this, shares more
+            than this of its outline, and
+        fragment_share: was one with a larger instance in more than this share of the frames that had its place in view;
+        hidden_area_m2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
+        steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
         reject_below: log-odds of tuber against other (clod, stone, haulm) under which a track is no tuber.
     """
 
     min_frames: int = 3
     min_share: float = 0.35
-    min_area_mm2: float = 450.0
-    min_height_mm: float = 18.0
+    min_area_m2: float = 450e-6
+    min_height_m: float = 0.018
     min_width_m: float = 0.016
-    min_volume_ml: float = 12.0
+    min_volume_m3: float = 12e-6
     max_slender: float = 1.5
     contact_share: float = 0.3
     seam_slender: float = 1.2
     seam_share: float = 0.4
-    sliver_area_mm2: float = 1500.0
+    sliver_area_m2: float = 1500e-6
     sliver_height_m: float = 0.033
-    lump_area_mm2: float = 3500.0
-    lump_contact: float = 0.2
-    lump_share: float = 0.12
-    hidden_area_mm2: float = 2000.0
-    lump_seen: float = 0.75
+    fragment_area_m2: float = 3500e-6
+    fragment_contact: float = 0.2
+    fragment_share: float = 0.12
+    hidden_area_m2: float = 2000e-6
+    fragment_seen: float = 0.75
     steady_share: float = 0.9
     same_share: float = 0.6
     reject_below: float = 0.3
@@ -77,78 +75,79 @@ class Crossing:
 
 def crossing(track: TrackState, tracker: Tracker, history: TravelHistory) -> Crossing:
     """The crossing of a track, from its readings near the row: what it did at the rims of the view matters less."""
-    row_m = tracker.belt.row_crossing_x(track.place_y_m, track.height_mm / 2000.0)
+    row_m = tracker.belt.row_crossing_x(track.place_y_m, track.height_m / 2)
     good = [h for h in track.hits if not h.ends_cut] or track.hits
     near = [h for h in good if abs(h.x_m - row_m) <= NEAR_ROW_M] or good
-    areas = np.array([h.area_mm2 for h in near])
-    usual = [h for h in near if abs(np.log(h.area_mm2 / np.median(areas))) < 0.3] or near
+    areas = np.array([h.area_m2 for h in near])
+    usual = [h for h in near if abs(np.log(h.area_m2 / np.median(areas))) < 0.3] or near
     place_x_m = float(np.median([h.x_m - h.travel_m for h in usual]))
     y_m = float(np.median([h.y_m for h in usual]))
-    x_m = tracker.belt.row_crossing_x(y_m, track.height_mm / 2000.0)
+    x_m = tracker.belt.row_crossing_x(y_m, track.height_m / 2)
     travel_m = x_m - place_x_m
     return Crossing(history.ns_at(travel_m), travel_m, x_m, y_m)
 
 
 def refusal(
     track: TrackState, at: Crossing, tracker: Tracker, history: TravelHistory, settings: CountSettings, travel_m: float
-) -> str:
-    """Why a track is not counted; empty where it is."""
+) -> TrackRefusal | None:
+    """Why a track is not counted; None where it is."""
     if at.travel_m <= history.start_m:
-        return "before_start"
+        return TrackRefusal.BEFORE_START
     if at.travel_m > travel_m:
-        return "not_crossed"
+        return TrackRefusal.NOT_CROSSED
     if not track.countable:
-        return "born_late"
+        return TrackRefusal.BORN_LATE
     if track.vacant >= VANISHED_FRAMES and track.hits[-1].x_m < at.x_m - 0.03:
-        return "vanished"
-    looks = tracker.looks_at(track, history, travel_m)
+        return TrackRefusal.VANISHED
+    in_view = tracker.frames_in_view(track, history, travel_m)
     inner = [h for h in track.hits if not h.ends_cut]
     # Where frames are few, those that showed it cut by a border were no chance to see it whole.
-    if len(inner) < min(settings.min_frames, max(1, looks - (len(track.hits) - len(inner)))):
-        return "few_frames"
-    if len(inner) < settings.min_share * looks:
-        return "fragment"
-    if np.median([h.area_mm2 for h in inner]) < settings.min_area_mm2:
-        return "small"
-    if np.median([h.volume_ml for h in inner]) < settings.min_volume_ml:
-        return "tiny"
-    if np.median([h.height_mm for h in inner]) < settings.min_height_mm:
-        return "flat"
-    u, _ = tracker.belt.project(at.x_m, at.y_m, track.height_mm / 2000.0)
+    if len(inner) < min(settings.min_frames, max(1, in_view - (len(track.hits) - len(inner)))):
+        return TrackRefusal.FEW_FRAMES
+    if len(inner) < settings.min_share * in_view:
+        return TrackRefusal.FRAGMENT
+    if np.median([h.area_m2 for h in inner]) < settings.min_area_m2:
+        return TrackRefusal.SMALL
+    if np.median([h.volume_m3 for h in inner]) < settings.min_volume_m3:
+        return TrackRefusal.TINY
+    if np.median([h.height_m for h in inner]) < settings.min_height_m:
+        return TrackRefusal.FLAT
+    u, _ = tracker.belt.project(at.x_m, at.y_m, track.height_m / 2)
     if not -0.5 <= u <= tracker.belt.intrinsics.width - 0.5:
-        return "outside"
-    return "duplicate" if _is_double(track, tracker, settings) else ""
+        return TrackRefusal.OUTSIDE
+    return TrackRefusal.DUPLICATE if _is_double(track, tracker, settings) else None
 
 
-def shape_refusal(track: TrackState, *, width_m: float, looks: int, settings: CountSettings) -> str:
-    """Why the shape of a track is no tuber's; empty where it may be one.
+def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: CountSettings) -> TrackRefusal | None:
+    """Why the shape of a track is no tuber's; None where it may be one.
 
     Haulm is thin. A piece split off a knobby tuber's flank stands as high as the tuber but is narrow, and much of its
-    outline is seam: no tuber rests on its edge like that. A lump on a tuber may look like a small tuber beside it, but
-    time and again it is taken for what it is, a part of its neighbour.
+    outline is seam: no tuber rests on its edge like that. A knob on a tuber may look like a small tuber beside it in
+    one frame; in others it is found as a part of its neighbour.
     """
     if width_m < settings.min_width_m:
-        return "thin"
-    if _is_lump(track, looks, settings):
-        return "sliver"
-    if track.covered == 0 and _apart(track) >= settings.steady_share * looks:
-        return ""
-    height_m = float(np.median([h.volume_ml / h.area_mm2 for h in track.hits])) / ROUND_FILL
+        return TrackRefusal.THIN
+    if _is_fragment(track, in_view, settings):
+        return TrackRefusal.SLIVER
+    if track.covered == 0 and _apart(track) >= settings.steady_share * in_view:
+        return None
+    height_m = float(np.median([h.volume_m3 / h.area_m2 for h in track.hits])) / ROUND_FILL
     slender = height_m / width_m
     contact = float(np.median([h.contact for h in track.hits]))
-    if height_m < settings.sliver_height_m or track.area_mm2 > settings.sliver_area_mm2:
-        return ""
+    if height_m < settings.sliver_height_m or track.area_m2 > settings.sliver_area_m2:
+        return None
     mostly_seam = contact > settings.seam_share and slender > settings.seam_slender
-    return "sliver" if mostly_seam or (contact > settings.contact_share and slender > settings.max_slender) else ""
+    narrow = contact > settings.contact_share and slender > settings.max_slender
+    return TrackRefusal.SLIVER if mostly_seam or narrow else None
 
 
-def _is_lump(track: TrackState, looks: int, settings: CountSettings) -> bool:
-    """`looks`: frames that had the track's place in view so far."""
+def _is_fragment(track: TrackState, in_view: int, settings: CountSettings) -> bool:
+    """`in_view`: frames that had the track's place in view so far."""
     contact = float(np.median([h.contact for h in track.hits]))
-    if track.area_mm2 >= settings.lump_area_mm2 or contact <= settings.lump_contact:
+    if track.area_m2 >= settings.fragment_area_m2 or contact <= settings.fragment_contact:
         return False
-    swallowed = track.covered >= max(2.0, settings.lump_share * looks)
-    hidden = track.area_mm2 < settings.hidden_area_mm2 and _apart(track) + 2 < settings.lump_seen * looks
+    swallowed = track.covered >= max(2.0, settings.fragment_share * in_view)
+    hidden = track.area_m2 < settings.hidden_area_m2 and _apart(track) + 2 < settings.fragment_seen * in_view
     return swallowed or hidden
 
 
@@ -157,16 +156,16 @@ def _apart(track: TrackState) -> int:
     return sum(not h.ends_cut for h in track.hits)
 
 
-def class_refusal(log_odds: float | None, settings: CountSettings) -> str:
-    """Why what was seen is no tuber; empty where it is one, where the judge is unsure, and where nobody was asked."""
-    return "distractor" if log_odds is not None and log_odds < settings.reject_below else ""
+def class_refusal(log_odds: float | None, settings: CountSettings) -> TrackRefusal | None:
+    """Why what was seen is no tuber; None where it is one, where the classifier is unsure, and without one."""
+    return TrackRefusal.DISTRACTOR if log_odds is not None and log_odds < settings.reject_below else None
 
 
 def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> bool:
     """A counted track lies so close that both must be one tuber."""
     for other in tracker.tracks:
         if other is not track and other.state is State.COUNTED:
-            radius_m = np.sqrt(max(track.area_mm2, other.area_mm2) / np.pi) / 1000.0
+            radius_m = np.sqrt(max(track.area_m2, other.area_m2) / np.pi)
             away_m = np.hypot(track.place_x_m - other.place_x_m, track.place_y_m - other.place_y_m)
             if away_m < settings.same_share * radius_m:
                 return True

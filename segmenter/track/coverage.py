@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-LONGEST_TUBER_M = 0.12
+from segmenter.track.constants import LONGEST_TUBER_M
 
 
 @dataclass(slots=True)

@@ -6,8 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass, field
 
-KEPT = 4096
-STILL_M = 0.001
+from segmenter.track.constants import KEPT_FRAMES, STILL_M
 
 
 @dataclass(slots=True)
@@ -18,11 +17,11 @@ class TravelHistory:
     """
 
     anchor: tuple[int, float] | None = None
-    _times: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
-    _moved: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    _times: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
+    _moved: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT_FRAMES))
 
     def step(self, captured_ns: int, travel_m: float) -> bool:
-        """Add a frame; True where the belt moved since the last frame that counts as a look of its own."""
+        """Add a frame; True where the belt moved since the last frame that counts of its own."""
         if self.anchor is None:
             self.anchor = (captured_ns, travel_m)
         if not self._times:
@@ -39,15 +38,15 @@ class TravelHistory:
         """The belt had moved `by_m` more than was known since the anchor."""
         if self.anchor is not None:
             later = [(t, x + by_m) for t, x in self._times if t > self.anchor[0] and x != self.anchor[1]]
-            self._times = deque([self.anchor, *later], maxlen=KEPT)
-            self._moved = deque([x + by_m for x in self._moved], maxlen=KEPT)
+            self._times = deque([self.anchor, *later], maxlen=KEPT_FRAMES)
+            self._moved = deque([x + by_m for x in self._moved], maxlen=KEPT_FRAMES)
 
     @property
     def start_m(self) -> float:
         """Travel at which counting starts."""
         return self.anchor[1] if self.anchor else 0.0
 
-    def looks_between(self, low_m: float, high_m: float) -> int:
+    def frames_between(self, low_m: float, high_m: float) -> int:
         """Frames, standing ones once, whose travel lies within."""
         return sum(low_m <= travel_m <= high_m for travel_m in self._moved)
 

@@ -6,15 +6,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from statistics import median
 
-from segmenter.classify.patch import Portrait
+from conveyor.reasons import TrackRefusal
+from segmenter.classify.patch import Patch
+from segmenter.track.constants import CUT_TRUST, ODD_AREA, ODD_TRUST, TRUST_CAP
 from segmenter.track.views import ViewShelf
-
-TRUST_CAP = 8.0
-"""Effective number of readings behind a place: older ones fade, so that a tuber may roll a little."""
-CUT_TRUST = 0.02
-ODD_TRUST = 0.15
-ODD_AREA = 1.35
-"""A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
 
 
 def trusted(trust: float, weight: float) -> float:
@@ -32,15 +27,19 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """The tuber in one frame. Belt metres; `whole`: not cut by a border; `ends_cut`: by the first or last row."""
+    """The tuber in one frame, SI units, places in belt coordinates.
+
+    `whole`: not cut by a border; `ends_cut`: by the first or last row; `contact`: share of the outline that touches
+    another instance.
+    """
 
     seq: int
     x_m: float
     y_m: float
     travel_m: float
-    area_mm2: float
-    volume_ml: float
-    height_mm: float
+    area_m2: float
+    volume_m3: float
+    height_m: float
     contact: float
     whole: bool
     ends_cut: bool
@@ -52,7 +51,7 @@ class TrackState:
 
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
-    `log_odds` is what the judge said of its portrait, tuber against other; None before, and where nobody was asked.
+    `log_odds` is what the classifier said of its patch, tuber against other; None before, and without a classifier.
     """
 
     number: int
@@ -61,8 +60,8 @@ class TrackState:
     place_x_m: float
     place_y_m: float
     trust: float
-    area_mm2: float
-    height_mm: float
+    area_m2: float
+    height_m: float
     shelf: ViewShelf
     last_seq: int = 0
     missed: int = 0
@@ -70,18 +69,18 @@ class TrackState:
     covered: int = 0
     frames: int = 0
     state: State = State.OPEN
-    reason: str = ""
+    reason: TrackRefusal | None = None
     hits: list[Hit] = field(default_factory=list)
-    portrait: Portrait = field(default_factory=Portrait)
+    patch: Patch = field(default_factory=Patch)
     log_odds: float | None = None
 
-    def is_odd(self, area_mm2: float) -> bool:
+    def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""
-        return max(area_mm2 / self.area_mm2, self.area_mm2 / area_mm2) > ODD_AREA and self.frames >= 3
+        return max(area_m2 / self.area_m2, self.area_m2 / area_m2) > ODD_AREA and self.frames >= 3
 
     def add(self, hit: Hit, *, moved: bool) -> None:
         """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
-        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_mm2) else 1.0
+        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_m2) else 1.0
         self.trust = trusted(self.trust, weight)
         gain = weight / self.trust
         self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)
@@ -91,6 +90,6 @@ class TrackState:
         if moved or not self.hits:
             self.frames += 1
             self.hits.append(hit)
-            recent = [h.area_mm2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_mm2]
-            self.area_mm2 = median(recent)
-            self.height_mm = median(h.height_mm for h in self.hits[-15:])
+            recent = [h.area_m2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_m2]
+            self.area_m2 = median(recent)
+            self.height_m = median(h.height_m for h in self.hits[-15:])

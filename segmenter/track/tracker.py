@@ -15,19 +15,26 @@ from scipy.optimize import linear_sum_assignment
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
+from segmenter.track.constants import STEADY_TRUST, SWALLOWED, VACANT_GONE
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import Hit, State, TrackState
 from segmenter.track.views import ViewShelf
 
 NO_MATCH = 1e6
-VACANT_GONE = 12
-SWALLOWED = 2.5
-"""So many times the area of a track has the instance that it is one with, where it is a lump of that one."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """Metres. `decide_m`: how far past the centre row a track is closed; `gate_m`: how far a tuber may be off."""
+    """When an instance belongs to a track. Metres.
+
+    Attributes:
+        gate_m: how far a tuber may be from its place. More follows rolling tubers, less keeps neighbours apart.
+        cut_gate_m: the same where a border cuts it or the track is new.
+        area_weight: of the squared change of log area, against the squared distance over the gate.
+        decide_m: how far past the centre row a track is closed. More sees more frames, and is later.
+        edge_m: from the rims of the view; nearer, a place counts as not seen.
+        leave_m: beyond the rims; farther, a track is forgotten.
+    """
 
     gate_m: float = 0.022
     cut_gate_m: float = 0.040
@@ -38,7 +45,7 @@ class TrackSettings:
 
 
 class Tracker:
-    """The tracks of one camera. Per frame: `match`, then `update`; `gone` hands over what left the view."""
+    """The tracks of one camera. Per frame: `match`, then `update`; `drop_gone` forgets what left the view."""
 
     def __init__(self, belt: BeltGeometry, settings: TrackSettings, view_offsets_m: tuple[float, ...]) -> None:
         self.belt = belt
@@ -53,14 +60,14 @@ class Tracker:
         if not self.tracks or not len(instances):
             return []
         expected = np.array([[t.place_x_m + travel_m, t.place_y_m] for t in self.tracks])
-        areas = np.array([t.area_mm2 for t in self.tracks])
+        areas = np.array([t.area_m2 for t in self.tracks])
         unsure = np.array([t.trust < 0.5 for t in self.tracks])
         ends_cut = np.asarray(instances.cut[:, :2].any(axis=1))
         gap = expected[:, None, :] - instances.centre_m[None, :, :]
         distance = np.hypot(gap[..., 0], gap[..., 1])
         loose = ends_cut[None, :] | unsure[:, None]
         gate = np.where(loose, self.settings.cut_gate_m, self.settings.gate_m)
-        growth = np.log(instances.area_mm2[None, :] / areas[:, None]) ** 2
+        growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
         rows, columns = linear_sum_assignment(cost)
@@ -72,8 +79,8 @@ class Tracker:
         residuals = [
             float(instances.centre_m[j, 0]) - travel_m - self.tracks[i].place_x_m
             for i, j in pairs
-            if self.tracks[i].trust >= 3 and not instances.cut[j, :2].any()
-            and abs(np.log(instances.area_mm2[j] / self.tracks[i].area_mm2)) < 0.2
+            if self.tracks[i].trust >= STEADY_TRUST and not instances.cut[j, :2].any()
+            and abs(np.log(instances.area_m2[j] / self.tracks[i].area_m2)) < 0.2
         ]  # fmt: skip
         return float(np.median(residuals)) if residuals else None
 
@@ -94,7 +101,7 @@ class Tracker:
                 shown = self._shown_at(track, instances, travel_m)
                 track.vacant += moved and shown == 0
                 if moved and shown:
-                    track.covered += bool(instances.area_mm2[shown - 1] > SWALLOWED * track.area_mm2)
+                    track.covered += bool(instances.area_m2[shown - 1] > SWALLOWED * track.area_m2)
         for j in range(len(instances)):
             if j not in taken:
                 track = self._open(seq, instances, j, travel_m, travel_before_m)
@@ -112,7 +119,7 @@ class Tracker:
     def past_row_m(self, track: TrackState, travel_m: float) -> float:
         """How far the track's centre lies past the centre row."""
         x_m = track.place_x_m + travel_m
-        return x_m - self.belt.row_crossing_x(track.place_y_m, track.height_mm / 2000.0)
+        return x_m - self.belt.row_crossing_x(track.place_y_m, track.height_m / 2)
 
     def in_view(self, track: TrackState, travel_m: float) -> bool:
         """The track's place has not left the view, and something may still be seen there."""
@@ -120,10 +127,10 @@ class Tracker:
         inside = self._low_m - self.settings.leave_m <= x_m <= self._high_m + self.settings.leave_m
         return inside and track.vacant < VACANT_GONE
 
-    def looks_at(self, track: TrackState, history: TravelHistory, travel_m: float) -> int:
+    def frames_in_view(self, track: TrackState, history: TravelHistory, travel_m: float) -> int:
         """Frames in which the track's place lay well inside the view so far."""
         edge = self.settings.edge_m
-        return history.looks_between(
+        return history.frames_between(
             self._low_m + edge - track.place_x_m, min(travel_m, self._high_m - edge - track.place_x_m)
         )
 
@@ -135,9 +142,9 @@ class Tracker:
         self, seq: int, instances: Instances, j: int, travel_m: float, travel_before_m: float | None
     ) -> TrackState:
         x_m, y_m = (float(value) for value in instances.centre_m[j])
-        height_mm = float(instances.height_mm[j])
+        height_m = float(instances.height_m[j])
         self.opened += 1
-        past_m = x_m - self.belt.row_crossing_x(y_m, height_mm / 2000.0)
+        past_m = x_m - self.belt.row_crossing_x(y_m, height_m / 2)
         jump_m = travel_m - travel_before_m if travel_before_m is not None else np.inf
         return TrackState(
             number=self.opened,
@@ -146,8 +153,8 @@ class Tracker:
             place_x_m=x_m - travel_m,
             place_y_m=y_m,
             trust=0.0,
-            area_mm2=float(instances.area_mm2[j]),
-            height_mm=height_mm,
+            area_m2=float(instances.area_m2[j]),
+            height_m=height_m,
             shelf=ViewShelf(self._view_offsets_m),
         )
 
@@ -158,9 +165,9 @@ class Tracker:
             x_m=float(instances.centre_m[j, 0]),
             y_m=float(instances.centre_m[j, 1]),
             travel_m=travel_m,
-            area_mm2=float(instances.area_mm2[j]),
-            volume_ml=float(instances.volume_ml[j]),
-            height_mm=float(instances.height_mm[j]),
+            area_m2=float(instances.area_m2[j]),
+            volume_m3=float(instances.volume_m3[j]),
+            height_m=float(instances.height_m[j]),
             contact=float(instances.contact[j]),
             whole=not bool(instances.cut[j].any()),
             ends_cut=ends_cut,
@@ -171,7 +178,7 @@ class Tracker:
         x_m = track.place_x_m + travel_m
         if not self._low_m + self.settings.edge_m < x_m < self._high_m - self.settings.edge_m:
             return None
-        u, v = self.belt.project(x_m, track.place_y_m, track.height_mm / 2000.0)
+        u, v = self.belt.project(x_m, track.place_y_m, track.height_m / 2)
         return _label_at(instances.labels, u / instances.stride, v / instances.stride)
 
 

@@ -16,19 +16,21 @@ from numpy.typing import NDArray
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
+from segmenter.track.constants import (
+    FAR_COST,
+    FAR_M,
+    LEAST_CELLS,
+    LEAST_COMMON,
+    LEAST_MATCH,
+    LEAST_OVERLAP,
+    MAX_SPEED_MPS,
+    SPEEDS_KEPT,
+    SPEEDS_TO_LOOK_BACK,
+    TALLEST_M,
+)
 
 CELL_M = 0.004
 OCCUPIED_MM = 12.0
-LEAST_CELLS = 40
-LEAST_COMMON = 12
-LEAST_MATCH = 0.35
-"""Normalised correlation below which a shift is not believed."""
-LEAST_OVERLAP = 0.2
-SPEEDS_KEPT = 15
-SPEEDS_TO_LOOK_BACK = 5
-TALLEST_M = 0.08
-"""Only the belt on which even the tallest load is in the picture is compared: the image's border stands still."""
-MAX_SPEED_MPS = 3.0
 
 
 class TravelEstimator:
@@ -110,19 +112,25 @@ class TravelEstimator:
         if occupied.sum() < LEAST_CELLS or before.sum() < LEAST_CELLS:
             return None
         cells = self._shape[1]
+        # Correlation along x, row by row, summed over the rows; both are padded to twice their length, so it is not
+        # circular and a shift backwards stands at the end.
         product = np.fft.irfft((spectrum * np.conj(before_spectrum)).sum(axis=0), self._length)
         limit = min(int((1 - LEAST_OVERLAP) * cells), int(reach_m / CELL_M) + 2 if np.isfinite(reach_m) else cells)
         shifts = np.arange(-limit, limit + 1)
+        # Load inside the overlap at every shift, from running sums: what has left the view must not count against it.
         energy_now = np.concatenate([[0.0], np.cumsum((occupied**2).sum(axis=0, dtype=np.float64))])
         energy_before = np.concatenate([[0.0], np.cumsum((before**2).sum(axis=0, dtype=np.float64))])
         now = energy_now[np.minimum(cells, cells + shifts)] - energy_now[np.maximum(0, shifts)]
         then = energy_before[np.minimum(cells, cells - shifts)] - energy_before[np.maximum(0, -shifts)]
         common = np.minimum(now, then)
         match = np.where(common >= LEAST_COMMON, product[shifts] / np.sqrt(np.maximum(now * then, 1.0)), 0.0)
-        preferred = match - 0.3 * np.minimum(np.abs(shifts * CELL_M - expected_m) / 0.15, 1.0) * bool(self._speeds)
+        # Tubers in rows correlate at several shifts: of two good ones the one nearer to the last speed is taken.
+        unlikely = np.minimum(np.abs(shifts * CELL_M - expected_m) / FAR_M, 1.0) * bool(self._speeds)
+        preferred = match - FAR_COST * unlikely
         best = int(np.argmax(preferred))
         if match[best] < LEAST_MATCH or not 0 < best < len(shifts) - 1:
             return None
+        # A parabola through the peak and its neighbours finds it between the cells.
         left, peak, right = (float(value) for value in match[best - 1 : best + 2])
         bend = left - 2 * peak + right
         fraction = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0

@@ -17,12 +17,7 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import outline_size_m
-
-KEPT_PER_SLOT = 3
-NEAR_M = 0.025
-"""Within this of its wanted position every view is a candidate; farther off, only one that is this much nearer."""
-LEAST_HEIGHT_M = 0.004
-"""Pixels of a crop lower than this are belt at the rim of the mask."""
+from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +29,7 @@ class Candidate:
         u0, v0, depth: first pixel of the crop and the (h, w) uint16 depth, zero outside the mask.
         belt_from_camera: (4, 4) as of that frame.
         inside: (rows, columns) bool, its cells on the analysis raster of `stride` pixels.
-        area_mm2, height_mm, contact, whole: as in `Hit`.
+        area_m2, height_m, contact, whole: as in `Hit`.
     """
 
     seq: int
@@ -46,8 +41,8 @@ class Candidate:
     belt_from_camera: NDArray[np.float64]
     inside: NDArray[np.bool_]
     stride: int
-    area_mm2: float
-    height_mm: float
+    area_m2: float
+    height_m: float
     contact: float
     whole: bool
 
@@ -71,13 +66,13 @@ class ViewShelf:
                 slot.sort(key=lambda c: (not c.whole, abs(c.offset_m - self._offsets_m[index]), c.seq))
                 del slot[KEPT_PER_SLOT:]
 
-    def choose(self, usual_area_mm2: float) -> list[Candidate]:
+    def choose(self, usual_area_m2: float) -> list[Candidate]:
         """At most one view per slot, best slot first, no frame twice."""
         chosen: list[Candidate] = []
         for index, slot in enumerate(self._slots):
             fresh = [c for c in slot if all(c.seq != other.seq for other in chosen)]
             if fresh:
-                chosen.append(min(fresh, key=lambda c: self._cost(c, index, usual_area_mm2)))
+                chosen.append(min(fresh, key=lambda c: self._cost(c, index, usual_area_m2)))
         return chosen
 
     def clear(self) -> None:
@@ -94,11 +89,11 @@ class ViewShelf:
         better_m = abs(last.offset_m - self._offsets_m[index]) - away_m
         return better_m > (0.0 if away_m <= NEAR_M else NEAR_M)
 
-    def _cost(self, candidate: Candidate, index: int, usual_area_mm2: float) -> tuple[float, int]:
+    def _cost(self, candidate: Candidate, index: int, usual_area_m2: float) -> tuple[float, int]:
         """Metres away from the slot, with what makes a view worse expressed in metres."""
-        odd = abs(float(np.log(candidate.area_mm2 / usual_area_mm2)))
+        odd = abs(float(np.log(candidate.area_m2 / usual_area_m2)))
         away_m = abs(candidate.offset_m - self._offsets_m[index])
-        return (0.0 if candidate.whole else 1.0) + away_m + 0.2 * max(0.0, odd - 0.05), candidate.seq
+        return (0.0 if candidate.whole else 1.0) + away_m + ODD_COST_M * max(0.0, odd - ODD_FREE), candidate.seq
 
 
 def slot_offsets(views: int, *, half_view_m: float) -> tuple[float, ...]:
@@ -135,8 +130,8 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
         belt_from_camera=belt.belt_from_camera,
         inside=inside,
         stride=stride,
-        area_mm2=float(instances.area_mm2[index]),
-        height_mm=float(instances.height_mm[index]),
+        area_m2=float(instances.area_m2[index]),
+        height_m=float(instances.height_m[index]),
         contact=float(instances.contact[index]),
         whole=not bool(instances.cut[index].any()),
     )
@@ -146,7 +141,7 @@ def size_m(candidate: Candidate, belt: BeltGeometry) -> tuple[float, float]:
     """(length, width) of the smallest rectangle around a candidate's outline, metres."""
     stride = candidate.stride
     outline = _outline_px(candidate.inside, candidate.v0 // stride, candidate.u0 // stride, stride)
-    length_m, width_m = outline_size_m(belt, outline, candidate.height_mm / 1000.0)
+    length_m, width_m = outline_size_m(belt, outline, candidate.height_m)
     cell_m = belt.footprint_mm() * stride / 1000.0
     return length_m + cell_m, width_m + cell_m
 

@@ -1,1 +1,1 @@
-"""Training of the segmenter's network. The only part of the segmenter that needs torch; what runs never imports it."""
+"""Training of the classifier. The only part of the segmenter that needs torch; what runs never imports it."""

@@ -1,4 +1,4 @@
-"""What both networks are made of, how their weights are averaged, and how they are written for OpenCV."""
+"""What the classifier is made of, how its weights are averaged, and how it is written for OpenCV."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ def averaged(kept: Tensor, new: Tensor, _count: Tensor | int) -> Tensor:
     return KEEP_AVERAGE * kept + (1 - KEEP_AVERAGE) * new if kept.is_floating_point() else new
 
 
-def export_net(
-    net: nn.Module, path: Path, example: Tensor, *, open_axes: dict[str, dict[int, str]] | None = None
-) -> None:
+def export_net(net: nn.Module, path: Path, example: Tensor) -> None:
     """Write a network as ONNX: input "image", output "answer".
 
     Raises:
@@ -50,7 +48,6 @@ def export_net(
             str(path),
             input_names=["image"],
             output_names=["answer"],
-            dynamic_axes=open_axes,
             opset_version=OPSET,
             dynamo=False,
         )

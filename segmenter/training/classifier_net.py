@@ -1,4 +1,4 @@
-"""The judge's network and its training: a portrait in, log-odds of tuber against other out."""
+"""The classifier's network and its training: a patch in, log-odds of tuber against other out."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from segmenter.classify.patch import CHANNELS
 from segmenter.training.blocks import averaged, convolution
-from segmenter.training.patches import draw_portraits, plain_portraits
-from segmenter.training.samples import Sitter
+from segmenter.training.patches import draw_patches, plain_patches
+from segmenter.training.samples import TrainingSample
 
 WIDTHS = (24, 48, 64, 64, 96)
 STRIDES = (2, 1, 2, 1, 2)
 KERNELS = (5, 3, 3, 3, 3)
 SHRINKS = 8
 INSIDE = 2
-"""Channel of a portrait that says which cells are the instance."""
+"""Channel of a patch that says which cells are the instance."""
 
 
 @dataclass(frozen=True, slots=True)
-class JudgeRecipe:
-    """How to train. `epochs` over all bodies, each time with other looks; `smoothing`: labels are 1 - that and that."""
+class ClassifierRecipe:
+    """How to train. `epochs` over all bodies, with other observations each time; labels: `smoothing`, 1 - that."""
 
     epochs: int = 40
     batch: int = 64
@@ -39,7 +39,7 @@ class JudgeRecipe:
     seed: int = 1
 
 
-class JudgeNet(nn.Module):
+class ClassifierNet(nn.Module):
     """(B, 10, 48, 48) -> (B,), about 150 thousand parameters."""
 
     def __init__(self) -> None:
@@ -51,23 +51,23 @@ class JudgeNet(nn.Module):
         self.features = nn.Sequential(*(module for layer in layers for module in layer))
         self.head = nn.Sequential(nn.Dropout(0.1), nn.Linear(3 * WIDTHS[-1], 32), nn.ReLU(), nn.Linear(32, 1))
 
-    def forward(self, portraits: Tensor) -> Tensor:
+    def forward(self, patches: Tensor) -> Tensor:
         """Log-odds of tuber against other."""
-        found = self.features(portraits)
+        found = self.features(patches)
         # What is the body's own, whatever its size: a mean over the cells of the instance.
         # As a product of matrices: OpenCV does not spread one channel over many.
-        own = nn.functional.avg_pool2d(portraits[:, INSIDE : INSIDE + 1], SHRINKS).flatten(2)
+        own = nn.functional.avg_pool2d(patches[:, INSIDE : INSIDE + 1], SHRINKS).flatten(2)
         of_body = torch.matmul(found.flatten(2), own.transpose(1, 2))[:, :, 0] / (own.sum(dim=2) + 0.1)
         odds: Tensor = self.head(torch.cat([found.mean(dim=(2, 3)), found.amax(dim=(2, 3)), of_body], dim=1))
         return odds[:, 0]
 
 
 class _Batches(IterableDataset[tuple[Tensor, Tensor]]):
-    """All batches of a training in their order: portraits (B, 10, 48, 48) and labels (B,)."""
+    """All batches of a training in their order: patches (B, 10, 48, 48) and labels (B,)."""
 
-    def __init__(self, sitters: list[Sitter], recipe: JudgeRecipe) -> None:
-        self.sitters, self.recipe = sitters, recipe
-        self.per_epoch = max(1, len(sitters) // recipe.batch)
+    def __init__(self, samples: list[TrainingSample], recipe: ClassifierRecipe) -> None:
+        self.samples, self.recipe = samples, recipe
+        self.per_epoch = max(1, len(samples) // recipe.batch)
 
     def __len__(self) -> int:
         return self.recipe.epochs * self.per_epoch
@@ -76,33 +76,33 @@ class _Batches(IterableDataset[tuple[Tensor, Tensor]]):
         cv2.setNumThreads(1)
         rng = np.random.default_rng(self.recipe.seed)
         for _ in range(self.recipe.epochs):
-            order = rng.permutation(len(self.sitters))
+            order = rng.permutation(len(self.samples))
             for n in range(self.per_epoch):
-                chosen = [self.sitters[k] for k in order[n * self.recipe.batch :][: self.recipe.batch].tolist()]
-                truth = [abs(float(sitter.is_tuber) - self.recipe.smoothing) for sitter in chosen]
-                yield torch.from_numpy(draw_portraits(chosen, rng)), torch.tensor(truth)
+                chosen = [self.samples[k] for k in order[n * self.recipe.batch :][: self.recipe.batch].tolist()]
+                truth = [abs(float(sample.is_tuber) - self.recipe.smoothing) for sample in chosen]
+                yield torch.from_numpy(draw_patches(chosen, rng)), torch.tensor(truth)
 
 
-def train_judge(
-    sitters: list[Sitter], recipe: JudgeRecipe, *, on_step: Callable[[int, int, float], None]
-) -> tuple[JudgeNet, float]:
-    """The network with averaged weights, and the processor seconds of this process; a second one draws the portraits.
+def train_classifier(
+    samples: list[TrainingSample], recipe: ClassifierRecipe, *, on_step: Callable[[int, int, float], None]
+) -> tuple[ClassifierNet, float]:
+    """The network with averaged weights, and the processor seconds of this process; a second one draws the patches.
 
     Its answers are freed of how many tubers there were to learn from: 0 is as likely for a tuber as for another body.
     """
     torch.manual_seed(recipe.seed)
-    net = JudgeNet()
+    net = ClassifierNet()
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = torch.optim.swa_utils.AveragedModel(net, avg_fn=averaged, use_buffers=True)
     optimiser = torch.optim.AdamW(net.parameters(), lr=recipe.rate, weight_decay=recipe.weight_decay)
-    batches = _Batches(sitters, recipe)
+    batches = _Batches(samples, recipe)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, recipe.rate, total_steps=len(batches), pct_start=0.15)
     begun = time.process_time()
-    # Portraits are drawn beside the training: they cost half as much as a step.
-    for step, (portraits, truth) in enumerate(DataLoader(batches, batch_size=None, num_workers=1, prefetch_factor=8)):
+    # Patches are drawn beside the training: they cost half as much as a step.
+    for step, (patches, truth) in enumerate(DataLoader(batches, batch_size=None, num_workers=1, prefetch_factor=8)):
         optimiser.zero_grad(set_to_none=True)
         with torch.autocast("cpu", torch.bfloat16):
-            odds = net(portraits.to(memory_format=torch.channels_last))
+            odds = net(patches.to(memory_format=torch.channels_last))
         loss = nn.functional.binary_cross_entropy_with_logits(odds.float(), truth)
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
@@ -110,26 +110,26 @@ def train_judge(
         average.update_parameters(net)
         on_step(step + 1, len(batches), float(loss.detach()))
     trained = average.module
-    assert isinstance(trained, JudgeNet)
-    tubers = sum(sitter.is_tuber for sitter in sitters)
+    assert isinstance(trained, ClassifierNet)
+    tubers = sum(sample.is_tuber for sample in samples)
     last = trained.head[-1]
     assert isinstance(last, nn.Linear)
     with torch.no_grad():
-        last.bias.sub_(math.log(max(1, tubers) / max(1, len(sitters) - tubers)))
+        last.bias.sub_(math.log(max(1, tubers) / max(1, len(samples) - tubers)))
     return trained.eval(), time.process_time() - begun
 
 
-def judged(net: JudgeNet, sitters: list[Sitter]) -> NDArray[np.float64]:
-    """(n,) log-odds of all bodies if tubers and others are as many, from all their looks."""
-    parts = [sitters[first : first + 256] for first in range(0, len(sitters), 256)]
+def classified(net: ClassifierNet, samples: list[TrainingSample]) -> NDArray[np.float64]:
+    """(n,) log-odds of all bodies if tubers and others are as many, from all their observations."""
+    parts = [samples[first : first + 256] for first in range(0, len(samples), 256)]
     with torch.inference_mode():
-        odds = [net(torch.from_numpy(plain_portraits(part))).numpy() for part in parts]
+        odds = [net(torch.from_numpy(plain_patches(part))).numpy() for part in parts]
     return np.concatenate(odds).astype(np.float64)
 
 
-def scores(odds: NDArray[np.float64], sitters: list[Sitter]) -> dict[str, float]:
+def scores(odds: NDArray[np.float64], samples: list[TrainingSample]) -> dict[str, float]:
     """How well tubers and others are told apart; shares believed at a loss of 0.3 and 1 % of the tubers, by kind."""
-    tuber = np.array([sitter.is_tuber for sitter in sitters])
+    tuber = np.array([sample.is_tuber for sample in samples])
     tubers, others = odds[tuber], np.sort(odds[~tuber])
     found: dict[str, float] = {
         "tubers": len(tubers),
@@ -140,7 +140,7 @@ def scores(odds: NDArray[np.float64], sitters: list[Sitter]) -> dict[str, float]
         least = float(np.percentile(tubers, percent))
         found[f"log_odds_at_{percent:g}_percent_of_tubers_lost"] = least
         found[f"others_believed_at_{percent:g}_percent_of_tubers_lost"] = float((others > least).mean())
-        for kind in sorted({sitter.kind for sitter in sitters} - {"tuber"}):
-            of_kind = odds[np.array([sitter.kind == kind for sitter in sitters])]
+        for kind in sorted({sample.kind for sample in samples} - {"tuber"}):
+            of_kind = odds[np.array([sample.kind == kind for sample in samples])]
             found[f"{kind}_believed_at_{percent:g}_percent_of_tubers_lost"] = float((of_kind > least).mean())
     return found

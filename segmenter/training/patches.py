@@ -1,4 +1,4 @@
-"""Portraits drawn from a body's looks, worsened as belts and cameras differ."""
+"""Patches drawn from a body's observations, worsened as belts and cameras differ."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from segmenter.classify.patch import SIZE, as_channels
 from segmenter.training.pack import HEIGHT_STEP_MM
-from segmenter.training.samples import INSIDE_BIT, Sitter
+from segmenter.training.samples import INSIDE_BIT, TrainingSample
 
 FEWEST_DRAWN = 4
 WHITE_MM, STUCK_MM = 2.0, 0.4
@@ -18,9 +18,12 @@ WHITE_MM, STUCK_MM = 2.0, 0.4
 Sums = tuple[NDArray[np.float32], int]
 
 
-def draw_portraits(sitters: list[Sitter], rng: Generator) -> NDArray[np.float32]:
-    """(n, 10, 48, 48) float32: of each body some of its looks, turned and worsened at random."""
-    sums = [_worsened(_sums(s.looks, _drawn(len(s.looks), rng), HEIGHT_STEP_MM, INSIDE_BIT), rng) for s in sitters]
+def draw_patches(samples: list[TrainingSample], rng: Generator) -> NDArray[np.float32]:
+    """(n, 10, 48, 48) float32: of each body some of its observations, turned and worsened at random."""
+    sums = [
+        _worsened(_sums(s.observations, _drawn(len(s.observations), rng), HEIGHT_STEP_MM, INSIDE_BIT), rng)
+        for s in samples
+    ]
     channels = _channels(sums)
     for n in range(len(channels)):
         side = channels[n, :, ::-1] if rng.random() < 0.5 else channels[n]
@@ -28,20 +31,22 @@ def draw_portraits(sitters: list[Sitter], rng: Generator) -> NDArray[np.float32]
     return channels
 
 
-def plain_portraits(sitters: list[Sitter]) -> NDArray[np.float32]:
-    """(n, 10, 48, 48) float32: of each body all its looks."""
-    return _channels([_sums(s.looks, np.arange(len(s.looks)), HEIGHT_STEP_MM, INSIDE_BIT) for s in sitters])
+def plain_patches(samples: list[TrainingSample]) -> NDArray[np.float32]:
+    """(n, 10, 48, 48) float32: of each body all its observations."""
+    return _channels(
+        [_sums(s.observations, np.arange(len(s.observations)), HEIGHT_STEP_MM, INSIDE_BIT) for s in samples]
+    )
 
 
 def _channels(sums: list[Sums]) -> NDArray[np.float32]:
     images = np.stack([one[0] for one in sums])
-    looks = np.array([one[1] for one in sums], np.float32)
-    return as_channels(images[:, 0], images[:, 1], images[:, 2], images[:, 3], looks=looks)
+    observations = np.array([one[1] for one in sums], np.float32)
+    return as_channels(images[:, 0], images[:, 1], images[:, 2], images[:, 3], observations=observations)
 
 
 def _worsened(sums: Sums, rng: Generator) -> Sums:
     """The sums as another camera would have made them: its scale, its noise, its belt's height."""
-    (height, square, seen, inside), looks = sums
+    (height, square, seen, inside), observations = sums
     count = np.maximum(seen, np.float32(1))
     scale = np.float32(rng.uniform(0.97, 1.03))
     mean, variance = height / count * scale, np.maximum(square / count - (height / count) ** 2, 0) * scale * scale
@@ -52,11 +57,11 @@ def _worsened(sums: Sums, rng: Generator) -> Sums:
     if rng.random() < 0.2:
         mean = mean + _stuck(rng) * np.float32(rng.uniform(0, STUCK_MM))
     mean = np.maximum(mean + np.float32(rng.normal(0, 1.0)), 0) * (seen > 0)
-    return np.stack([mean * seen, (variance + mean * mean) * seen, seen, inside]), looks
+    return np.stack([mean * seen, (variance + mean * mean) * seen, seen, inside]), observations
 
 
 def _drawn(count: int, rng: Generator) -> NDArray[np.int64]:
-    """Which looks are taken: a line judges when a track crosses the centre row, so mostly those from one side."""
+    """Which observations are taken: mostly from one side, for a line classifies when a track crosses the centre row."""
     first, last = 0, count
     if rng.random() < 0.6:
         length = max(1, round(count * rng.uniform(0.45, 1.0)))
@@ -68,15 +73,16 @@ def _drawn(count: int, rng: Generator) -> NDArray[np.int64]:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _sums(looks: NDArray[np.uint16], chosen: NDArray[np.int64], step_mm: float, inside_bit: np.uint16) -> Sums:
-    """(4, 48, 48) height, its square, seen and inside, summed over the chosen looks as a `Portrait` keeps them, and how
-    many they are.
+def _sums(observations: NDArray[np.uint16], chosen: NDArray[np.int64], step_mm: float, inside_bit: np.uint16) -> Sums:
+    """(4, 48, 48) height, its square, seen and inside, summed over the chosen observations as a `Patch` keeps them.
+
+    Returns them with the number of observations.
     """
     sums = np.zeros((4, SIZE, SIZE), np.float32)
     for n in chosen:
         for i in range(SIZE):
             for j in range(SIZE):
-                cell = looks[n, i, j]
+                cell = observations[n, i, j]
                 steps = cell & ~inside_bit
                 if steps:
                     height_mm = (steps - 1) * step_mm
@@ -88,6 +94,6 @@ def _sums(looks: NDArray[np.uint16], chosen: NDArray[np.int64], step_mm: float, 
 
 
 def _stuck(rng: Generator) -> NDArray[np.float32]:
-    """Noise that is the same in all looks, as a camera has where its error follows the texture."""
+    """Noise that is the same in all observations, as a camera has where its error follows the texture."""
     noise = cv2.GaussianBlur(rng.standard_normal((SIZE, SIZE), dtype=np.float32), (0, 0), rng.uniform(0.8, 4.0))
     return np.asarray(noise / noise.std(), np.float32)

@@ -17,22 +17,23 @@ from torch import nn
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.formats.packs.belts import belt_pack_meta
-from segmenter.classes import MULTIPLE
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
-from segmenter.training.cells_net import OPEN_AXES
-from segmenter.training.cells_train import CellsRecipe, agreement, train_cells
-from segmenter.training.classifier_net import JudgeRecipe, judged, scores, train_judge
+from segmenter.training.classifier_net import ClassifierRecipe, classified, scores, train_classifier
 from segmenter.training.cut import cut_pack
-from segmenter.training.pack import load_pack
-from segmenter.training.samples import Sitter, origin_of, read_sitters, sitter_files
+from segmenter.training.samples import (
+    TrainingSample,
+    origin_of,
+    read_samples,
+    sample_files,
+)
 
 OnStep = Callable[[int, int, float], None]
 
 
 @dataclass(frozen=True, slots=True)
-class EyesRun:
-    """Where a training reads and writes: folders of belts or of portraits, to learn from and to judge by.
+class TrainingRun:
+    """Where a training reads and writes: folders of belts or of patches, to learn from and to validate by.
 
     `command` goes into the sidecar as it was typed.
     """
@@ -44,47 +45,36 @@ class EyesRun:
     command: str
 
 
-def make_judge(run: EyesRun, recipe: JudgeRecipe, *, on_step: OnStep) -> dict[str, Any]:
-    """Train the judge, judge it on other belts, write `<name>.onnx` and `<name>.json`; the sidecar.
+def make_classifier(run: TrainingRun, recipe: ClassifierRecipe, *, on_step: OnStep) -> dict[str, Any]:
+    """Train the classifier, validate it on other belts, write `<name>.onnx` and `<name>.json`; the sidecar.
 
     Raises:
         InputError: packs that cannot be used, or a validation on the belts of the training.
     """
     origins = _prepare(run)
-    sitters = [sitter for folder in run.data for sitter in _sitters(folder)]
-    held_out = _sitters(run.validation)
-    net, seconds = train_judge(sitters, recipe, on_step=on_step)
+    samples = [sample for folder in run.data for sample in _samples(folder)]
+    held_out = _samples(run.validation)
+    net, seconds = train_classifier(samples, recipe, on_step=on_step)
     export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
-    origins["bodies"] = len(sitters)
-    return _sidecar(run, net, asdict(recipe), origins, seconds, scores(judged(net, held_out), held_out))
+    origins["bodies"] = len(samples)
+    return _sidecar(run, net, asdict(recipe), origins, seconds, scores(classified(net, held_out), held_out))
 
 
-def make_cells(run: EyesRun, recipe: CellsRecipe, *, on_step: OnStep) -> dict[str, Any]:
-    """The same for the network of cells, which the method 'learned' finds instances with; raises likewise."""
-    origins = _prepare(run)
-    grids = [grid for folder in run.data for grid in load_pack(folder)]
-    held_out = load_pack(run.validation)
-    net, seconds = train_cells(grids, recipe, on_step=lambda step, loss: on_step(step, recipe.steps, loss))
-    example = torch.zeros(1, 3, 8 * MULTIPLE, 10 * MULTIPLE)
-    export_net(net, run.out / f"{run.name}.onnx", example, open_axes=OPEN_AXES)
-    return _sidecar(run, net, asdict(recipe), origins, seconds, agreement(net, held_out))
-
-
-def _prepare(run: EyesRun) -> dict[str, Any]:
-    trained_on, judged_on = [origin for folder in run.data for origin in _origins(folder)], _origins(run.validation)
-    seeds = {origin.get("seed") for origin in trained_on} & {origin.get("seed") for origin in judged_on} - {None}
+def _prepare(run: TrainingRun) -> dict[str, Any]:
+    trained_on, validated_on = [origin for folder in run.data for origin in _origins(folder)], _origins(run.validation)
+    seeds = {origin.get("seed") for origin in trained_on} & {origin.get("seed") for origin in validated_on} - {None}
     if seeds:
         raise InputError(
             f"{run.validation} was simulated with a seed of the training's packs ({seeds.pop()}): the network would be "
-            "judged on belts that it learned from; make one with another --seed"
+            "validated on belts that it learned from; make one with another --seed"
         )
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    return {"trained_on": trained_on, "judged_on": judged_on}
+    return {"trained_on": trained_on, "validated_on": validated_on}
 
 
 def _sidecar(
-    run: EyesRun,
+    run: TrainingRun,
     net: nn.Module,
     recipe: dict[str, Any],
     origins: dict[str, Any],
@@ -112,10 +102,10 @@ def _sidecar(
 
 
 def _origins(folder: Path) -> list[dict[str, Any]]:
-    return [origin_of(path) for path in sitter_files(folder)] or [belt_pack_meta(folder)]
+    return [origin_of(path) for path in sample_files(folder)] or [belt_pack_meta(folder)]
 
 
-def _sitters(folder: Path) -> list[Sitter]:
-    """The bodies of a folder of portraits, or of a pack of belts."""
-    files = sitter_files(folder)
-    return [sitter for path in files for sitter in read_sitters(path)] if files else cut_pack(folder)
+def _samples(folder: Path) -> list[TrainingSample]:
+    """The bodies of a folder of patches, or of a pack of belts."""
+    files = sample_files(folder)
+    return [sample for path in files for sample in read_samples(path)] if files else cut_pack(folder)

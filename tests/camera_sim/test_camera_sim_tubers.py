@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from camera_sim.sim.cultivars import draw_recipe
-from camera_sim.sim.distractors import LUMP_RMS, clod, draw_look_alike, lump
+from camera_sim.sim.distractors import LUMP_RMS, clod, draw_hard_negative, lump
 from camera_sim.sim.meshes import icosphere, random_rotation, rotation_about, rotation_taking, volume
 from camera_sim.sim.poses import rest_on_belt, resting_rotation
 from camera_sim.sim.tubers import draw_tuber
@@ -100,8 +100,8 @@ def test_lumps_have_no_fine_relief_and_more_of_the_coarse_than_tubers(rng: np.ra
     assert LUMP_RMS[0] > 2 * 0.022  # twice a tuber's
 
 
-def test_look_alikes_are_clods_and_stones_of_a_tubers_size(rng: np.random.Generator) -> None:
-    drawn = [draw_look_alike(rng) for _ in range(300)]
+def test_hard_negatives_are_clods_and_stones_of_a_tubers_size(rng: np.random.Generator) -> None:
+    drawn = [draw_hard_negative(rng) for _ in range(300)]
     kinds = [kind for kind, _ in drawn]
     assert min(kinds.count("clod"), kinds.count("stone")) > 3 * kinds.count("haulm")
     sizes = [np.ptp(vertices, axis=0).max() for kind, (vertices, _) in drawn if kind != "haulm"]

@@ -21,7 +21,7 @@ from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.mcap.writer import McapFrameWriter
 from conveyor.formats.rosbag.foxglove import from_json
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from conveyor.messages import Committed, Frame, TrackEntry
+from conveyor.messages import Frame, TrackEntry
 from regressor.network.checkpoint import SHIPPED, load_checkpoint
 from segmenter.tracklog import TrackLog
 from tests.fuzz.damage import ANY_JSON, bounded_memory, damaged, outcome, quick
@@ -318,7 +318,6 @@ def test_a_damaged_track_log(tmp_path: Path) -> None:
         log.append([TRACK])
     good = path.read_bytes()
     assert TrackEntry("c", "r", 4, track=TRACK).encode() in good
-    assert Committed("c", "r", 1).encode() in good
     seen: set[str] = set()
 
     def reopen() -> None:

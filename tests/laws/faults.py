@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass
-from typing import BinaryIO, Generic, TypeVar
+from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
@@ -60,43 +60,3 @@ class Link(Generic[T]):
         if here:
             self._flying = [entry for entry in self._flying if entry[0] > now_s]
         return [item for _, item in here]
-
-
-class TornFile:
-    """A file as the kernel keeps it when its process dies: what was not flushed is lost, a write may be torn."""
-
-    def __init__(self, file: BinaryIO, fuse: Fuse, seed: int) -> None:
-        self._file = file
-        self._fuse = fuse
-        self._random = random.Random(seed)
-        self._pending = bytearray()
-
-    def write(self, data: bytes) -> int:
-        self._burn("write")
-        self._pending += data
-        return len(data)
-
-    def flush(self) -> None:
-        self._burn("flush")
-        self._file.write(self._pending)
-        self._file.flush()
-        self._pending.clear()
-
-    def fileno(self) -> int:
-        self._burn("fsync")
-        return self._file.fileno()
-
-    def tell(self) -> int:
-        return self._file.tell() + len(self._pending)
-
-    def close(self) -> None:
-        self._file.close()
-
-    def _burn(self, what: str) -> None:
-        try:
-            self._fuse.burn(what)
-        except Died:
-            torn = self._random.randint(0, len(self._pending))
-            self._file.write(self._pending[:torn])
-            self._file.flush()
-            raise

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from conveyor.messages import CameraInfo, Committed, Frame, FrameProgress, Track
 from segmenter.camera_run import CameraRun, RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.pipeline import Segmenter, Settings, StepResult
-from tests.laws.faults import Died, Faults, Fuse, Link, TornFile
+from tests.laws.faults import Died, Faults, Fuse, Link
 from tests.segmenter.segmenter_scene import SMALL, Scene, scattered
 
 RUN = "r1"
@@ -350,12 +350,12 @@ class Graph:
             self._progress[name].put(progress, self.now_s)
 
     def _start_segmenter(self, name: str) -> CameraRun:
-        run = self.segmenters[name] = CameraRun(name, RUN, self.settings, self.folder / f"{name}.log")
+        run = self.segmenters[name] = CameraRun(name, RUN, self.settings, self.folder / f"{name}.db")
         run.core = RememberedCore(remembered(name))  # type: ignore[assignment]
         run.open()
         run.ended = run.log.last_mark is not None and run.log.last_mark.final
-        file = TornFile(cast(BinaryIO, run.log._file), self.fuses[name], self._random.randrange(1 << 30))
-        run.log._file = cast(BinaryIO, file)
+        assert run.log.store is not None
+        run.log.store.step = self.fuses[name].burn
         return run
 
     def _aggregator_turn(self) -> None:

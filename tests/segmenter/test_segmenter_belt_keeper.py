@@ -11,7 +11,8 @@ from segmenter_scene import SMALL, Scene, scattered, tilted
 from conveyor.config import parse_config
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
 from conveyor.messages import Frame
-from segmenter.frame.belt_keeper import CHECK_EVERY, FITTED_OVER, BeltKeeper
+from segmenter.frame.belt_keeper import BeltKeeper
+from segmenter.frame.constants import CHECK_EVERY, FITTED_OVER
 from segmenter.setup import core_settings
 
 TRUE_M = 0.460

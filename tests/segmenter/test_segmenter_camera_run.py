@@ -11,6 +11,7 @@ from segmenter_scene import SMALL, Body, Scene, scattered
 
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import CameraInfo, Frame, Mark, Track, TrackEntry, View, Weight
+from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.balance import FrameBalance
 from segmenter.camera_run import CameraRun, RunSettings
@@ -136,7 +137,7 @@ def test_frames_balance_with_gaps_duplicates_and_drops(frames: list[Frame]) -> N
     for i, frame in enumerate(frames[:40]):
         if i in (5, 6, 20):
             continue
-        run.frame(frame, i / 30, drop="too_old" if i in (9, 10) else "")
+        run.frame(frame, i / 30, drop=FrameDrop.TOO_OLD if i in (9, 10) else None)
         run.frame(frame, i / 30)
     run.info(info(last_seq=42, waits=False), 1.4)
     assert not run.ended
@@ -197,7 +198,7 @@ def test_a_refused_view_is_lost_with_the_regressors_reason(frames: list[Frame]) 
 def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(
     frames: list[Frame], tmp_path: Path, killed_after: int
 ) -> None:
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     first = CameraRun("front", "r1", SETTINGS, path)
     first.open()
     play(first, frames[:killed_after], names={"a"})
@@ -306,7 +307,7 @@ def killed_and_back(
     frames: list[Frame], tmp_path: Path, *, killed_after: int, back_at: int, answered: int = FRAMES
 ) -> tuple[list[TrackEntry], Mark]:
     """A process that dies after `killed_after` frames, of which `answered` had answers, and one that begins later."""
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     first = CameraRun("front", "r1", SETTINGS, path)
     first.open()
     answered = min(answered, killed_after)

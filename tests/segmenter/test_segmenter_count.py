@@ -10,6 +10,7 @@ import pytest
 from segmenter_scene import SMALL, Body, Scene, scattered, tilted
 
 from conveyor.messages import Frame
+from conveyor.reasons import FrameDrop
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings
 from segmenter.track.coverage import Coverage
 
@@ -139,8 +140,8 @@ def test_a_frozen_camera_is_noticed_by_the_encoder() -> None:
     core.step(scene.frame(0, 0.0))
     frozen = scene.frame(0, 0.0)
     stuck = core.step(replace(frozen, seq=1, travel_m=0.0133))
-    assert stuck.dropped == "frozen"
-    assert core.step(Scene([]).frame(2, 0.02)).dropped == ""
+    assert stuck.dropped is FrameDrop.FROZEN
+    assert core.step(Scene([]).frame(2, 0.02)).dropped is None
 
 
 def test_a_merged_pair_counts_as_two_and_a_late_fragment_as_none() -> None:

@@ -110,11 +110,11 @@ class DispatchStory(RuleBasedStateMachine):
         held = [sum(job.regressor == name for job in self.dispatcher._jobs.values()) for name in self.names]
         assert all(n <= 2 for n in held)
         jobs = self.dispatcher._jobs.values()
-        waiting = [job for job in jobs if job.regressor is None and not job.aside]
+        waiting = [job for job in jobs if job.regressor is None and not job.fallback]
         # A refused view's place is taken by one that stood aside: until the next turn one more may wait for each.
         most = 8 + self.refused_since_expiry
         assert len(waiting) <= most or all(job.first for job in waiting) or self.dispatcher.requeued
-        assert sum(job.aside for job in jobs) <= sum(job.first for job in jobs)
+        assert sum(job.fallback for job in jobs) <= sum(job.first for job in jobs)
         assert len(waiting) <= 8 * 8 + sum(self.dispatcher.requeued.values())
 
     def _expire(self) -> None:
@@ -126,8 +126,8 @@ class DispatchStory(RuleBasedStateMachine):
             assert loss.view_id not in self.lost, "one view was lost twice"
             if loss.reason == "shed":
                 others = {v for v in self.known if v.startswith(f"{loss.track_id}/")}
-                hope = others - set(self.lost) - {loss.view_id}
-                assert hope, "the last hope of a tuber was shed"
+                fallback = others - set(self.lost) - {loss.view_id}
+                assert fallback, "the last view of a tuber was shed"
             self.lost[loss.view_id] = loss.reason
 
 
@@ -240,7 +240,7 @@ def test_only_tubers_that_nobody_can_weigh_in_time_are_given_up_and_the_newest_f
         in_hand += [due.view_id for _, due in dispatcher.assign(now_s)]
     assert dispatcher.weighed == 150
     assert dispatcher.lost.keys() == {"overload"}
-    assert dispatcher.waiting <= 2.0 * 5 + 1
+    assert sum(job.regressor is None for job in dispatcher._jobs.values()) <= 2.0 * 5 + 1
     assert {int(loss.track_id.rsplit("/", 1)[1]) for loss in dispatcher.take_losses()}.isdisjoint(range(1, 10))
 
 

@@ -39,8 +39,8 @@ def test_centres_sizes_and_volumes_agree_with_truth(intrinsics: Intrinsics, dist
             continue
         checked += 1
         assert np.hypot(*gap[nearest]) < 0.0015
-        assert found.height_mm[nearest] == pytest.approx(2000 * body.c_m, abs=2.5)
-        assert found.volume_ml[nearest] == pytest.approx(body.volume_under_m3 * 1e6, rel=0.12)
+        assert found.height_m[nearest] == pytest.approx(2 * body.c_m, abs=0.0025)
+        assert found.volume_m3[nearest] == pytest.approx(body.volume_under_m3, rel=0.12)
     assert checked >= 3
 
 

@@ -42,7 +42,7 @@ def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
     frames: list[Frame], tmp_path: Path, killed_after: int, back_at: int
 ) -> None:
     """The travel stood still in the gap, so that coverage said 100 % of a belt of which a third had gone by unseen."""
-    tracks, mark = restarted(frames, tmp_path / "front.log", killed_after=killed_after, back_at=back_at)
+    tracks, mark = restarted(frames, tmp_path / "front.db", killed_after=killed_after, back_at=back_at)
     assert mark.travel_estimated
     assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.03)
     share = mark.looked_at_m / mark.travelled_m
@@ -54,11 +54,8 @@ def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
     assert away.min() > 0.04, "one tuber was logged twice"
 
 
-def test_the_last_speed_survives_a_rewrite_of_the_log(
-    frames: list[Frame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("segmenter.tracklog.REWRITE_BYTES", 1)
-    path = tmp_path / "front.log"
+def test_the_last_speed_survives_that_everything_is_committed(frames: list[Frame], tmp_path: Path) -> None:
+    path = tmp_path / "front.db"
     first = CameraRun("front", "r1", SETTINGS, path)
     first.open()
     play(first, frames[:70], names={"a"})

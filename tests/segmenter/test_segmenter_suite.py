@@ -1,4 +1,4 @@
-"""What the eyes' suite showed and mended: lumps of tubers, the belt's own relief; and the suite's tables."""
+"""What the suite of perception showed: fragments of tubers, the belt's own relief; and the suite's tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from segmenter_scene import MEDIUM, Body, Scene
 
-from benchmarks.eyes_table import counting_table, shortfalls
+from benchmarks.perception_table import counting_table, shortfalls
 from conveyor.geometry import straight_down_belt_from_camera
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
@@ -17,31 +17,40 @@ from segmenter.track.views import ViewShelf
 
 
 def track(*, frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float) -> TrackState:
-    made = TrackState(1, 0, True, 0.0, 0.0, 0.0, area_mm2, 40.0, ViewShelf((0.0,)), covered=covered)
-    made.hits = [Hit(i, 0.0, 0.0, 0.0, area_mm2, volume_ml, 40.0, contact, True, False) for i in range(frames)]
+    made = TrackState(1, 0, True, 0.0, 0.0, 0.0, area_mm2 * 1e-6, 0.040, ViewShelf((0.0,)), covered=covered)
+    made.hits = [
+        Hit(i, 0.0, 0.0, 0.0, area_mm2 * 1e-6, volume_ml * 1e-6, 0.040, contact, True, False) for i in range(frames)
+    ]
     return made
 
 
 @pytest.mark.parametrize(
     ("frames", "covered", "area_mm2", "contact", "volume_ml", "reason"),
     [
-        (33, 10, 1076, 0.29, 23.4, "sliver"),  # a lump on a tuber of 2025, one with it in 10 of 43 frames
-        (29, 0, 727, 0.32, 16.4, "sliver"),  # a lump that was hidden by its own tuber half of the way
+        (33, 10, 1076, 0.29, 23.4, "sliver"),  # a fragment of a tuber of 2025, one with it in 10 of 43 frames
+        (29, 0, 727, 0.32, 16.4, "sliver"),  # a fragment that was hidden by its own tuber half of the way
         (15, 24, 1535, 0.38, 65.0, "sliver"),  # what an overhanging neighbour left of a tuber, before it came out
-        (41, 2, 1151, 0.35, 24.0, ""),  # a small tuber beside a large one
-        (42, 0, 884, 0.40, 24.0, ""),  # a small tuber half below a large one: as slender as a sliver, but always there
-        (34, 0, 1271, 0.23, 30.2, ""),
+        (41, 2, 1151, 0.35, 24.0, None),  # a small tuber beside a large one
+        (
+            42,
+            0,
+            884,
+            0.40,
+            24.0,
+            None,
+        ),  # a small tuber half below a large one: as slender as a sliver, but always there
+        (34, 0, 1271, 0.23, 30.2, None),
         (31, 10, 2300, 0.33, 65.0, "sliver"),  # second growth of 67 g on a tuber of 573 g
-        (30, 8, 4000, 0.50, 160.0, ""),  # no lump is as large
-        (20, 20, 900, 0.10, 24.0, ""),  # nor stands free
+        (30, 8, 4000, 0.50, 160.0, None),  # no fragment is as large
+        (20, 20, 900, 0.10, 24.0, None),  # nor stands free
     ],
 )
-def test_a_lump_is_known_by_being_one_with_its_tuber_time_and_again(
-    frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float, reason: str
+def test_a_fragment_is_known_by_being_one_with_its_tuber_in_other_frames(
+    frames: int, covered: int, area_mm2: float, contact: float, volume_ml: float, reason: str | None
 ) -> None:
-    """Tracks of simulated belts with truth: the lumps were counted as tubers, the slender tuber was not."""
+    """Tracks of simulated belts with truth: the fragments were counted as tubers, the slender tuber was not."""
     seen = track(frames=frames, covered=covered, area_mm2=area_mm2, contact=contact, volume_ml=volume_ml)
-    assert shape_refusal(seen, width_m=0.030, looks=43, settings=CountSettings()) == reason
+    assert shape_refusal(seen, width_m=0.030, in_view=43, settings=CountSettings()) == reason
 
 
 def test_belt_relief_beside_a_tuber_is_no_tuber_though_it_has_a_part_of_its_flank() -> None:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
 from pathlib import Path
 
 import pytest
 
 from conveyor.errors import LedgerError
-from conveyor.messages import Mark, Track
-from segmenter.tracklog import MAGIC, TrackLog
+from conveyor.messages import Committed, Mark, Track, TrackEntry
+from segmenter.log_store import LogStore
+from segmenter.old_log import MAGIC, read_old_log
+from segmenter.tracklog import TrackLog
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def mark(travel_m: float, *, final: bool = False) -> Mark:
@@ -50,7 +59,7 @@ def track(number: int) -> Track:
 
 
 def test_a_restart_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     with TrackLog(path, camera="front", run="r1") as log:
         log.append([track(1), mark(0.5)])
         log.append([track(2)])
@@ -63,34 +72,142 @@ def test_a_restart_goes_on_where_it_stopped(tmp_path: Path) -> None:
         assert [entry.n for entry in log.due(0.0)] == [4]
 
 
-def test_a_torn_last_record_is_cut_off_at_every_length(tmp_path: Path) -> None:
+def old_log(path: Path, entries: list[Track | Mark], *, committed: int = 0) -> bytes:
+    """A log as version 0.1 wrote it: records of length, CRC-32 and payload."""
+    data = MAGIC
+    for n, item in enumerate(entries, start=1):
+        of = {"track": item, "mark": None} if isinstance(item, Track) else {"track": None, "mark": item}
+        data += record(TrackEntry(camera="front", run="r1", n=n, **of).encode())
+    if committed:
+        data += record(Committed(camera="front", run="r1", n=committed).encode())
+    path.write_bytes(data)
+    return data
+
+
+def record(payload: bytes) -> bytes:
+    return struct.pack("<II", len(payload), zlib.crc32(payload)) + payload
+
+
+def test_a_log_of_version_0_1_is_taken_over_once(tmp_path: Path) -> None:
+    old_log(tmp_path / "front.log", [track(1), mark(0.5), track(2)], committed=1)
+    for _ in range(2):
+        with TrackLog(tmp_path / "front.db", camera="front", run="r1") as log:
+            assert (log.newest, log.committed, log.uncommitted) == (3, 1, 2)
+            assert log.last_mark == mark(0.5)
+            assert [entry.n for entry in log.due(0.0)] == [2, 3]
+        assert [path.name for path in tmp_path.iterdir()] == ["front.db"]
+
+
+@pytest.mark.parametrize("step", ["take over: begin", "take over: commit", "take over: done"])
+def test_a_takeover_that_dies_anywhere_loses_nothing(tmp_path: Path, step: str) -> None:
+    def die(name: str) -> None:
+        if name == step:
+            raise RuntimeError(name)
+
+    old_log(tmp_path / "front.log", [track(1), mark(0.5), track(2)], committed=1)
+    store = LogStore(tmp_path / "front.db", camera="front", run="r1")
+    store.step = die
+    with pytest.raises(RuntimeError, match=step):
+        store.__enter__()
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1") as log:
+        assert (log.newest, log.committed, log.uncommitted) == (3, 1, 2)
+
+
+def test_a_torn_last_record_of_version_0_1_is_cut_off_at_every_length(tmp_path: Path) -> None:
     path = tmp_path / "front.log"
-    with TrackLog(path, camera="front", run="r1") as log:
-        log.append([track(1)])
-    whole = path.stat().st_size
-    with TrackLog(path, camera="front", run="r1") as log:
-        log.append([track(2)])
-    data = path.read_bytes()
+    whole = len(old_log(path, [track(1)]))
+    data = old_log(path, [track(1), track(2)])
     for size in range(whole, len(data)):
         path.write_bytes(data[:size])
-        with TrackLog(path, camera="front", run="r1") as log:
-            assert (log.newest, log.cut_bytes) == (1, size - whole)
-        assert path.stat().st_size == whole
+        entries, newest, committed = read_old_log(path, camera="front", run="r1")
+        assert ([entry.n for entry in entries], newest, committed) == ([1], 1, 0)
 
 
-def test_a_flipped_bit_in_the_middle_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_log_of_version_0_1_is_an_error_that_names_the_file(tmp_path: Path) -> None:
     path = tmp_path / "front.log"
-    with TrackLog(path, camera="front", run="r1") as log:
-        log.append([track(1), track(2)])
-    data = bytearray(path.read_bytes())
+    data = bytearray(old_log(path, [track(1), track(2)]))
     data[len(MAGIC) + 30] ^= 1
     path.write_bytes(bytes(data))
     with pytest.raises(LedgerError, match=r"front\.log is damaged at byte 8"):
+        TrackLog(tmp_path / "front.db", camera="front", run="r1").__enter__()
+    assert path.exists()
+
+
+@pytest.mark.parametrize("step", ["append: begin", "append: commit", "append: done"])
+def test_a_process_that_dies_while_it_appends_leaves_all_of_a_batch_or_nothing(tmp_path: Path, step: str) -> None:
+    path = tmp_path / "front.db"
+
+    def die(name: str) -> None:
+        if name == step:
+            raise RuntimeError(name)
+
+    log = TrackLog(path, camera="front", run="r1")
+    log.__enter__()
+    log.append([track(1)])
+    assert log.store is not None
+    log.store.step = die
+    with pytest.raises(RuntimeError, match=step):
+        log.append([track(2), mark(0.5)])
+    with TrackLog(path, camera="front", run="r1") as log:
+        assert log.newest == (3 if step == "append: done" else 1)
+        assert log.uncommitted == log.newest
+
+
+def test_a_killed_process_loses_nothing_that_it_could_have_sent(tmp_path: Path) -> None:
+    """SIGKILL while entries are written as fast as the disk takes them: what `append` returned for is there."""
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom segmenter.tracklog import TrackLog\n"
+        "from tests.segmenter.test_segmenter_tracklog import track\n"
+        "with TrackLog(Path(sys.argv[1]), camera='front', run='r1') as log:\n"
+        "    for n in range(1, 100_000):\n        log.append([track(n)])\n        print(n, flush=True)\n"
+    )
+    path = tmp_path / "front.db"
+    with subprocess.Popen([sys.executable, "-c", code, path], cwd=ROOT, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        said = [int(child.stdout.readline()) for _ in range(30)]
+        child.kill()
+        said += [int(line) for line in child.stdout.read().splitlines()]
+    with TrackLog(path, camera="front", run="r1") as log:
+        assert log.newest in (said[-1], said[-1] + 1)
+        assert [entry.n for entry in log.due(0.0)] == list(range(1, log.newest + 1))
+
+
+def test_damage_is_an_error_that_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "front.db"
+    with TrackLog(path, camera="front", run="r1") as log:
+        log.append([track(1), track(2)])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"r1/front/0-2")
+    data[at] ^= 1
+    path.write_bytes(bytes(data))
+    with pytest.raises(LedgerError, match=r"front\.db is damaged: entry 2 fails its checksum"):
+        TrackLog(path, camera="front", run="r1").__enter__()
+    with sqlite3.connect(path) as db:
+        db.execute("DELETE FROM entry WHERE n = 2")
+    db.close()
+    with pytest.raises(LedgerError, match="of the entries 1 to 2 it holds 1"):
+        TrackLog(path, camera="front", run="r1").__enter__()
+    path.write_bytes(b"no log at all" * 100)
+    with pytest.raises(LedgerError, match="not a database"):
         TrackLog(path, camera="front", run="r1").__enter__()
 
 
+def test_a_full_disk_is_said_and_keeps_what_was_stored(tmp_path: Path) -> None:
+    path = tmp_path / "front.db"
+    with TrackLog(path, camera="front", run="r1") as log:
+        log.append([track(1)])
+        assert log.store is not None
+        (pages,) = log.store._db.execute("PRAGMA page_count").fetchone()
+        log.store._db.execute(f"PRAGMA max_page_count = {pages}")
+        with pytest.raises(LedgerError, match=r"front\.db.*full.*free some space"):
+            log.append([track(n) for n in range(2, 200)])
+        assert (log.newest, log.uncommitted) == (1, 1)
+    with TrackLog(path, camera="front", run="r1") as log:
+        assert [entry.n for entry in log.due(0.0)] == [1]
+
+
 def test_a_log_of_another_run_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "front.log"
+    path = tmp_path / "front.db"
     with TrackLog(path, camera="front", run="r1") as log:
         log.append([track(1)])
     with pytest.raises(LedgerError, match="run 'r1', not of camera 'front', run 'r2'"):
@@ -119,21 +236,20 @@ def test_numbers_go_on_after_what_the_aggregator_already_holds() -> None:
         assert [entry.n for entry in log.due(0.0)] == [8]
 
 
-def test_the_file_shrinks_when_little_of_it_is_needed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("segmenter.tracklog.REWRITE_BYTES", 20_000)
-    path = tmp_path / "front.log"
+def test_the_file_stays_small_when_little_of_it_is_needed(tmp_path: Path) -> None:
+    path = tmp_path / "front.db"
     with TrackLog(path, camera="front", run="r1") as log:
         for n in range(1, 200):
             log.append([mark(float(n)) if n % 50 == 45 else track(n)])
             log.commit(n - 1)
-    assert path.stat().st_size < 40_000
+    assert path.stat().st_size < 60_000
     with TrackLog(path, camera="front", run="r1") as log:
         assert (log.newest, log.committed, log.uncommitted) == (199, 198, 1)
         assert log.last_mark == mark(195.0)
         assert [t.track_id for t in log.since_mark] == [t.track_id for t in map(track, range(196, 200))]
 
 
-def test_a_log_that_nobody_commits_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_is_never_committed_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("segmenter.tracklog.MAX_UNCOMMITTED", 3)
     with TrackLog(None, camera="front", run="r1") as log:
         log.append([track(1), track(2), track(3)])

@@ -1,4 +1,4 @@
-"""The belt watched: a wrong distance, a wrong tilt and a belt that runs the other way are said once, with the mend."""
+"""The belt watched: a wrong distance, a wrong tilt and a belt that runs the other way are said once, with the fix."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_distance_25_mm_off_with_load_at_the_given_height_is_no_silence() -> N
 
 
 @pytest.mark.parametrize("encoder", [True, False])
-def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_mended(encoder: bool) -> None:
+def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_corrected(encoder: bool) -> None:
     bodies = scattered(15, seed=3)
     turned = straight_down_belt_from_camera(0.46)
     turned[:2] *= -1
@@ -78,10 +78,10 @@ def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_mended(encoder: 
     assert core.counted == 0
     assert levels["belt_backwards"] == 1
     assert "negate its first two rows" in belt_findings("front", levels)["belt_backwards"]
-    mended, levels = watched(frames)
-    mended.finish()
+    corrected, levels = watched(frames)
+    corrected.finish()
     assert levels["belt_backwards"] == 0
-    assert mended.counted == len(bodies)
+    assert corrected.counted == len(bodies)
 
 
 def test_a_belt_that_backs_up_a_little_is_no_finding() -> None:

@@ -82,9 +82,12 @@ LAB: Commands = {
     "evaluation-page": ("tuberline.cli.pages:evaluation_page", "Make the page of results from saved ones."),
     "model-card": ("tuberline.cli.pages:model_card", "Make the card of weights from saved results."),
     "simulate-views": ("tuberline.cli.simulate_views:simulate_views", "Make single views with known weights."),
-    "simulate-belts": ("tuberline.cli.simulate_belts:simulate_belts", "Make labelled frames of belts, for train-eyes."),
-    "cut-portraits": ("tuberline.cli.train_classifier:cut_portraits", "Cut belts into what train-eyes learns from."),
-    "train-eyes": ("tuberline.cli.train_classifier:train_eyes", "Train the network that tells clods from tubers."),
+    "simulate-belts": ("tuberline.cli.simulate_belts:simulate_belts", "Make labelled frames for train-classifier."),
+    "make-patches": ("tuberline.cli.train_classifier:make_patches", "Make the patches train-classifier learns from."),
+    "train-classifier": (
+        "tuberline.cli.train_classifier:train_classifier",
+        "Train the network that tells clods from tubers.",
+    ),
     "evaluate-segmentation": (
         "tuberline.cli.segmentation:evaluate_segmentation",
         "Score masks against a recording's own.",
@@ -97,7 +100,11 @@ LISTINGS: dict[str, tuple[Commands, str]] = {
     "lab": (LAB, "List the commands for training and studies: train, evaluate, ..."),
     "parts": (PARTS, "List the parts of a line as commands: camera, router, ..."),
 }
-FORMER: Commands = {"export": ("tuberline.cli.checkpoints:export", "Now export-onnx.")}
+FORMER: Commands = {
+    "export": ("tuberline.cli.checkpoints:export", "Now export-onnx."),
+    "cut-portraits": ("tuberline.cli.train_classifier:make_patches", "Now make-patches."),
+    "train-eyes": ("tuberline.cli.train_classifier:train_classifier", "Now train-classifier."),
+}
 """Names that commands once had: they work and are listed nowhere."""
 
 

@@ -89,7 +89,7 @@ def evaluate_segmentation(
     /,
     *,
     every: int = 1,
-    method: Literal["classical", "classes", "learned"] | None = None,
+    method: Literal["classical", "classes"] | None = None,
     weights: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -104,7 +104,7 @@ def evaluate_segmentation(
     method
         As segmenter.method of a line's file; default: the default there.
     weights
-        An .onnx of `tuberline train-eyes` instead of the shipped one.
+        An .onnx of `tuberline train-classifier` instead of the shipped one.
     json
         Print the score as JSON on stdout.
     """
@@ -112,14 +112,14 @@ def evaluate_segmentation(
 
     import cv2
 
-    from segmenter.perception import EyesSettings
+    from segmenter.perception import PerceptionSettings
     from segmenter.pipeline import Settings
     from segmenter.studies.evaluate import evaluate_recording
     from segmenter.warmup import warm_up
 
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
-    settings = Settings(eyes=EyesSettings(method=method or EyesSettings().method, weights=weights))
+    settings = Settings(perception=PerceptionSettings(method=method or PerceptionSettings().method, weights=weights))
     score = asdict(evaluate_recording(recording, settings=settings, every=every))
     if json:
         sys.stdout.write(json_module.dumps(score, indent=2) + "\n")

@@ -14,11 +14,11 @@ def simulate_belts(
     belts: int = 300,
     frames: int = 8,
     tubers: int = 20,
-    look_alikes: bool = False,
+    hard_negatives: bool = False,
     seed: int = 1,
     force: bool = False,
 ) -> None:
-    """Make labelled frames of belts that differ in all that varies, for `tuberline train-eyes`.
+    """Make labelled frames of belts that differ in all that varies, for `tuberline train-classifier`.
 
     Belt distance, resolution, tilt, noise, relief, soil, crowding, clods, stones and haulm are drawn anew per belt.
 
@@ -32,9 +32,9 @@ def simulate_belts(
         Frames of each, 15 to 40 mm of travel apart, while its middle passes.
     tubers
         Tubers on each; distractors come on top.
-    look_alikes
+    hard_negatives
         Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, the load of two
-        belts in five moves, and frames are 11 to 21 mm apart: for the judge.
+        belts in five moves, and frames are 11 to 21 mm apart: for the classifier.
     seed
         The same seed gives the same frames.
     force
@@ -57,7 +57,7 @@ def simulate_belts(
             frames=frames,
             tubers=tubers,
             seed=seed,
-            look_alikes=look_alikes,
+            hard_negatives=hard_negatives,
             command=" ".join(["tuberline", *sys.argv[1:]]),
             on_belt=lambda _: progress.advance(task),
         )

@@ -1,26 +1,26 @@
-"""The commands that train the segmenter's networks."""
+"""The commands that train the segmenter's network."""
 
 from __future__ import annotations
 
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from conveyor.errors import InputError
 
 
-def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
-    """Keep of simulated belts what the judge learns from; the belts may be deleted then.
+def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
+    """Make training patches from simulated belts; the belts may be deleted then.
 
-    Cutting takes longer than reading what was cut, and a training holds all of it in memory: 0.1 MB a body.
+    A training holds all patches in memory, 0.1 MB a body. Making them takes longer than reading them.
 
     Parameters
     ----------
     data
         Belts made by `tuberline simulate-belts`; may be given more than once.
     out
-        Folder of portraits-<seed>.npz, one of each pack, for `tuberline train-eyes`.
+        Folder of patches-<seed>.npz, one of each pack, for `tuberline train-classifier`.
     force
         Overwrite a file that is there.
     """
@@ -29,7 +29,7 @@ def cut_portraits(*, data: list[Path], out: Path, force: bool = False) -> None:
     origins = {folder: belt_pack_meta(folder) for folder in data}
     paths: dict[Path, Path] = {}
     for folder, origin in origins.items():
-        path = out / f"portraits-{origin.get('seed', folder.name)}.npz"
+        path = out / f"patches-{origin.get('seed', folder.name)}.npz"
         if path in paths:
             raise InputError(f"{paths[path]} and {folder} would both become {path}; give one --out each")
         if path.exists() and not force:
@@ -44,7 +44,7 @@ def _cut(folder: Path, path: Path, origin: dict[str, Any]) -> None:
     from rich.progress import Progress
 
     from segmenter.training.cut import cut_pack
-    from segmenter.training.samples import write_sitters
+    from segmenter.training.samples import write_samples
 
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"cutting {folder}", total=None)
@@ -52,72 +52,58 @@ def _cut(folder: Path, path: Path, origin: dict[str, Any]) -> None:
         def on_shard(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        sitters = cut_pack(folder, on_shard=on_shard)
-    write_sitters(path, sitters, origin=origin)
-    tubers = sum(sitter.is_tuber for sitter in sitters)
-    sys.stdout.write(f"{path}: {tubers} tubers and {len(sitters) - tubers} others\n")
+        samples = cut_pack(folder, on_shard=on_shard)
+    write_samples(path, samples, origin=origin)
+    tubers = sum(sample.is_tuber for sample in samples)
+    sys.stdout.write(f"{path}: {tubers} tubers and {len(samples) - tubers} others\n")
 
 
-def train_eyes(
+def train_classifier(
     *,
     data: list[Path],
     val: Path,
     out: Path,
-    net: Literal["judge", "cells"] = "judge",
     epochs: int = 40,
-    steps: int = 2400,
     seed: int = 1,
-    name: str | None = None,
+    name: str = "tuberline-classifier",
     json: bool = False,
 ) -> None:
-    """Train one of the segmenter's networks on simulated belts: minutes of two cores.
+    """Train the segmenter's network on simulated belts: minutes of two cores.
 
     Parameters
     ----------
     data
-        Belts to learn from, made by `tuberline simulate-belts`; may be given more than once. For the judge also
-        folders of `tuberline cut-portraits`.
+        Belts to learn from, made by `tuberline simulate-belts`, or folders of `tuberline make-patches`; may be given
+        more than once.
     val
-        Other belts to judge it by.
+        Other belts to validate it by.
     out
         Folder of <name>.onnx, for `segmenter.weights` of a line's file, and <name>.json.
-    net
-        judge: tells tubers from clods, stones and haulm, track by track. cells: finds tubers, for segmenter.method
-        "learned".
     epochs
-        Of the judge: passes over all bodies.
-    steps
-        Of the cells: steps of 8 crops.
+        Passes over all bodies.
     seed
         Of the first weights and of all draws.
     name
-        Name of the files; default: tuberline-eyes for the judge, tuberline-cells for the cells.
+        Name of the files.
     json
         Print the sidecar as JSON on stdout.
     """
     from rich.console import Console
     from rich.progress import Progress
 
-    from segmenter.training.cells_train import CellsRecipe
-    from segmenter.training.classifier_net import JudgeRecipe
-    from segmenter.training.run import EyesRun, make_cells, make_judge
+    from segmenter.training.classifier_net import ClassifierRecipe
+    from segmenter.training.run import TrainingRun, make_classifier
 
-    if steps < 20 or epochs < 1:
-        raise InputError(f"--steps {steps} --epochs {epochs}: at least 20 steps and 1 epoch are needed")
-    run = EyesRun(
-        tuple(data), val, out, name or ("tuberline-eyes" if net == "judge" else "tuberline-cells"),
-        " ".join(["tuberline", *sys.argv[1:]]),
-    )  # fmt: skip
+    if epochs < 1:
+        raise InputError(f"--epochs {epochs}: at least 1 is needed")
+    run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]))
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("reading belts", total=None)
 
         def on_step(step: int, total: int, loss: float) -> None:
             progress.update(task, completed=step, total=total, description=f"loss {loss:.3f}")
 
-        if net == "judge":
-            sidecar = make_judge(run, JudgeRecipe(epochs=epochs, seed=seed), on_step=on_step)
-        else:
-            sidecar = make_cells(run, CellsRecipe(steps=steps, seed=seed), on_step=on_step)
+        sidecar = make_classifier(run, ClassifierRecipe(epochs=epochs, seed=seed), on_step=on_step)
     if json:
         sys.stdout.write(json_module.dumps(sidecar, indent=1) + "\n")
         return

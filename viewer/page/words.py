@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from conveyor.reasons import FrameDrop, ViewLoss
+
 
 @dataclass(frozen=True, slots=True)
 class Words:
@@ -14,60 +16,65 @@ class Words:
     fix: str
 
 
-FRAME_DROPS = {
-    "blind": Words(
+FRAME_DROPS: dict[str, Words] = {
+    FrameDrop.BLIND: Words(
         "is dark",
         "dark or covered",
         "Switch its light on, clean the glass, and look for something that covers it.",
     ),
-    "frozen": Words(
+    FrameDrop.FROZEN: Words(
         "shows a still picture while the belt moves",
         "same picture again",
         "Unplug the camera, plug it in again, and look at its cable.",
     ),
-    "no_belt": Words(
+    FrameDrop.CAMERA_CHANGED: Words(
+        "sends frames of another resolution or depth unit than at the start",
+        "of another camera setting",
+        "Set the camera back, or start a new run.",
+    ),
+    FrameDrop.NO_BELT: Words(
         "sees no belt",
         "no belt seen",
         "See that it looks at the belt; give its belt_distance_m in the line's file.",
     ),
-    "too_old": Words(
+    FrameDrop.TOO_OLD: Words(
         "is ahead of this computer: frames are too old when their turn comes",
         "too old",
         "Run fewer programs on that computer, or set the camera to a lower resolution.",
     ),
-    "overwritten": Words(
+    FrameDrop.OVERWRITTEN: Words(
         "is ahead of this computer: frames are pushed out by newer ones",
         "pushed out by newer ones",
         "Run fewer programs on that computer, or set the camera to a lower resolution.",
     ),
-    "overload": Words(
+    FrameDrop.OVERLOAD: Words(
         "skips frames: too few weighing computers for so many tubers",
         "skipped: too few weighing computers",
         "Start another regressor on any computer of the line.",
     ),
 }
-VIEW_LOSSES = {
-    "shed": Words(
+VIEW_LOSSES: dict[str, Words] = {
+    ViewLoss.SHED: Words(
         "has too few weighing computers: only some views of each tuber are weighed",
         "left out: too few weighing computers",
         "Start another regressor on any computer of the line.",
     ),
-    "overload": Words(
+    ViewLoss.OVERLOAD: Words(
         "has more tubers than can be weighed: the newest are weighed by their volume alone",
         "not weighed: more tubers than the weighing computers manage",
         "Start another regressor on any computer of the line, or slow the belt down.",
     ),
-    "max_attempts": Words(
+    ViewLoss.MAX_ATTEMPTS: Words(
         "has views that no weighing computer answers",
         "not answered",
         "Look at the weighing computers and the network between them and the camera.",
     ),
-    "weigh_deadline": Words(
+    ViewLoss.WEIGH_DEADLINE: Words(
         "waits too long for weights: some tubers are weighed by their volume alone",
         "answered too late",
         "Start another regressor, or look at the network between it and the camera.",
     ),
-    "restart": Words("lost views at a restart", "lost at a restart", "Read the segmenter's log."),
+    ViewLoss.RESTART: Words("lost views at a restart", "lost at a restart", "Read the segmenter's log."),
 }
 AGGREGATOR_REFUSALS = {
     "entries_conflicting": "A camera's log contradicts the ledger: its segmenter lost its state and started again.",

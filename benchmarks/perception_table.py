@@ -89,8 +89,8 @@ def masks_table(rows: Iterable[Row]) -> str:
 def times_table(rows: Iterable[Row]) -> str:
     """Milliseconds of processor time per frame and stage."""
     head = (
-        "| recording | message | heights | instances | network, when asked | the rest | whole step: median, mean, 95 % "
-        "| frames/s |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n"
+        "| recording | message | heights | instances | classifier, when due | the rest "
+        "| whole step: median, mean, 95 % | frames/s |\n| --- | --- | --- | --- | --- | --- | --- | --- |\n"
     )
     lines = []
     for row in rows:

@@ -1,9 +1,9 @@
-"""The eyes' fixed suite: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
+"""The fixed suite of perception: masks, counts, misses, doubles, load and time per stage on simulated belts with truth.
 
-    python -m benchmarks eyes --out runs/eyes [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
+    python -m benchmarks perception --out runs/perception [--scenes touching crowded] [--seeds 1301 1302] [--tubers 300]
 
 Recordings are made once under OUT/recordings (about 100 MB each) and results kept as OUT/<case>.json: what is there is
-not done again, so the command may be stopped and called again. Tables: OUT/eyes.md, of all results in OUT. The
+not done again, so the command may be stopped and called again. Tables: OUT/perception.md, of all results in OUT. The
 recordings' masks serve as truth only.
 """
 
@@ -17,10 +17,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks.eyes_case import SUITE, Case, suite
-from benchmarks.eyes_line import run_line
-from benchmarks.eyes_table import shortfalls, tables
-from benchmarks.eyes_time import stage_times
+from benchmarks.perception_case import SUITE, Case, suite
+from benchmarks.perception_line import run_line
+from benchmarks.perception_table import shortfalls, tables
+from benchmarks.perception_time import stage_times
 from conveyor.config import parse_config
 from conveyor.errors import InputError, TuberlineError
 from regressor.weigh.weigher import Weigher
@@ -33,7 +33,7 @@ TIMED_TUBERS = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make and judge the suite."""
+    """Make the suite's recordings and score them."""
     options = _options(arguments)
     unknown = [scene for scene in options.scenes if scene not in SUITE]
     if unknown:
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = core_settings(parse_config({}, where="of the benchmark"))
     cases = suite(tuple(options.scenes), seeds=tuple(options.seeds), tubers=options.tubers, preset=options.preset)
     for case in cases:
-        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _judge(c, options, settings))
+        _kept(out / f"{case.name}.json", options.fresh, lambda c=case: _score(c, options, settings))
     timed = [Case(scene, options.seeds[0], TIMED_TUBERS, options.preset, camera) for scene, camera in TIMED]
     times = [
         _kept(out / f"time-{case.name}.json", options.fresh, lambda c=case: _time(c, out, settings))
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ]
     rows = _all_kept(out)
     text = tables(rows, times)
-    (out / "eyes.md").write_text(text, encoding="utf-8")
+    (out / "perception.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text)
     for line in shortfalls(rows):
         sys.stdout.write(f"\nmisses its goal: {line}")
@@ -79,7 +79,7 @@ def _all_kept(out: Path) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (SUITE.index(row["scene"]), row["seed"], row["name"]))
 
 
-def _judge(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
+def _score(case: Case, options: argparse.Namespace, settings: Settings) -> dict[str, Any]:
     recording = case.recording(options.out / "recordings")
     weigher = Weigher.load()
     line = run_line(recording, weigher)
@@ -126,15 +126,15 @@ def _compare_graph(case: Case, out: Path) -> None:
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="benchmarks eyes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="benchmarks perception", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--out", type=Path, default=Path("runs/eyes"), help="recordings, results and tables")
+    parser.add_argument("--out", type=Path, default=Path("runs/perception"), help="recordings, results and tables")
     parser.add_argument("--scenes", nargs="+", default=list(SUITE), metavar="SCENE", help="default: all eight")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1301], metavar="N")
     parser.add_argument("--tubers", type=int, default=300)
     parser.add_argument("--preset", choices=("easy", "field"), default="field")
-    parser.add_argument("--every", type=int, default=3, help="judge the masks of every n-th frame")
+    parser.add_argument("--every", type=int, default=3, help="score the masks of every n-th frame")
     parser.add_argument("--times", action="store_true", help="also time the stages at both resolutions")
     parser.add_argument("--graph", action="store_true", help="also run each recording through `tuberline replay`")
-    parser.add_argument("--fresh", action="store_true", help="judge again what was judged before")
+    parser.add_argument("--fresh", action="store_true", help="score again what was scored before")
     return parser.parse_args(arguments)

@@ -11,19 +11,18 @@ import numpy as np
 
 from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame
-from segmenter.classify.patch import take_look
+from segmenter.classify.patch import observe_instance
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
 from segmenter.frame.plane import fit_plane, given_or_fitted
-from segmenter.perception import Eyes
+from segmenter.perception import Perception
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.warmup import warm_up
 
 STAGES = ("message", "heights", "instances", "classes", "rest", "step")
-"""`message`: decoding the frame's message; `classes`: one look for the portraits of
-all instances, 0 where nobody judges; `step`: everything the
-segmenter does with a frame; `rest`: without heights and instances, so centres, travel, tracks, choice and cutting out
-of views, now and then the network, and every 30th frame the check of the belt."""
+"""`message`: decoding the frame's message; `classes`: one observation for the patches of all instances, 0 without a
+classifier; `step`: everything the segmenter does with a frame; `rest`: without heights and instances, so centres,
+travel, tracks, choice and cutting out of views, at times the network, and every 30th frame the check of the belt."""
 
 
 def stage_times(recording: Path, settings: Settings, *, every: int = 1) -> dict[str, dict[str, float]]:
@@ -35,7 +34,7 @@ def stage_times(recording: Path, settings: Settings, *, every: int = 1) -> dict[
     rows: list[tuple[float, ...]] = []
     for name in camera_names(recording):
         core, belt = Segmenter(settings), None
-        eyes = Eyes(settings.eyes, settings.split)
+        perception = Perception(settings.perception, settings.split)
         for index, item in enumerate(open_source(recording, camera=name, ignore_masks=True).frames(run="time")):
             if not isinstance(item, Frame):
                 continue
@@ -44,7 +43,7 @@ def stage_times(recording: Path, settings: Settings, *, every: int = 1) -> dict[
             if index % every:
                 core.step(frame)
             else:
-                rows.append(_timed(frame, core, eyes, belt, settings.split.pixel_mm))
+                rows.append(_timed(frame, core, perception, belt, settings.split.pixel_mm))
     times = dict(zip(STAGES, np.array(rows).T, strict=True))
     return {
         stage: {
@@ -56,19 +55,21 @@ def stage_times(recording: Path, settings: Settings, *, every: int = 1) -> dict[
     }
 
 
-def _timed(frame: Frame, core: Segmenter, eyes: Eyes, belt: BeltGeometry, pixel_mm: float) -> tuple[float, ...]:
+def _timed(
+    frame: Frame, core: Segmenter, perception: Perception, belt: BeltGeometry, pixel_mm: float
+) -> tuple[float, ...]:
     payload = frame.encode()
     marks = [time.thread_time()]
     frame = Frame.decode(payload)
     marks.append(time.thread_time())
     heights = height_map(frame.depth, depth_scale_m=frame.depth_scale_m, belt=belt, pixel_mm=pixel_mm)
     marks.append(time.thread_time())
-    instances = eyes.find(heights, belt)
+    instances = perception.find(heights, belt)
     marks.append(time.thread_time())
-    if eyes.judges:
+    if perception.classifies:
         for n in range(len(instances)):
             x_m, y_m = instances.centre_m[n].tolist()
-            take_look(heights, instances, n, belt, x_m=x_m, y_m=y_m)
+            observe_instance(heights, instances, n, belt, x_m=x_m, y_m=y_m)
     marks.append(time.thread_time())
     core.step(frame)
     marks.append(time.thread_time())

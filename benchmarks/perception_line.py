@@ -1,7 +1,7 @@
 """A recording through the code of the whole line in one process: what the nodes run, without sockets between them.
 
 `CameraRun` with its dispatcher and log, `Weigher`, `Aggregation`: the same objects with the same embedded defaults as
-`tuberline replay`, which gives the same ledger (`python -m benchmarks eyes --graph` compares the two).
+`tuberline replay`, which gives the same ledger (`python -m benchmarks perception --graph` compares the two).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from segmenter.camera_run import CameraRun
 from segmenter.setup import run_settings
 from segmenter.warmup import warm_up
 
-RUN = "eyes"
+RUN = "perception"
 WORKER = "inline"
 
 
@@ -91,7 +91,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
         mark = camera.log.last_mark
         looked[name] = None if mark is None else Looked(mark.looked_at_m, mark.travelled_m)
         estimated |= mark is not None and mark.travel_estimated
-        discarded.update(camera.core.discarded)
+        discarded.update({str(reason): n for reason, n in camera.core.discarded.items()})
         if (drift_m := camera.core.belt_check.drift_m) is not None:
             belt_off_mm[name] = 1000 * drift_m
     batch = line.commit(now_s=0.0)

@@ -1,4 +1,4 @@
-"""The learned half of the eyes: what the network is asked, what its answer does, and that it can be switched off."""
+"""The classifier: what the network is asked, what its answer does, and that it can be switched off."""
 
 from __future__ import annotations
 
@@ -14,17 +14,15 @@ import pytest
 from segmenter_scene import MEDIUM, Scene, scattered
 
 from conveyor.config import parse_config
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from segmenter.classes import BELT, REACH, TUBER, ClassMap
-from segmenter.classes_split import split_by_classes
-from segmenter.classify.classifier import Judge
-from segmenter.classify.patch import LEAST_LOOKS, Look, Portrait, take_look
+from segmenter.classify.classifier import Classifier
+from segmenter.classify.patch import LEAST_OBSERVATIONS, Observation, Patch, observe_instance
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap, height_map
-from segmenter.frame.instances import SplitSettings, described, split
-from segmenter.perception import Eyes, EyesSettings
+from segmenter.frame.instances import SplitSettings, given, split
+from segmenter.perception import Perception, PerceptionSettings
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.setup import core_settings
 from segmenter.studies.distractors import LoadScore, LoadTruth
@@ -34,21 +32,21 @@ ROOT = Path(__file__).resolve().parents[2]
 BELT_POSE = straight_down_belt_from_camera(0.46)
 
 
-def portrait_of(height_mm: np.ndarray, *, noise_mm: float, looks: int, seed: int = 8) -> Portrait:
-    """The portrait of one body on a raster of 1 mm cells, from several looks with noise."""
+def patch_of(height_mm: np.ndarray, *, noise_mm: float, observations: int, seed: int = 8) -> Patch:
+    """The patch of one body on a raster of 1 mm cells, from several observations with noise."""
     rng = np.random.default_rng(seed)
     belt = BeltGeometry(Intrinsics(200, 160, 435.0, 435.0, 100.0, 80.0), BELT_POSE)
-    portrait = Portrait()
-    for _ in range(looks):
+    patch = Patch()
+    for _ in range(observations):
         noisy = np.maximum(height_mm + rng.normal(0, noise_mm, height_mm.shape), 0).astype(np.float32)
         heights = HeightMap(noisy, np.ones(height_mm.shape, np.uint8), 1, 1.0)
-        instances = described((height_mm > 8).astype(np.int32), 1, heights, belt, SplitSettings())
+        instances = given((height_mm > 8).astype(np.uint16), heights, belt)
         x_m, y_m = instances.centre_m[0].tolist()
-        portrait.add(take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
-    return portrait
+        patch.add(observe_instance(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
+    return patch
 
 
-def lump(*, rough_mm: float) -> np.ndarray:
+def body(*, rough_mm: float) -> np.ndarray:
     """(160, 200) half a body of 76 x 52 x 50 mm, as full as tubers are; `rough_mm`: rms of knobs 8 mm wide on it."""
     i, j = np.mgrid[:160, :200]
     rise = 1 - np.abs((i - 80) / 26.0) ** 2.4 - np.abs((j - 100) / 38.0) ** 2.4
@@ -57,21 +55,21 @@ def lump(*, rough_mm: float) -> np.ndarray:
     return np.where(rise > 0, smooth + rough_mm * knobs / knobs.std(), 0).astype(np.float32)
 
 
-def test_a_portrait_is_the_mean_of_its_looks_with_their_spread() -> None:
+def test_a_patch_is_the_mean_of_its_observations_with_their_spread() -> None:
     rng = np.random.default_rng(1)
     whole = np.ones((48, 48), np.float32)
-    looks = [Look(rng.uniform(20, 40, (48, 48)).astype(np.float32), whole, whole) for _ in range(5)]
-    portrait = Portrait()
-    for look in looks:
-        portrait.add(look)
-    heights = np.stack([look.height_mm for look in looks])
-    channels = portrait.channels()
+    observations = [Observation(rng.uniform(20, 40, (48, 48)).astype(np.float32), whole, whole) for _ in range(5)]
+    patch = Patch()
+    for observation in observations:
+        patch.add(observation)
+    heights = np.stack([observation.height_mm for observation in observations])
+    channels = patch.channels()
     assert np.allclose(channels[0] * 60, heights.mean(axis=0), atol=1e-3)
     assert np.allclose(channels[3] * 3, np.minimum(heights.std(axis=0), 9), atol=1e-2)
     assert (channels[[2, 4]] == 1).all()
 
 
-def test_a_portrait_shows_the_same_millimetres_whatever_the_camera() -> None:
+def test_a_patch_shows_the_same_millimetres_whatever_the_camera() -> None:
     """A body of 60 mm is 30 cells wide and in the middle, at every resolution and belt distance."""
     for width, height, focal, distance_m in (
         (848, 480, 433.0, 0.46),
@@ -86,21 +84,21 @@ def test_a_portrait_shows_the_same_millimetres_whatever_the_camera() -> None:
         heights = height_map(depth, depth_scale_m=1e-4, belt=belt, pixel_mm=1.45)
         instances = split(heights, belt, SplitSettings())
         x_m, y_m = instances.centre_m[0].tolist()
-        look = take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m)
-        rows, columns = np.nonzero(look.inside > 0.5)
+        observation = observe_instance(heights, instances, 0, belt, x_m=x_m, y_m=y_m)
+        rows, columns = np.nonzero(observation.inside > 0.5)
         assert len(rows) == pytest.approx(900, rel=0.06)
         assert (rows.mean(), columns.mean()) == pytest.approx((23.5, 23.5), abs=1.0)
-        assert look.height_mm[20:28, 20:28] == pytest.approx(25.0, abs=0.5)
+        assert observation.height_mm[20:28, 20:28] == pytest.approx(25.0, abs=0.5)
 
 
-def test_only_sure_words_reject() -> None:
+def test_only_sure_answers_reject() -> None:
     settings = CountSettings(reject_below=-1.5)
-    assert class_refusal(None, settings) == ""
-    assert class_refusal(-1.4, settings) == ""
+    assert class_refusal(None, settings) is None
+    assert class_refusal(-1.4, settings) is None
     assert class_refusal(-1.6, settings) == "distractor"
 
 
-def test_the_same_portrait_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one() -> None:
+def test_the_same_patch_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one() -> None:
     """One in 17 before anything was seen; sure words move it towards the belt's own share, old ones fade."""
     assert Prior().log_odds(0.0) == pytest.approx(np.log(16))
     clean, cloddy = Prior(), Prior()
@@ -115,7 +113,7 @@ def test_the_same_portrait_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one
     assert cloddy.log_odds(-3.0) > 0.0
 
 
-def test_words_beyond_all_measure_do_no_harm() -> None:
+def test_answers_beyond_all_measure_do_no_harm() -> None:
     prior = Prior()
     assert prior.log_odds(1e4) > 1e3
     assert prior.log_odds(-1e4) < -1e3
@@ -123,10 +121,10 @@ def test_words_beyond_all_measure_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])
-def test_a_rough_lump_is_told_from_a_smooth_one_through_noise(noise_mm: float) -> None:
-    judge = Judge()
-    assert judge.log_odds(portrait_of(lump(rough_mm=0.0), noise_mm=noise_mm, looks=10)) > 1.0
-    assert judge.log_odds(portrait_of(lump(rough_mm=3.0), noise_mm=noise_mm, looks=10)) < -1.5
+def test_a_rough_body_is_told_from_a_smooth_one_through_noise(noise_mm: float) -> None:
+    classifier = Classifier()
+    assert classifier.log_odds(patch_of(body(rough_mm=0.0), noise_mm=noise_mm, observations=10)) > 1.0
+    assert classifier.log_odds(patch_of(body(rough_mm=3.0), noise_mm=noise_mm, observations=10)) < -1.5
 
 
 def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
@@ -138,22 +136,19 @@ def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
     intrinsics = Intrinsics(depth.shape[1], depth.shape[0], k[0], k[4], k[6], k[7])
     belt = BeltGeometry(intrinsics, straight_down_belt_from_camera(0.345))
     heights = height_map(np.where(mask, depth, 345).astype(np.uint16), depth_scale_m=0.001, belt=belt, pixel_mm=1.45)
-    step = heights.stride
-    rows, columns = heights.height_mm.shape
-    labels = mask[step // 2 :: step, step // 2 :: step][:rows, :columns].astype(np.int32)
-    instances = described(labels, 1, heights, belt, SplitSettings())
+    instances = given(mask.astype(np.uint16), heights, belt)
     x_m, y_m = instances.centre_m[0].tolist()
-    portrait = Portrait()
-    for _ in range(LEAST_LOOKS):
-        portrait.add(take_look(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
-    assert Judge().log_odds(portrait) > 0.5
+    patch = Patch()
+    for _ in range(LEAST_OBSERVATIONS):
+        patch.add(observe_instance(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
+    assert Classifier().log_odds(patch) > 0.5
 
 
 def test_smooth_bodies_of_another_simulator_are_counted() -> None:
-    """Ellipsoids without any stereo camera's habits: a judge that is out of its depth must not lose tubers."""
+    """Ellipsoids without any stereo camera's habits: a classifier out of its depth must not lose tubers."""
     bodies = scattered(9, seed=4)
     scene = Scene(bodies, MEDIUM, noise_m=0.001)
-    core, closed = Segmenter(Settings(eyes=EyesSettings("classes"))), []
+    core, closed = Segmenter(Settings(perception=PerceptionSettings("classes"))), []
     for n in range(28):
         closed += core.step(scene.frame(n, 0.02 * n)).closed
     closed += core.finish()
@@ -162,36 +157,18 @@ def test_smooth_bodies_of_another_simulator_are_counted() -> None:
     assert core.discarded["distractor"] == 0
 
 
-def test_looks_are_due_by_belt_travel_and_not_where_nothing_can_be_seen() -> None:
+def test_observations_are_due_by_belt_travel_and_not_where_nothing_can_be_seen() -> None:
     heights = HeightMap(np.zeros((40, 50), np.float32), np.ones((40, 50), np.uint8), 1, 1.0)
     far = HeightMap(heights.height_mm, heights.seen, 1, 2.5)
-    eyes = Eyes(EyesSettings("classes", look_every_m=0.04), SplitSettings())
-    due = [eyes.look_due(heights, travel_m) for travel_m in (0.0, 0.0, 0.02, 0.039, 0.041, 0.05, 0.09)]
+    perception = Perception(PerceptionSettings("classes", observe_every_m=0.04), SplitSettings())
+    due = [perception.observation_due(heights, travel_m) for travel_m in (0.0, 0.0, 0.02, 0.039, 0.041, 0.05, 0.09)]
     assert due == [True, False, False, False, True, False, True]
-    assert not eyes.look_due(far, 1.0)
-    assert eyes.coarse == 1
-    assert eyes.judge(Portrait()) is None
-    assert eyes.judge(portrait_of(lump(rough_mm=3.0), noise_mm=1.0, looks=LEAST_LOOKS - 1)) is None
-    assert eyes.judge(portrait_of(lump(rough_mm=3.0), noise_mm=1.0, looks=LEAST_LOOKS)) is not None
-    assert not Eyes(EyesSettings("classical"), SplitSettings()).look_due(heights, 0.0)
-
-
-def test_votes_for_two_centres_make_two_instances() -> None:
-    answer = np.zeros((5, 60, 100), np.float32)
-    answer[BELT] = 5.0
-    i, j = np.mgrid[:60, :100]
-    height_mm = np.zeros((120, 200), np.float32)
-    for column in (42, 52):
-        disc = ((i - 30) ** 2 + (j - column) ** 2 <= 49) & ((j < 47) == (column < 47))
-        answer[BELT][disc], answer[TUBER][disc] = -5.0, 5.0
-        answer[3][disc], answer[4][disc] = (30 - i[disc]) / REACH, (column - j[disc]) / REACH
-        height_mm[np.kron(disc, np.ones((2, 2), bool))] = 40.0
-    heights = HeightMap(height_mm, np.ones((120, 200), np.uint8), 2, 2.0)
-    belt = BeltGeometry(Intrinsics(400, 240, 435.0, 435.0, 200.0, 120.0), BELT_POSE)
-    found = split_by_classes(ClassMap(answer, (0.5, 0.5)), heights, belt, SplitSettings())
-    assert len(found) == 2
-    assert np.sort(found.centroid_px[:, 0]) == pytest.approx([167, 211], abs=6)
-    assert 0.15 < found.contact.min() < 0.5
+    assert not perception.observation_due(far, 1.0)
+    assert perception.coarse == 1
+    assert perception.classify(Patch()) is None
+    assert perception.classify(patch_of(body(rough_mm=3.0), noise_mm=1.0, observations=LEAST_OBSERVATIONS - 1)) is None
+    assert perception.classify(patch_of(body(rough_mm=3.0), noise_mm=1.0, observations=LEAST_OBSERVATIONS)) is not None
+    assert not Perception(PerceptionSettings("classical"), SplitSettings()).observation_due(heights, 0.0)
 
 
 def test_every_lot_is_booked_once() -> None:
@@ -205,32 +182,36 @@ def test_every_lot_is_booked_once() -> None:
     score.add(truth, counted, np.array([[0.2, 0.0], [0.1, 0.1]]))
     assert (score.tubers_counted, score.tubers_rejected) == (2, 1)
     assert (score.distractors_counted, score.distractors_rejected, score.false) == (1, 1, 2)
-    assert score.precision == pytest.approx(2 / 5)
     assert score.distractors_counted_share == pytest.approx(1 / 3)
 
 
 def test_the_config_chooses_and_a_missing_file_says_what_to_do(tmp_path: Path) -> None:
     config = parse_config({"segmenter": {"method": "classes", "weights": str(tmp_path / "no.onnx")}}, where="here")
-    with pytest.raises(InputError, match="train-eyes"):
+    with pytest.raises(InputError, match="train-classifier"):
         Segmenter(core_settings(config))
     (tmp_path / "no.onnx").write_bytes(b"no network")
     with pytest.raises(InputError, match="no network that OpenCV"):
         Segmenter(core_settings(config))
     off = core_settings(parse_config({"segmenter": {"method": "classical"}}, where="here"))
-    assert Segmenter(off).eyes.find is not None
-    assert core_settings(parse_config({}, where="here")).eyes == Settings().eyes
+    assert Segmenter(off).belt is None
+    assert core_settings(parse_config({}, where="here")).perception == Settings().perception
+
+
+def test_the_method_that_is_gone_is_refused_with_what_to_use() -> None:
+    with pytest.raises(ConfigError, match=r"segmenter\.method: .*'learned' was removed.*\"classes\""):
+        parse_config({"segmenter": {"method": "learned"}}, where="here")
 
 
 def test_what_runs_never_imports_torch() -> None:
     for path in (ROOT / "segmenter").rglob("*.py"):
-        if path.is_relative_to(ROOT / "segmenter" / "learn"):
+        if path.is_relative_to(ROOT / "segmenter" / "training"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not [n for n in names if n.split(".")[0] == "torch" or n.startswith("segmenter.training")], path
     code = (
-        "import sys\nfrom segmenter.perception import EyesSettings\nfrom segmenter.pipeline import Segmenter, Settings\n"
-        "import segmenter.node\nSegmenter(Settings(eyes=EyesSettings('classes')))\nsys.exit('torch' in sys.modules)"
+        "import sys\nimport segmenter.node\nfrom segmenter.pipeline import Segmenter, Settings\n"
+        "Segmenter(Settings())\nsys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

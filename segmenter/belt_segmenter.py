@@ -1,0 +1,191 @@
+"""The segmenter of a camera whose belt is known: six steps from a depth frame to tracks that count."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conveyor.geometry import TYPICAL_BELT_SD_M
+from conveyor.messages import Frame
+from conveyor.reasons import TrackRefusal
+from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.constants import DRIFT_M
+from segmenter.frame.heights import HeightMap, height_map
+from segmenter.frame.instances import Instances, SplitSettings, given
+from segmenter.frame.sides import completed_centres
+from segmenter.perception import Perception, PerceptionSettings
+from segmenter.results import ClosedTrack, StepResult
+from segmenter.resume import Resume
+from segmenter.track.counting import CountSettings
+from segmenter.track.coverage import Coverage
+from segmenter.track.decide import Moment, TrackDecider
+from segmenter.track.follow import BeltFollower, BeltMotion
+from segmenter.track.track import State, TrackState
+from segmenter.track.tracker import Tracker, TrackSettings
+from segmenter.track.views import cut_out, slot_offsets
+
+HORIZON_MARGIN_M = 0.02
+OPEN_MARGIN_M = 0.01
+"""Metres by which a watermark stays behind what may still be decided: places move by millimetres until then."""
+
+Found = list[tuple[TrackState, int]]
+"""Tracks with the index of the instance that shows them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """All settings of the core."""
+
+    split: SplitSettings = field(default_factory=SplitSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+    count: CountSettings = field(default_factory=CountSettings)
+    perception: PerceptionSettings = field(default_factory=PerceptionSettings)
+    views_per_tuber: int = 3
+    belt_sd_m: float = TYPICAL_BELT_SD_M
+    belt_follow_m: float = DRIFT_M
+
+
+class BeltSegmenter:
+    """One camera over a belt that is known. Steps are pure in the frames: same frames, same tracks, bit for bit.
+
+    Attributes:
+        belt: the newest geometry; travel is followed with the first one.
+        instances: of the last frame, with the tracks that they show in `found`.
+    """
+
+    def __init__(self, settings: Settings, belt: BeltGeometry, perception: Perception, resume: Resume | None) -> None:
+        low_m, high_m = belt.x_range()
+        offsets_m = slot_offsets(settings.views_per_tuber, half_view_m=(high_m - low_m) / 2)
+        self.belt = belt
+        self.tracker = Tracker(belt, settings.track, offsets_m)
+        self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
+        self.coverage = Coverage(high_m - low_m)
+        self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m)
+        self.refused: Counter[str] = Counter()
+        self.instances: Instances | None = None
+        self.found: Found = []
+        self._settings = settings
+        self._perception = perception
+        self._last: Frame | None = None
+        if resume is not None:
+            self._carry_on(resume)
+
+    def step(self, frame: Frame, belt: BeltGeometry) -> StepResult:
+        """Take the next frame, over the belt as it is known now."""
+        self.belt = self.tracker.belt = belt
+
+        # Heights over the belt
+        heights = self._heights(frame)
+
+        # Instances of what lies on it
+        instances = self._instances(frame, heights)
+
+        # Travel of the belt, and which instance belongs to which track
+        motion = self.follower.step(frame, heights, instances, self.tracker)
+
+        # Tracks, with what this frame shows of them
+        found = self._track(frame, instances, motion)
+
+        # Top views to classify and depth crops to weigh
+        self._collect(frame, heights, instances, found)
+
+        # Tracks that are due: counted, or refused with a reason
+        closed = self._decide(frame)
+
+        self.instances, self.found, self._last = instances, found, frame
+        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed))
+
+    def finish(self) -> list[ClosedTrack]:
+        """Decide all tracks still open: the camera has ended."""
+        if self._last is None:
+            return []
+        return self.decider.decide(Moment(self._last, self.tracker, self.follower), everything=True)
+
+    @property
+    def taken_for_distractors(self) -> NDArray[np.bool_]:
+        """(n,) which of `instances` belong to tracks that were refused as distractors."""
+        taken = np.zeros(0 if self.instances is None else len(self.instances), bool)
+        for track, index in self.found:
+            taken[index] = track.reason is TrackRefusal.DISTRACTOR
+        return taken
+
+    def complete_travel_m(self) -> float:
+        """All tubers that crossed the centre row at or before this travel have been closed."""
+        travel_m = self.follower.travel_m
+        horizon_m = travel_m - self._settings.track.decide_m - HORIZON_MARGIN_M
+        for track in self.tracker.tracks:
+            if track.state is State.OPEN:
+                crossed_m = travel_m - self.tracker.past_row_m(track, travel_m)
+                horizon_m = min(horizon_m, crossed_m - OPEN_MARGIN_M)
+        return horizon_m
+
+    def complete_ns(self, complete_travel_m: float) -> int:
+        """Capture time up to which all crossings lie at or before `complete_travel_m`."""
+        history = self.follower.history
+        if history.anchor is None:
+            return 0
+        return history.anchor[0] - 1 if complete_travel_m < history.start_m else history.ns_at(complete_travel_m)
+
+    def _carry_on(self, resume: Resume) -> None:
+        """What an earlier process of the run counted stays counted; what it saw and did not log was not looked at."""
+        unlogged_m = resume.unlogged_m(row_place_m(self.belt, 0.0))
+        complete_m = resume.travel_m - unlogged_m
+        self.follower.history.anchor = (resume.complete_ns, complete_m)
+        self.coverage.resume(
+            looked_at_m=max(0.0, resume.looked_at_m - unlogged_m),
+            travelled_m=resume.travelled_m - unlogged_m,
+            travel_m=complete_m,
+        )
+
+    def _heights(self, frame: Frame) -> HeightMap:
+        return height_map(
+            frame.depth, depth_scale_m=frame.depth_scale_m, belt=self.belt, pixel_mm=self._settings.split.pixel_mm
+        )
+
+    def _instances(self, frame: Frame, heights: HeightMap) -> Instances:
+        """The frame's own masks where it has them; centres of what the sides cut are completed."""
+        if frame.mask is None:
+            instances = self._perception.find(heights, self.belt)
+        else:
+            instances = given(frame.mask, heights, self.belt)
+        self.refused.update(instances.refused)
+        return replace(instances, centre_m=completed_centres(instances, self.belt))
+
+    def _track(self, frame: Frame, instances: Instances, motion: BeltMotion) -> Found:
+        self.coverage.step(motion.travel_m)
+        return self.tracker.update(
+            frame.seq, instances, motion.pairs, self.follower.history, motion.travel_m,
+            moved=motion.moved, travel_before_m=motion.before_m,
+        )  # fmt: skip
+
+    def _collect(self, frame: Frame, heights: HeightMap, instances: Instances, found: Found) -> None:
+        travel_m = self.follower.travel_m
+        if frame.mask is None:
+            self._perception.observe(heights, instances, found, self.belt, travel_m)
+        for track, index in found:
+            if track.state is not State.OPEN:
+                continue
+            offset_m = self.tracker.past_row_m(track, travel_m)
+            if track.shelf.wants(offset_m, whole=not bool(instances.cut[index].any())):
+                candidate = cut_out(frame, instances, index, self.belt, offset_m=offset_m)
+                if candidate is not None:
+                    track.shelf.offer(candidate)
+
+    def _decide(self, frame: Frame) -> list[ClosedTrack]:
+        closed = self.decider.decide(Moment(frame, self.tracker, self.follower), everything=False)
+        self.tracker.drop_gone(self.follower.travel_m)
+        return closed
+
+
+def row_place_m(belt: BeltGeometry, travel_m: float) -> float:
+    """Place on the belt that crosses the centre row at a travel; the furthest along where the row lies askew."""
+    k = belt.intrinsics
+    rows = [
+        belt.row_crossing_x(belt.belt_xy(u, k.cy, height_m)[1], height_m)
+        for u in (0, k.width - 1)
+        for height_m in (0.0, 0.04)
+    ]
+    return max(rows) - travel_m

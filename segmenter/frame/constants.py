@@ -1,0 +1,94 @@
+"""Constants of one frame: what they are, what they were set by, and what moving them does.
+
+"Suite" is the fixed suite of simulated belts in docs/evaluation-segmentation.md; its seed 1101 served for tuning. Where
+no source is named, a value was chosen by hand and kept because the suite passed with it. Lengths of the splitter stand
+in `SplitSettings` and `SeamSettings`. Constants inside compiled kernels stay in the kernel's own file:
+numba's cache notices changes of that file only.
+"""
+
+from __future__ import annotations
+
+# Frames that cannot be used (`gate`)
+LEAST_SEEN_OF_FRAME = 0.1
+"""Share of the image with depth; a covered lens has next to none. Higher drops frames that could still be used."""
+GATE_STRIDE = 4
+"""Pixels between the samples of that share."""
+FROZEN_M = 0.001
+"""Metres of travel. A shorter way need not change a single pixel; longer notices a frozen camera later."""
+
+# The belt plane (`plane`)
+SAMPLE_STRIDE = 8
+"""Pixels between samples, both ways: about 6000 at 848x480. Half costs four times as much."""
+BAND_M = 0.004
+"""Metres; samples this close to a plane support it. Narrower loses support on noisy cameras, wider takes in soil."""
+FIT_BANDS_M = (0.008, BAND_M, BAND_M, 0.003, 0.003)
+"""Metres; bands of the successive least-squares fits: wide at first, for three noisy samples made the first plane."""
+MIN_SAMPLES = 300
+"""Samples; fewer are no image of a belt."""
+MIN_FIT_SAMPLES = 50
+"""Samples inside a band; fewer fix no plane."""
+MIN_SHARE = 0.15
+"""A plane that fewer of the samples support is not taken for the belt. Higher refuses crowded belts, lower may take the
+tops of a layer of tubers for the belt."""
+MOSTLY = 0.5
+"""Share of the image's middle that a plane must fill to be the belt with a floor beside it."""
+FLOOR_BELOW_M = 0.06
+"""Metres; a plane that far above all else is the belt, and what lies lower is the floor."""
+LOAD_M = 0.1
+"""Metres; the load on a belt is lower than this."""
+REFUSE_M = 0.020
+"""Metres; a given belt that is farther off, with nothing seen where it should be, is refused: a millimetre is worth
+about 2.2 % of a load."""
+DRIFT_M = 0.006
+"""Metres; farther off than calibration and wear explain: an alarm, and no longer followed. In the suite, whose
+belts are known to 2 mm, the belt was seen at most 3.1 mm off."""
+TILT_OFF_DEG = 1.0
+"""Degrees between the belt seen and the belt given that are an alarm; a calibrated belt stays below 0.3."""
+TILT_WORTH_DEG = 0.5
+"""Degrees; a smaller tilt is taken for none. A tilt of 3 degrees taken for none costs a fifth of all tubers."""
+CLEAR_SHARE = 0.25
+"""A plane that more of the samples support is seen clearly: it may contradict the calibration."""
+CONSENSUS_TRIES = 120
+CONSENSUS_SCORED = 1500
+"""Random planes, and samples that each is scored on. Where a third of the coarse cells shows belt, one try in 27 has
+three of them, and 120 tries miss all with 1 %. Fewer are quicker: they are most of a fit's time."""
+CONSENSUS_FAR = 0.15
+"""Of a coarse cell's samples, from the farthest, the one that stands for it: belt between the tubers, but no hole."""
+BELOW_M = 0.010
+"""Metres; samples this far below a plane count against it, for nothing lies below the belt."""
+
+# Following the belt (`belt_keeper`)
+FITTED_OVER = 15
+"""Frames that a fitted belt is the mean of, and checks that a followed belt is the median of."""
+CHECK_EVERY = 30
+"""Frames between checks of a known belt: once a second."""
+BELT_PATIENCE = 60
+"""Frames without any belt before the run is refused: two seconds."""
+
+# What is on the raster (`heights`, `instances`, `edges`)
+CEILING_MM = 250.0
+"""Millimetres; what is seen higher above the belt (a hand, a cable) is no load and taken as unseen."""
+GAP_MM = 15.0
+"""Millimetres; gaps in the depth up to this width are closed with the lower of their two sides. Wider would bridge the
+belt between two tubers."""
+QUANTUM_MM = 0.5
+"""Millimetres per step of the 8-bit raster, which ends at 127 mm. Finer would cut tall tubers off."""
+LEAST_SEEN_OF_RASTER = 0.5
+"""Share of cells; where less has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
+LEAST_ROWS = 3
+"""Rows or columns of an instance that must end at the unseen band: one ragged cell is no cut."""
+
+# Watching the belt (`watch`)
+KEPT_CHECKS = 5
+LEAST_CHECKS = 2
+"""Checks. One frame's plane may be off; the median of the last few is not."""
+LEAST_STEP_M = 0.003
+LONGEST_STEP_M = 0.03
+"""Metres between two frames: tubers that moved less or more say nothing of the direction."""
+SAME_M = 0.006
+"""Metres; a tuber this close to where it is expected is the same."""
+LEAST_VOTES = 20
+BACKWARDS_SHARE = 0.8
+"""Tubers that must have voted, and share of them, before the belt is said to run backwards."""
+BACKWARDS_M = -0.2
+"""Metres; an estimated travel this far back is no shaking belt."""

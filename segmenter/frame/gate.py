@@ -1,0 +1,47 @@
+"""Which frames cannot be processed: the camera sees nothing, or shows a still picture of a moving belt."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from conveyor.messages import Frame
+from conveyor.reasons import FrameDrop
+from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME
+
+
+class FrameGate:
+    """Checks each frame against the run's first one and the last one that was processed."""
+
+    def __init__(self) -> None:
+        self._first: Frame | None = None
+        self._last: Frame | None = None
+        self._last_had_load = False
+
+    def drop(self, frame: Frame) -> FrameDrop | None:
+        """Why a frame cannot be processed; None where it can.
+
+        Where it was taken with other intrinsics or in another depth unit than the first, its heights and places would
+        be wrong.
+        """
+        first = self._first = self._first or frame
+        if frame.intrinsics != first.intrinsics or frame.depth_scale_m != first.depth_scale_m:
+            return FrameDrop.CAMERA_CHANGED
+        if frame.mask is None and _is_blind(frame):
+            return FrameDrop.BLIND
+        return FrameDrop.FROZEN if self._frozen(frame) else None
+
+    def processed(self, frame: Frame, *, instances: int) -> None:
+        """A frame was processed, and `instances` were found on it."""
+        self._last, self._last_had_load = frame, instances > 0
+
+    def _frozen(self, frame: Frame) -> bool:
+        """The picture stands still though the belt moved on. An empty belt may look the same in every frame."""
+        last = self._last
+        if last is None or frame.travel_m is None or last.travel_m is None or not self._last_had_load:
+            return False
+        return abs(frame.travel_m - last.travel_m) >= FROZEN_M and np.array_equal(frame.depth, last.depth)
+
+
+def _is_blind(frame: Frame) -> bool:
+    sample = frame.depth[::GATE_STRIDE, ::GATE_STRIDE]
+    return bool(np.count_nonzero(sample) < LEAST_SEEN_OF_FRAME * frame.depth.size / GATE_STRIDE**2)

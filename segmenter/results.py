@@ -1,0 +1,37 @@
+"""What the segmenter's core says of a frame, and of a track that is decided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from conveyor.messages import Track, View
+from conveyor.reasons import FrameDrop, TrackRefusal
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedTrack:
+    """A counted track, its views not yet weighed, and the views to weigh, best first."""
+
+    track: Track
+    views: tuple[View, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedTrack:
+    """A track that does not count."""
+
+    reason: TrackRefusal
+
+
+Decision = ClosedTrack | RefusedTrack
+
+
+@dataclass(frozen=True, slots=True)
+class StepResult:
+    """What one frame led to. `dropped`: why the frame could not be used; None where it was processed."""
+
+    travel_m: float
+    estimated: bool
+    instances: int
+    closed: tuple[ClosedTrack, ...]
+    dropped: FrameDrop | None = None

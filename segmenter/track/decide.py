@@ -1,0 +1,165 @@
+"""Which tracks are due, and whether they count: the count rule, the views, the shape, then the classifier."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from conveyor.errors import UnsendableError
+from conveyor.messages import Frame, Track, View
+from conveyor.messages.base import check_part
+from conveyor.reasons import TrackRefusal
+from segmenter.classify.patch import Patch
+from segmenter.perception import Perception
+from segmenter.results import ClosedTrack, Decision, RefusedTrack
+from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
+from segmenter.track.follow import BeltFollower
+from segmenter.track.track import State, TrackState
+from segmenter.track.tracker import Tracker
+from segmenter.track.views import Candidate, size_m
+
+REJECTED_KEPT = 1000
+"""Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
+MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
+"""A track refused so is decided later while it is still in view: more frames may show it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The frame at which tracks are decided, and where everything is."""
+
+    frame: Frame
+    tracker: Tracker
+    follower: BeltFollower
+
+
+class TrackDecider:
+    """Decides tracks once, and counts them: opened = counted + discarded by reason + open."""
+
+    def __init__(self, settings: CountSettings, perception: Perception, *, belt_sd_m: float) -> None:
+        self.counted = 0
+        self.discarded: Counter[TrackRefusal] = Counter()
+        self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
+        self._settings = settings
+        self._perception = perception
+        self._belt_sd_m = belt_sd_m
+
+    def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
+        """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones."""
+        closed = []
+        for track in now.tracker.tracks:
+            if track.state is not State.OPEN:
+                continue
+            decision = self._decision(track, now, everything=everything)
+            if decision is None:
+                continue
+            self._book(track, decision)
+            if isinstance(decision, ClosedTrack):
+                closed.append(decision)
+        return closed
+
+    def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
+        """What becomes of a track; None where it is not due."""
+        tracker, travel_m = now.tracker, now.follower.travel_m
+        in_view = tracker.in_view(track, travel_m)
+        past = tracker.past_row_m(track, travel_m) >= tracker.settings.decide_m
+        if not (past or everything or not in_view):
+            return None
+        at = crossing(track, tracker, now.follower.history)
+        reason = refusal(track, at, tracker, now.follower.history, self._settings, travel_m)
+        if reason in MAY_IMPROVE and in_view and not everything:
+            return None
+        if reason is not None:
+            return RefusedTrack(reason)
+        decision = self._measured(track, at, now)
+        if decision == RefusedTrack(TrackRefusal.DISTRACTOR):
+            self.rejected.append(at)
+        return decision
+
+    def _measured(self, track: TrackState, at: Crossing, now: Moment) -> Decision:
+        """The track with its views, or why its views show that it is no tuber."""
+        chosen = track.shelf.choose(track.area_m2)
+        if not chosen:
+            return RefusedTrack(TrackRefusal.NO_VIEW)
+        length_m, width_m = _sides_m(chosen, now.tracker)
+        in_view = now.tracker.frames_in_view(track, now.follower.history, now.follower.travel_m)
+        reason = shape_refusal(track, width_m=width_m, in_view=in_view, settings=self._settings)
+        if reason is None:
+            # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
+            track.log_odds = self._perception.classify(track.patch)
+            reason = class_refusal(track.log_odds, self._settings)
+        if reason is not None:
+            return RefusedTrack(reason)
+        message = _message(track, at, now, length_m=length_m, width_m=width_m)
+        try:
+            check_part(message)
+        except UnsendableError:
+            return RefusedTrack(TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
+        views = tuple(
+            _view(candidate, rank, message.track_id, now.frame, self._belt_sd_m)
+            for rank, candidate in enumerate(chosen)
+        )
+        return ClosedTrack(message, views)
+
+    def _book(self, track: TrackState, decision: Decision) -> None:
+        if isinstance(decision, RefusedTrack):
+            track.state, track.reason = State.DISCARDED, decision.reason
+            self.discarded[decision.reason] += 1
+        else:
+            track.state = State.COUNTED
+            self.counted += 1
+        track.shelf.clear()
+        track.patch = Patch()
+
+
+def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
+    """(length, width): medians over the views that no border cuts, or over all."""
+    sizes = [size_m(c, tracker.belt) for c in chosen if c.whole] or [size_m(c, tracker.belt) for c in chosen]
+    length_m, width_m = (float(np.median(side)) for side in zip(*sizes, strict=True))
+    return length_m, width_m
+
+
+def _message(track: TrackState, at: Crossing, now: Moment, *, length_m: float, width_m: float) -> Track:
+    """The track as it is logged, in the message's millimetres and millilitres."""
+    usual = [hit for hit in track.hits if hit.whole] or track.hits
+    return Track(
+        track_id=f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}",
+        crossed_ns=at.captured_ns,
+        crossed_x_m=at.x_m,
+        y_m=at.y_m,
+        travel_m=at.travel_m,
+        travel_estimated=now.follower.estimated,
+        frames=track.frames,
+        first_seq=track.first_seq,
+        last_seq=track.last_seq,
+        length_mm=length_m * 1e3,
+        width_mm=width_m * 1e3,
+        height_mm=float(np.median([hit.height_m for hit in usual])) * 1e3,
+        visible_volume_ml=float(np.median([hit.volume_m3 for hit in usual])) * 1e6,
+        whole=any(hit.whole for hit in track.hits),
+        views_sent=0,
+        views=(),
+        views_lost={},
+    )
+
+
+def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_m: float) -> View:
+    """A candidate as the message that goes to a regressor."""
+    return View(
+        view_id=f"{track_id}/{candidate.seq}",
+        track_id=track_id,
+        camera=frame.camera,
+        run=frame.run,
+        seq=candidate.seq,
+        captured_ns=candidate.captured_ns,
+        rank=rank,
+        depth_scale_m=frame.depth_scale_m,
+        intrinsics=frame.intrinsics,
+        u0=candidate.u0,
+        v0=candidate.v0,
+        depth=candidate.depth,
+        belt_from_camera=candidate.belt_from_camera,
+        belt_sd_m=belt_sd_m,
+    )
