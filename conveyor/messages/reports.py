@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from conveyor.messages.base import Message
 
@@ -42,6 +42,10 @@ class Totals(Message):
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
     weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
     of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
+
+    `state` is 'starting' (not counting yet), 'counting', 'nothing seen' (then the weights are no numbers; `reason` says
+    why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of it
+    was not seen, by reason, metres in the mean of the cameras.
     """
 
     run: str
@@ -60,6 +64,10 @@ class Totals(Message):
     final: bool
     as_weighed_g: float = 0.0
     tickets: int = 0
+    state: str = "counting"
+    reason: str = ""
+    belt_m: float | None = None
+    unseen_m: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
