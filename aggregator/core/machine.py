@@ -9,16 +9,17 @@ order in which entries of different cameras arrive, nor on when `commit` is call
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
-from aggregator.core.cameras import LINE_SLACK_M, Cameras
+from aggregator.core.cameras import PLACE_SLACK_M, Cameras
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
+from aggregator.core.sight import CameraSight
 from aggregator.core.tubers import make_tuber
 from conveyor.messages import Mark, Track, TrackEntry, Tuber
 
@@ -45,6 +46,10 @@ class CommittedTubers(Protocol):
 
     def knows_track(self, track_id: str) -> bool:
         """A track of that id is in the ledger."""
+        ...
+
+    def entry_checksum(self, camera: str, n: int) -> int | None:
+        """CRC-32 of entry n of a camera's log, as it was received; None where the ledger does not hold it."""
         ...
 
 
@@ -83,12 +88,19 @@ class PendingTrack:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Everything that one transaction makes durable."""
+    """Everything that one transaction makes durable.
+
+    `watermark_x_m`: tubers at this place and further along are committed. `settled`: of each camera's log, up to which
+    entry every track has gone somewhere. `sights`, `head_start_m`: what is known of the belt by now.
+    """
 
     entries: tuple[Applied, ...]
     tubers: tuple[Tuber, ...]
     observations: tuple[Observation, ...]
-    line_x_m: float
+    watermark_x_m: float
+    settled: Mapping[str, int] = field(default_factory=dict)
+    sights: Mapping[str, CameraSight] = field(default_factory=dict)
+    head_start_m: float | None = None
 
     @property
     def empty(self) -> bool:
@@ -100,11 +112,17 @@ class Batch:
 class Restored:
     """A run as the ledger holds it: what `Aggregation` needs to go on."""
 
-    logs: dict[str, CameraLog] = field(default_factory=dict)
+    begun: bool = False
+    """An earlier process began it."""
+    applied: dict[str, int] = field(default_factory=dict)
     marks: dict[str, list[Mark]] = field(default_factory=dict)
+    """The last marks of each camera, oldest first."""
+    curves: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    sights: dict[str, CameraSight] = field(default_factory=dict)
     pending: list[PendingTrack] = field(default_factory=list)
     tubers: int = 0
-    line_x_m: float = math.inf
+    watermark_x_m: float = math.inf
+    head_start_m: float | None = None
 
 
 class Aggregation:
@@ -135,17 +153,23 @@ class Aggregation:
         self._gate = Gate(merge_gate_mm)
         self._committed = committed
         self._count = count
-        self._logs = {name: state.logs.get(name, CameraLog()) for name in self.cameras.names}
+        self._logs = {name: CameraLog(state.applied.get(name, 0)) for name in self.cameras.names}
         self._unplaced = list(state.pending)
         self._known = {pending.track.track_id for pending in state.pending}
         self._placed: list[PlacedTrack] = []
         self._entries: list[Applied] = []
         self._observations: list[Observation] = []
         self._tubers = state.tubers
-        self._line_x_m = state.line_x_m
-        for name, marks in state.marks.items():
-            for mark in marks:
-                self.cameras.marked(name, mark)
+        self._watermark_x_m = state.watermark_x_m
+        if state.begun:
+            self.cameras.resumed(head_start_m=state.head_start_m)
+            for name in self.cameras.names:
+                self.cameras.restored(
+                    name,
+                    marks=state.marks.get(name, []),
+                    curve=state.curves.get(name, []),
+                    sight=state.sights.get(name, CameraSight()),
+                )
 
     @property
     def pending(self) -> int:
@@ -183,15 +207,16 @@ class Aggregation:
             return Taken.OTHER_RUN, []
         if entry.camera not in self._logs:
             return Taken.UNKNOWN_CAMERA, []
-        return self._logs[entry.camera].take(entry)
+        camera = entry.camera
+        return self._logs[camera].take(entry, lambda n: self._committed.entry_checksum(camera, n))
 
     def _apply(self, logged: LoggedEntry) -> None:
         entry = logged.entry
-        self._entries.append(Applied(logged, self._line_x_m))
+        self._entries.append(Applied(logged, self._watermark_x_m))
         if entry.mark is not None:
             self.cameras.marked(entry.camera, entry.mark)
         elif entry.track is not None:
-            self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._line_x_m))
+            self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._watermark_x_m))
 
     def _add_track(self, pending: PendingTrack) -> None:
         track = pending.track
@@ -208,12 +233,30 @@ class Aggregation:
         if crowded:
             self._count("pending_limit_reached")
         watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
-        self._line_x_m = min(self._line_x_m, watermark_x_m + LINE_SLACK_M)
+        self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + PLACE_SLACK_M)
         self._place()
         tubers = self._complete_tubers()
-        batch = Batch(tuple(self._entries), tuple(tubers), tuple(self._observations), self._line_x_m)
+        batch = Batch(
+            tuple(self._entries),
+            tuple(tubers),
+            tuple(self._observations),
+            self._watermark_x_m,
+            settled=self._settled(),
+            sights=self.cameras.sights,
+            head_start_m=self.cameras.head_start_m,
+        )
         self._entries, self._observations = [], []
+        for log in self._logs.values():
+            log.fresh.clear()
         return batch
+
+    def _settled(self) -> dict[str, int]:
+        """Up to which entry of its log each camera's tracks have all gone somewhere."""
+        settled = self.applied()
+        waiting = [(track.camera, track.n) for track in self._unplaced] + [(t.camera, t.n) for t in self._placed]
+        for camera, n in waiting:
+            settled[camera] = min(settled[camera], n - 1)
+        return settled
 
     def _place(self) -> None:
         """Give tracks their place on the line's travel; sort out those whose tuber was committed before."""
@@ -271,11 +314,11 @@ class Aggregation:
 
     def _complete_tubers(self) -> list[Tuber]:
         """Tubers of the blocks that nothing can join any more, in order along the belt."""
-        certain = [track for track in self._placed if track.place_x_m >= self._line_x_m]
+        certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m]
         tubers: list[Tuber] = []
         done: set[str] = set()
         for block in blocks(certain, self._gate):
-            if min(track.place_x_m for track in block) - self._gate.widest_m < self._line_x_m:
+            if min(track.place_x_m for track in block) - self._gate.widest_m < self._watermark_x_m:
                 break
             for group in merge(block, self._gate):
                 self._tubers += 1
