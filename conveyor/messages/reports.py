@@ -44,8 +44,8 @@ class Totals(Message):
     of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
 
     `state` is 'starting' (not counting yet), 'counting', 'nothing seen' (then the weights are no numbers; `reason` says
-    why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of it
-    was not seen, by reason, metres in the mean of the cameras.
+    why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of
+    it was not seen, by reason, metres in the mean of the cameras.
     """
 
     run: str
