@@ -24,7 +24,7 @@ from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.messages import Totals, Tuber
 
-TABLE_IN_HASTE = 20_000
+TABLE_IN_HASTE = 5_000
 """Rows of tubers.csv that are written within the time a process has to stop."""
 
 ROWS_A_TURN = 1000

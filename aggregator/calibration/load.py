@@ -25,8 +25,9 @@ def ticket_of(path: Path, *, run: str | None, ticket_g: float, ticket_sd_g: floa
         chosen = the_run(view, ledger, run)
         sums = read_sums(view, chosen.run)
     load = LoadTotals(sums.load)
-    share = coverage_of(chosen, sums).share or 0.0
-    estimated_g, low_g, high_g = load.estimated(share)
+    seen = coverage_of(chosen, sums)
+    share = seen.share or 0.0
+    estimated_g, low_g, high_g = load.estimated(share, belt_m=seen.belt_m)
     own_g = sum(load.own_error_g()) / 2
     # The unseen belt is random from load to load, the bias that all tubers share is what the ticket is to measure.
     seen_low_g, seen_high_g = load.interval_g()

@@ -14,6 +14,10 @@ from conveyor.messages import CameraInfo, Mark
 PIECES = 256
 """Stretches of one looked-at share that are told apart per camera; beyond it the shortest neighbours become one."""
 
+GAP_M = 0.25
+"""A stretch that lacks more than this lacks it in one piece, at its end: a camera whose frames come no more sends no
+mark before the next one does."""
+
 SAMPLES = 96
 """Of (time, s) per camera, for the speed and for laying cameras side by side; beyond it older ones thin out."""
 
@@ -110,6 +114,10 @@ class CameraSight:
     def _append(self, length: float, looked: float) -> None:
         """Add a stretch. Looked-at belt that is taken back, or that the stretch cannot hold, goes to those before."""
         fits = min(max(looked, 0.0), length)
+        if fits > 0 and length - fits > GAP_M:
+            self._append(fits, fits)
+            self._append(length - fits, looked - fits)
+            return
         if length > 0:
             whole = abs(fits - length) < WHOLE
             before = self.pieces[-1] if self.pieces else None

@@ -23,6 +23,10 @@ UNSEEN_SPREAD = 0.5
 """Half of the 90 % interval of the weight on belt that was not looked at, as a share of it: the belt is not loaded
 evenly. What the count's own chance adds comes on top."""
 
+UNEVEN = 0.7
+"""Of the load of one metre of belt, standard deviation as a share of the mean, one metre independent of the next: an
+assumption; it widens the interval where little belt was seen, or little was not."""
+
 MEAN_TUBER_G, MEAN_SQUARE_G2 = 172.0, 4.0e4
 """Of a tuber of which nothing is known (3DPotatoTwin: 172 g in the mean, standard deviation about 100 g)."""
 
@@ -75,21 +79,24 @@ class LoadTotals:
         known = self._known(model)
         return known.half_width if known else SHARED_BIAS.get(method, 0.10)
 
-    def estimated(self, coverage: float | None) -> tuple[float, float, float]:
+    def estimated(self, coverage: float | None, *, belt_m: float | None = None) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at.
 
-        The unseen part is known to `UNSEEN_SPREAD`, and as the numbers of tubers seen and not seen allow: with n seen
-        and m expected unseen, m scatters by sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate:
-        it is what was seen.
+        The unseen part is known to `UNSEEN_SPREAD`, as evenly as the belt's metres are loaded (`UNEVEN`), and as the
+        numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
+        sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen.
         """
         low_g, high_g = self.interval_g()
         if not coverage or coverage >= 1.0:
             return self.weight_g, low_g, high_g
         whole_g = self.weight_g / coverage
         unseen_g = whole_g - self.weight_g
-        chance_g = self._chance_g(coverage)
-        below_g = math.hypot((self.weight_g - low_g) / coverage, UNSEEN_SPREAD * unseen_g, chance_g)
-        above_g = math.hypot((high_g - self.weight_g) / coverage, UNSEEN_SPREAD * unseen_g, chance_g)
+        spread = UNSEEN_SPREAD
+        if belt_m:
+            spread = math.hypot(spread, Z90 * UNEVEN / math.sqrt(belt_m * coverage * (1.0 - coverage)))
+        missed_g = math.hypot(spread * unseen_g, self._chance_g(coverage))
+        below_g = math.hypot((self.weight_g - low_g) / coverage, missed_g)
+        above_g = math.hypot((high_g - self.weight_g) / coverage, missed_g)
         return whole_g, max(low_g, whole_g - below_g), whole_g + above_g
 
     def _chance_g(self, coverage: float) -> float:
@@ -114,7 +121,7 @@ class LoadTotals:
     ) -> Totals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
-        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage)
+        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m)
         return Totals(
             run=run,
             count=self.sums.count,
