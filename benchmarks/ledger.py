@@ -153,7 +153,7 @@ def whole_batch(first: int, last: int, n: dict[str, int], sights: dict[str, Came
                 place_x_m=x_m,
                 weight_g=100.0 + at % 200,
                 tracks=tuple(f"{RUN}/{camera}/{at}-1" for camera in CAMERAS),
-            )  # fmt: skip
+            )
         )
         if at % TRACKS_A_MARK == 0 or at == last - 1:
             for camera in CAMERAS:

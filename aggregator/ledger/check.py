@@ -126,7 +126,8 @@ def _sum_faults(view: LedgerView) -> Iterator[str]:
             continue
         strays = {run for (run,) in view.tally(f"SELECT DISTINCT run FROM {table.name}")} - runs
         if strays:
-            yield f"rows of {table.name} belong to runs that are not there: {', '.join(sorted(map(str, strays))[:_SHOWN])}"
+            named = ", ".join(sorted(map(str, strays))[:_SHOWN])
+            yield f"rows of {table.name} belong to runs that are not there: {named}"
     for run in sorted(runs):
         step_g = read_sums(view, run).load.histogram_step_g if view.version >= 2 else 50.0
         counted = recount(view, run, histogram_step_g=step_g)
