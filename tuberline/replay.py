@@ -76,6 +76,8 @@ def replay(
         from tuberline.cli.report import print_summary
 
         print_summary(Console(), summary, out=out)
+    if summary["state"] == "nothing seen":
+        raise TuberlineError(f"nothing was seen of {recording}: {summary['reason']}")
 
 
 def parse_speed(text: str) -> float:

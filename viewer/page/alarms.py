@@ -35,7 +35,7 @@ def alarms(look: Look) -> tuple[Alarm, ...]:
     """Everything that is wrong, the worst first. Where there is no contact, that is the one thing to say."""
     if not look.in_contact:
         return _no_contact(look)
-    found = [*_aggregator(look), *_cameras(look), *_regressors(look), *_stalled(look), *_coverage(look)]
+    found = [*_aggregator(look), *_cameras(look), *_regressors(look), *_stalled(look), *_sight(look), *_coverage(look)]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:MAX_ALARMS])
 
 
@@ -122,6 +122,16 @@ def _stalled(look: Look) -> Iterator[Alarm]:
                 f"{waiting:.0f} entries of {name} wait for the ledger; they are safe on its disk.",
                 "Look at the aggregator and its disk.",
             )
+
+
+def _sight(look: Look) -> Iterator[Alarm]:
+    totals = look.totals
+    if totals is not None and totals.state == "nothing seen":
+        mend = "Look at the cameras' pictures and their logs; this is no empty load."
+        yield Alarm("nothing-seen", "trouble", f"Nothing was seen: {totals.reason}.", mend)
+    elif totals is not None and totals.state == "starting":
+        mend = "Wait, or see why it does not come."
+        yield Alarm("starting", "look", f"Starting, not counting: {totals.reason}.", mend)
 
 
 def _coverage(look: Look) -> Iterator[Alarm]:

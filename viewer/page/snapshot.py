@@ -24,7 +24,7 @@ def snapshot(look: Look) -> dict[str, Any]:
         "state": _state(look, troubled=any(alarm.level == "trouble" for alarm in found)),
         "heard_s": None if look.heard_s is None else round(look.heard_s, 1),
         "alarms": [asdict(alarm) for alarm in found],
-        "load": None if look.totals is None else _load(look.totals, look),
+        "load": None if look.totals is None or _no_number(look.totals) else _load(look.totals, look),
         "flow": asdict(look.flow) if look.in_contact and not look.final else None,
         "cameras": [_camera(name, look, _troubled(name, found)) for name in look.camera_names()],
         "regressors": [_regressor(name, node) for name, node in _kept(look, "regressor").items()],
@@ -39,6 +39,11 @@ def _state(look: Look, *, troubled: bool) -> str:
     if not look.in_contact:
         return "no contact"
     return "trouble" if troubled else "waiting" if look.totals is None else "running"
+
+
+def _no_number(totals: Totals) -> bool:
+    """Nothing was seen, or nothing is counted yet: then there is no load to show, but an alarm that says why."""
+    return totals.state == "nothing seen" or (totals.state == "starting" and not totals.count)
 
 
 def _load(totals: Totals, look: Look) -> dict[str, Any]:
