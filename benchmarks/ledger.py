@@ -18,6 +18,7 @@ from pathlib import Path
 
 from aggregator.core.camera_log import LoggedEntry
 from aggregator.core.machine import Aggregation, Applied, Batch, Observation
+from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.check import check_file
 from aggregator.ledger.reader import read_tubers, reading
@@ -143,7 +144,7 @@ def whole_batch(first: int, last: int, n: dict[str, int], sights: dict[str, Came
             entry = TrackEntry(camera, RUN, n[camera], track=TRACK)
             entries.append(Applied(LoggedEntry(entry, payload), 0.0))
             x_m = -(at + 1) * SPACING_M
-            seen = Observation(camera, n[camera], track_id, "counted", at + 1, x_m, 0.0, 3 * at, 3 * at + 28)
+            seen = Observation(camera, n[camera], track_id, Role.COUNTED, at + 1, x_m, 0.0, 3 * at, 3 * at + 28)
             observations.append(seen)
         tubers.append(
             replace(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aggregator.core.coverage import Moment
+from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
 from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
 from conveyor.messages import CameraInfo, Mark, TrackEntry
@@ -78,10 +79,10 @@ class CameraState:
     def says(self, now_s: float, *, stall_s: float) -> str:
         """One word for a person."""
         if self.final:
-            return "ended"
+            return CameraWord.ENDED.value
         if self.stalled(now_s, stall_s=stall_s):
-            return "silent"
-        return "waiting" if self.heard_s is None else "running"
+            return CameraWord.SILENT.value
+        return (CameraWord.WAITING if self.heard_s is None else CameraWord.RUNNING).value
 
 
 class Cameras:

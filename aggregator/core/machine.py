@@ -19,6 +19,7 @@ from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
 from aggregator.core.cameras import PLACE_SLACK_M, Cameras
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
+from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.core.tubers import make_tuber
 from conveyor.messages import Mark, Track, TrackEntry, Tuber
@@ -55,12 +56,12 @@ class CommittedTubers(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Where a track's entry went: 'counted' with a tuber, 'late_duplicate' of one, 'repeat' of a known track."""
+    """Where a track's entry went, and with which tuber."""
 
     camera: str
     n: int
     track_id: str
-    role: str
+    role: Role
     tuber_id: int | None
     place_x_m: float
     place_y_m: float
@@ -222,7 +223,7 @@ class Aggregation:
         track = pending.track
         if track.track_id in self._known or self._committed.knows_track(track.track_id):
             self._count("tracks_repeated")
-            self._observe(PlacedTrack(pending.camera, pending.n, track, track.place_x_m, track.y_m), "repeat", None)
+            self._observe(PlacedTrack(pending.camera, pending.n, track, track.place_x_m, track.y_m), Role.REPEAT, None)
         else:
             self._known.add(track.track_id)
             self._unplaced.append(pending)
@@ -283,7 +284,7 @@ class Aggregation:
                 self._count("tracks_late")
             if (tuber_id := duplicates.get(seen.track.track_id)) is not None:
                 self._count("tracks_late_duplicate")
-                self._observe(seen, "late_duplicate", tuber_id)
+                self._observe(seen, Role.LATE_DUPLICATE, tuber_id)
             else:
                 self._placed.append(seen)
 
@@ -328,14 +329,14 @@ class Aggregation:
                 if len(group.members) > 1:
                     self._count("tubers_merged")
                 for member in group.members:
-                    self._observe(member, "counted", tuber.tuber_id)
+                    self._observe(member, Role.COUNTED, tuber.tuber_id)
             done.update(track.track.track_id for track in block)
         self._placed = [track for track in self._placed if track.track.track_id not in done]
         return tubers
 
-    def _observe(self, placed: PlacedTrack, role: str, tuber_id: int | None) -> None:
+    def _observe(self, placed: PlacedTrack, role: Role, tuber_id: int | None) -> None:
         track = placed.track
-        if role != "repeat":
+        if role is not Role.REPEAT:
             self._known.discard(track.track_id)
         self._observations.append(
             Observation(

@@ -17,6 +17,26 @@ class LoadState(StrEnum):
     ENDED = "ended"
 
 
+class Role(StrEnum):
+    """Where a track of a camera's log went."""
+
+    COUNTED = "counted"
+    """With others of its place it is a tuber."""
+    LATE_DUPLICATE = "late_duplicate"
+    """Its tuber was committed before it came."""
+    REPEAT = "repeat"
+    """A track of its id had come before."""
+
+
+class CameraWord(StrEnum):
+    """What is said of a camera in one word."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    SILENT = "silent"
+    ENDED = "ended"
+
+
 class Unseen(StrEnum):
     """Why belt of a load was not seen by a camera."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from aggregator.core.machine import CommittedTuber
+from aggregator.core.reasons import Role
 from aggregator.ledger.reader import entry_checksum, knows_track, read_entry, read_observations, read_tubers_near
 from aggregator.ledger.verified import LedgerView
 
@@ -25,7 +26,7 @@ class RunTubers:
 
     def _members(self, tuber_id: int) -> tuple[tuple[str, int, int], ...]:
         seen = read_observations(self._view, self._run, tuber_id=tuber_id)
-        return tuple((found[1], found[8], found[9]) for found in seen if found[4] != "repeat")
+        return tuple((found[1], found[8], found[9]) for found in seen if found[4] != Role.REPEAT)
 
     def knows_track(self, track_id: str) -> bool:
         """A track of that id is in the ledger."""

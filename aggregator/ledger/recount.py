@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from aggregator.core.load_sums import LoadSums
+from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.rows import tuber_from
 from aggregator.ledger.schema import COVERAGE, ENTRY, OBSERVATION, TUBER, WRITTEN_ONCE, Table, row
@@ -46,7 +47,7 @@ def recounted(tables: Iterable[tuple[Table, Iterable[Row]]], *, histogram_step_g
             elif table is OBSERVATION:
                 sums.add_observation(found[1], found[4])
                 waiting.get(found[1], set()).discard(found[2])
-                if found[4] == "counted":
+                if found[4] == Role.COUNTED:
                     groups.add(found[5])
             elif table is COVERAGE:
                 sums.sights.setdefault(found[1], CameraSight()).marked(mark_from(found))

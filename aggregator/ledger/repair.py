@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.core.merge import Group, PlacedTrack
+from aggregator.core.reasons import Role
 from aggregator.core.tubers import make_tuber
 from aggregator.ledger.faults import DAMAGE, explained
 from aggregator.ledger.receipt import Receipt, receipt_path
@@ -128,7 +129,7 @@ def _mend_tubers(rows: dict[str, list[Row]], report: Repaired) -> None:
     have = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
     groups: dict[tuple[str, int], list[Row]] = {}
     for seen in rows[OBSERVATION.name]:
-        if seen[4] == "counted":
+        if seen[4] == Role.COUNTED:
             groups.setdefault((seen[0], seen[5]), []).append(seen)
     for key in sorted(set(groups) - have):
         group = _group(groups[key], entries)
@@ -172,7 +173,7 @@ def _drop_orphans(rows: dict[str, list[Row]], report: Repaired) -> None:
     """Leave out observations of tubers that are lost, and tubers that no observation is left of."""
     tubers = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
     kept = [seen for seen in rows[OBSERVATION.name] if seen[5] is None or (seen[0], seen[5]) in tubers]
-    counted = {(seen[0], seen[5]) for seen in kept if seen[4] == "counted"}
+    counted = {(seen[0], seen[5]) for seen in kept if seen[4] == Role.COUNTED}
     for run, tuber_id in sorted(tubers - counted):
         report.mended.append(f"tuber {tuber_id} of run {run}: its observation is damaged, the tuber itself is kept")
     rows[OBSERVATION.name] = kept

@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.machine import Batch, Observation
+from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.schema import WRITTEN_ONCE, Table
 from conveyor.messages import Tuber
@@ -63,7 +64,7 @@ class RunSums:
     def add_observation(self, camera: str, role: str) -> None:
         """Where a track went."""
         self.roles[role] = self.roles.get(role, 0) + 1
-        if role == "repeat":
+        if role == Role.REPEAT:
             self.repeats[camera] = self.repeats.get(camera, 0) + 1
 
     def add_tuber(self, tuber: Tuber) -> None:
@@ -79,7 +80,7 @@ class RunSums:
         for tuber in batch.tubers:
             self.add_tuber(tuber)
         for seen in batch.observations:
-            self.add_observation(seen.camera, seen.role)
+            self.add_observation(seen.camera, seen.role.value)
         self.counted += _counted(batch.observations)
         self.settled, self.head_start_m = dict(batch.settled), batch.head_start_m
         self.sights = dict(batch.sights)
@@ -106,4 +107,4 @@ class RunSums:
 
 def _counted(observations: Sequence[Observation]) -> int:
     """Tubers that these observations are the first of: a tuber's tracks are all observed in its own transaction."""
-    return len({seen.tuber_id for seen in observations if seen.role == "counted"})
+    return len({seen.tuber_id for seen in observations if seen.role is Role.COUNTED})
