@@ -116,8 +116,10 @@ def read_entries_after(view: LedgerView, run: str, camera: str, n: int) -> Itera
 
 
 def read_observations(view: LedgerView, run: str, *, tuber_id: int) -> Iterator[Row]:
-    """Where the tracks of a tuber went."""
-    return view.rows(OBSERVATION, "WHERE run = ? AND tuber_id = ? ORDER BY camera, n", (run, tuber_id))
+    """Where the tracks of a tuber went, by camera and entry."""
+    # Sorted here: asked for this order SQLite walks the key of the whole run, 6 s at a million tubers.
+    found = view.rows(OBSERVATION, "WHERE run = ? AND tuber_id = ?", (run, tuber_id))
+    return iter(sorted(found, key=lambda seen: (seen[1], seen[2])))
 
 
 def is_observed(view: LedgerView, run: str, camera: str, n: int) -> bool:

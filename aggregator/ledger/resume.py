@@ -23,8 +23,8 @@ from conveyor.messages import Mark
 MARKS = 20
 """Marks of a camera that may not have been used for the watermark yet: its travel waits for the reference camera's."""
 
-SAMPLES = 10_000
-"""Samples of estimated travel from a run's beginning, and from its end: 10,000 s and more of each."""
+SAMPLES = 5000
+"""Samples of estimated travel from a run's beginning, and from its end: 5000 s of each."""
 
 
 def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
@@ -59,6 +59,9 @@ def _marks(view: LedgerView, run: str, camera: str) -> list[Mark]:
 
 def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:
     """(capture time, travel) of marks with estimated travel: the first and the newest."""
+    last = read_coverage(view, run, camera, limit=1, newest=True)
+    if not last or not last[0][5]:
+        return []  # the belt has an encoder
     newest = read_coverage(view, run, camera, limit=SAMPLES, newest=True)
     first = []
     if len(newest) == SAMPLES:
