@@ -16,11 +16,11 @@ from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
 from conveyor.config import LineConfig
-from conveyor.delivery.kept import KeptPublisher
+from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
 from conveyor.errors import MessageError, Refusal
-from conveyor.messages import Committed, TrackEntry
+from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry
 from conveyor.node import Node
 
 BATCH_ENTRIES = 2000
@@ -53,6 +53,7 @@ class AggregatorNode:
         self._stack = ExitStack()
         self._alive: set[str] = set()
         self._refused_runs: set[str] = set()
+        self._told: dict[str, CameraInfo] = {}
 
     @property
     def ledger_path(self) -> Path:
@@ -70,6 +71,7 @@ class AggregatorNode:
                 started_ns=time.time_ns(),
                 fingerprint=self._fingerprint,
                 may_be_finished=not self._settings.exit_when_final,
+                histogram_step_g=self._settings.histogram_step_g,
             )
             self._node = stack.enter_context(
                 Node("aggregator", "aggregator", config=self._config, run=self._run, announce=False)
@@ -106,6 +108,8 @@ class AggregatorNode:
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
         self._segmenters = Presence(node, "segmenter")
+        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
+        self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, role="segmenter", name="*")
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
 
@@ -134,9 +138,10 @@ class AggregatorNode:
                 if self._settings.exit_when_final:
                     self._leave()
                     return
-                self._ledger.finish(self._run, self._reporter.summary_text(now_s))
+                self._finish(now_s)
         if not reported:
             self._commit()
+            self._reporter.stopped()
             self._report(time.monotonic(), in_haste=True)
 
     def _gather(self, for_s: float) -> None:
@@ -188,7 +193,6 @@ class AggregatorNode:
     def _tell(self, batch: Batch) -> None:
         self._acknowledge()
         for tuber in batch.tubers:
-            self._reporter.add(tuber)
             self._tubers_out.put(tuber)
 
     def _acknowledge(self) -> None:
@@ -196,6 +200,13 @@ class AggregatorNode:
             self._committed_out[camera].put(Committed(camera=camera, run=self._run, n=n))
 
     def _watch_presence(self, now_s: float) -> None:
+        for info in self._infos.latest().values():
+            if info.run == self._run and info is not self._told.get(info.camera):
+                self._told[info.camera] = info
+                self._core.cameras.info(info, now_s)
+        self._reporter.sheets = {
+            counters.name: _frames(counters) for counters in self._sheets.latest().values() if counters.run == self._run
+        }
         alive = self._segmenters.names()
         for camera in self._core.cameras.names:
             self._core.cameras.presence(camera, alive=camera in alive, now_s=now_s)
@@ -207,7 +218,7 @@ class AggregatorNode:
 
     def _report(self, now_s: float, *, in_haste: bool = False) -> None:
         """Write summary.json and tubers.csv, and publish the totals as they are now."""
-        if not self._reporter.write(self._settings.out, now_s, in_haste=in_haste):
+        if not self._reporter.write(self._settings.out, now_s, in_haste=in_haste, turn=self._node.progress):
             self._node.log.warning("stopped early: tubers.csv left out, `tuberline ledger export` gives every tuber")
         self._publish_totals(now_s)
         self._node.log.info("%s", self._reporter.headline(now_s))
@@ -219,7 +230,19 @@ class AggregatorNode:
             self._acknowledge()
             self._node.stop.wait(0.2)
         self._node.stop.wait(0.3)
-        self._ledger.finish(self._run, self._reporter.summary_text(time.monotonic()))
+        self._finish(time.monotonic())
+
+    def _finish(self, now_s: float) -> None:
+        self._ledger.finish(self._run, self._reporter.summary_text(now_s), sights=self._core.cameras.sights)
+
+
+def _frames(counters: Counters) -> dict[str, int]:
+    """The balance sheet of a segmenter's frames."""
+    return {
+        name.removeprefix("frames_"): int(level)
+        for name, level in counters.gauges.items()
+        if name.startswith("frames_")
+    }
 
 
 def run_aggregator(config: LineConfig, *, run: str, fingerprint: str = "") -> None:

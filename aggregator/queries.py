@@ -11,9 +11,7 @@ from typing import Any
 import zenoh
 
 from aggregator.ledger.loads import last_loads
-from aggregator.ledger.reader import reading
-from aggregator.ledger.rows import tuber_from
-from aggregator.ledger.schema import TUBER
+from aggregator.ledger.reader import read_tubers, reading
 from conveyor import topics
 from conveyor.errors import InputError, TuberlineError
 from conveyor.messages import Totals
@@ -67,16 +65,13 @@ class Queries:
     def _answer_tubers(self, query: zenoh.Query) -> Any:
         since = _whole(query, "since", default=0, most=2**62)
         limit = _whole(query, "limit", default=DEFAULT_LIMIT, most=MOST)
-        with reading(self._ledger) as db:
-            rows = db.execute(
-                f"{TUBER.select} WHERE run = ? AND tuber_id > ? ORDER BY tuber_id LIMIT ?", (self._run, since, limit)
-            ).fetchall()
-        return [plain(tuber_from(columns)) for *columns, _crc in rows]
+        with reading(self._ledger) as view:
+            return [plain(tuber) for tuber in read_tubers(view, self._run, since=since, limit=limit)]
 
     def _answer_loads(self, query: zenoh.Query) -> Any:
         limit = _whole(query, "limit", default=DEFAULT_LOADS, most=MOST_LOADS)
-        with reading(self._ledger) as db:
-            return last_loads(db, limit=limit)
+        with reading(self._ledger) as view:
+            return last_loads(view, limit=limit)
 
 
 def _whole(query: zenoh.Query, name: str, *, default: int, most: int) -> int:

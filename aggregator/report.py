@@ -3,103 +3,133 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from aggregator.calibration.tickets import read_tickets
-from aggregator.core.coverage import Looked, camera_shares, combined_coverage
+from aggregator.core.coverage import Coverage, coverage
+from aggregator.core.load_state import load_state
 from aggregator.core.machine import Aggregation
+from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.audit import audit_run
+from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.files import tubers_csv, write_whole
+from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
-from aggregator.summary import summarise, tally
+from aggregator.summary import summarise
 from conveyor import __version__
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.messages import Totals, Tuber
 
-TABLE_IN_HASTE = 20_000
+TABLE_IN_HASTE = 5_000
 """Rows of tubers.csv that are written within the time a process has to stop."""
+
+ROWS_A_TURN = 1000
 
 
 class Reporter:
-    """What is told about a run; begins with the tubers that the ledger holds already."""
+    """What is told about a run, from the sums that its ledger carries along and from what the cameras looked at."""
 
     def __init__(self, ledger: Ledger, core: Aggregation, *, config: LineConfig, counters: CounterSet) -> None:
         self._ledger = ledger
         self._core = core
         self._config = config
         self._counters = counters
-        tickets = config.aggregator.tickets
-        self._load = LoadTotals(config.aggregator.histogram_step_g, read_tickets(tickets) if tickets else ())
-        for tuber in ledger.tubers(core.run):
-            self._load.add(tuber)
+        self._tickets = read_tickets(config.aggregator.tickets) if config.aggregator.tickets else ()
+        self._over = False
+        self.sheets: Mapping[str, Mapping[str, int]] = {}
+        """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
 
-    def add(self, tuber: Tuber) -> None:
-        """A tuber was committed."""
-        self._load.add(tuber)
+    def stopped(self) -> None:
+        """The process was told to stop: what is not in the ledger by now was not seen."""
+        self._over = True
 
-    def camera_coverage(self) -> dict[str, float | None]:
-        """Share of the belt each camera looked at."""
-        states = self._core.cameras.states
-        return camera_shares(
-            {
-                name: Looked(state.mark.looked_at_m, state.mark.travelled_m) if state.mark else None
-                for name, state in states.items()
-            }
+    def coverage(self, now_s: float) -> Coverage:
+        """What of the load's belt was seen."""
+        cameras = self._core.cameras
+        return coverage(
+            cameras.sights,
+            seen_by=self._ledger.sums(self._core.run).load.seen_by,
+            moment=cameras.moment(now_s, over=self._over or cameras.final),
         )
 
     def totals(self, now_s: float) -> Totals:
         """The totals as they are now."""
-        coverage = combined_coverage(self.camera_coverage(), seen_by=self._load.seen_by)
-        return self._load.message(
+        cameras, seen, sums = self._core.cameras, self.coverage(now_s), self._ledger.sums(self._core.run)
+        state, reason = load_state(
+            cameras.sights,
+            seen,
+            count=sums.load.count,
+            over=self._over or self._core.finished,
+            given_up=cameras.given_up(now_s),
+            sheets=self.sheets,
+        )
+        return LoadTotals(sums.load, self._tickets).message(
             self._core.run,
-            coverage=coverage,
-            cameras=self._core.cameras.says(now_s),
+            coverage=seen.share,
+            cameras=cameras.says(now_s),
             final=self._core.finished,
+            state=state,
+            reason=reason,
+            belt_m=seen.belt_m,
+            unseen_m=seen.mean_unseen_m(),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:
-        """The summary as plain values, from the ledger and this process's counters."""
+        """The summary as plain values, from the ledger's sums and this process's counters."""
         run = self._ledger.run_row(self._core.run)
         if run is None:
             raise LedgerError(f"run '{self._core.run}' is not in ledger {self._ledger.path}")
-        models, methods = tally(self._ledger.connection, self._core.run)
+        sums = self._ledger.sums(run.run)
         return summarise(
             self.totals(now_s),
             line=self._config.name,
             version=__version__,
-            audit=audit_run(self._ledger.connection, run),
-            camera_coverage=self.camera_coverage(),
+            audit=audit_sums(run, sums, read_marks(self._ledger.view, run)),
+            coverage=self.coverage(now_s),
             counters=self._counters.snapshot()[0],
-            models=models,
-            methods=methods,
-            tubers={"committed": self._load.count, "merged": self._load.merged, "late": self._load.late},
+            models=sums.load.models(),
+            methods=sums.load.methods(),
+            tubers={"committed": sums.load.count, "merged": sums.load.merged, "late": sums.load.late},
         )
 
     def summary_text(self, now_s: float) -> str:
         """The summary as JSON."""
         return json.dumps(self.summary(now_s), indent=2) + "\n"
 
-    def write(self, folder: Path, now_s: float, *, in_haste: bool = False) -> bool:
+    def write(
+        self, folder: Path, now_s: float, *, in_haste: bool = False, turn: Callable[[], None] = lambda: None
+    ) -> bool:
         """Write tubers.csv and summary.json into `folder`; the summary last, so that it never stands alone.
 
-        `in_haste`: a process that was told to stop leaves a long table out. Returns whether the table was written.
+        `in_haste`: a process that was told to stop leaves a long table out. `turn` is called every thousand rows.
+        Returns whether the table was written.
         """
-        table = not in_haste or self._load.count <= TABLE_IN_HASTE
+        run = self._core.run
+        table = not in_haste or self._ledger.sums(run).load.count <= TABLE_IN_HASTE
         if table:
-            write_whole(folder / "tubers.csv", tubers_csv(self._ledger.tubers(self._core.run)))
+            write_whole(folder / "tubers.csv", tubers_csv(_in_turns(self._ledger.tubers(run), turn)))
         write_whole(folder / "summary.json", self.summary_text(now_s))
         return table
 
     def headline(self, now_s: float) -> str:
         """One line for the log."""
         totals = self.totals(now_s)
+        if totals.state == LoadState.NOTHING_SEEN:
+            return f"nothing seen: {totals.reason}; final={totals.final}"
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
             f"calibrated by {totals.tickets} load tickets, final={totals.final}"
         )
+
+
+def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tuber]:
+    for n, tuber in enumerate(tubers):
+        if n % ROWS_A_TURN == 0:
+            turn()
+        yield tuber

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Mapping
 from typing import Any
 
 from aggregator.core.balance import Equation
+from aggregator.core.coverage import Coverage
+from aggregator.core.reasons import LoadState
 from aggregator.ledger.audit import Audit, sheet
 from conveyor.messages import Totals
 from conveyor.messages.base import plain
@@ -18,7 +19,7 @@ def summarise(
     line: str,
     version: str,
     audit: Audit,
-    camera_coverage: Mapping[str, float | None],
+    coverage: Coverage,
     counters: Mapping[str, int],
     models: Mapping[str, int],
     methods: Mapping[str, int],
@@ -27,6 +28,7 @@ def summarise(
     """The summary as plain values.
 
     Args:
+        audit: by the sums carried along.
         counters: of this aggregator process since it started.
         models, methods: tubers by model and by method.
         tubers: 'committed', 'merged' (seen in several tracks), 'late'.
@@ -36,7 +38,12 @@ def summarise(
         "line": line,
         "software": version,
         "final": totals.final,
-        "totals": plain(totals),
+        "state": totals.state,
+        "reason": totals.reason,
+        "coverage": totals.coverage,
+        "belt_m": totals.belt_m,
+        "unseen_m": dict(totals.unseen_m),
+        "totals": told_totals(totals),
         "balanced": audit.balanced,
         "differences": [
             f"{where}: {told(equation)}"
@@ -45,7 +52,12 @@ def summarise(
             if equation.difference
         ],
         "cameras": {
-            camera: {**sheet(mark), "coverage": camera_coverage.get(camera)} for camera, mark in audit.marks.items()
+            camera: {
+                **sheet(mark),
+                "coverage": coverage.cameras.get(camera),
+                "unseen_m": {why.value: metres for why, metres in coverage.unseen_m.get(camera, {}).items()},
+            }
+            for camera, mark in audit.marks.items()
         },
         "tubers": dict(tubers),
         "tracks": dict(audit.tracks),
@@ -61,7 +73,12 @@ def told(equation: Equation) -> str:
     return f"{equation.text} does not hold: {equation.left} is not {equation.right} ({equation.difference:+d})"
 
 
-def tally(db: sqlite3.Connection, run: str) -> tuple[dict[str, int], dict[str, int]]:
-    """(tubers by model, tubers by method); those without a weighed view count under the method alone."""
-    models = dict(db.execute("SELECT model, count(*) FROM tuber WHERE run = ? AND model != '' GROUP BY model", (run,)))
-    return models, dict(db.execute("SELECT method, count(*) FROM tuber WHERE run = ? GROUP BY method", (run,)))
+_NUMBERS = ("weight_g", "low_g", "high_g", "estimated_weight_g", "estimated_low_g", "estimated_high_g", "as_weighed_g")
+
+
+def told_totals(totals: Totals) -> dict[str, Any]:
+    """The totals as plain values. Where nothing was seen there is no weight: null, never zero."""
+    told: dict[str, Any] = plain(totals)
+    if totals.state == LoadState.NOTHING_SEEN:
+        told.update(dict.fromkeys(_NUMBERS))
+    return told

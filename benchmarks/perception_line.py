@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aggregator.core.coverage import Looked
+from aggregator.core.coverage import Moment, coverage
 from aggregator.core.machine import Aggregation, CommittedTuber
 from aggregator.scoring.score import Score, score_tubers
 from aggregator.scoring.truth import read_truth
@@ -38,7 +38,7 @@ class LineResult:
     """
 
     tubers: tuple[Tuber, ...]
-    looked: dict[str, Looked | None]
+    coverage: float | None
     estimated: bool
     discarded: dict[str, int]
     belt_off_mm: dict[str, float]
@@ -46,7 +46,7 @@ class LineResult:
     def score(self, truth: Path) -> Score:
         """Against truth.json, as `tuberline score` does it."""
         return score_tubers(
-            self.tubers, read_truth(truth), match_mm=25.0, travel_estimated=self.estimated, looked=self.looked
+            self.tubers, read_truth(truth), match_mm=25.0, travel_estimated=self.estimated, coverage=self.coverage
         )
 
 
@@ -55,6 +55,9 @@ class _NothingCommitted:
 
     def near(self, low_x_m: float, high_x_m: float) -> Sequence[CommittedTuber]:
         return ()
+
+    def entry_checksum(self, camera: str, n: int) -> int | None:
+        return None
 
     def knows_track(self, track_id: str) -> bool:
         return False
@@ -82,14 +85,12 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
         committed=_NothingCommitted(),
         now_s=0.0,
     )
-    looked: dict[str, Looked | None] = {}
     discarded: Counter[str] = Counter()
     belt_off_mm: dict[str, float] = {}
     estimated = False
     for name in names:
         camera = _run_camera(recording, name, config, weigher, line)
         mark = camera.log.last_mark
-        looked[name] = None if mark is None else Looked(mark.looked_at_m, mark.travelled_m)
         estimated |= mark is not None and mark.travel_estimated
         discarded.update({str(reason): n for reason, n in camera.core.discarded.items()})
         if (drift_m := camera.core.belt_check.drift_m) is not None:
@@ -97,7 +98,9 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     batch = line.commit(now_s=0.0)
     if not line.finished:
         raise TuberlineError(f"{recording}: {line.pending} tracks are still pending after the last frame")
-    return LineResult(batch.tubers, looked, estimated, dict(sorted(discarded.items())), belt_off_mm)
+    seen_by = Counter(frozenset(tuber.cameras) for tuber in batch.tubers)
+    seen = coverage(line.cameras.sights, seen_by=seen_by, moment=Moment(over=True))
+    return LineResult(batch.tubers, seen.share, estimated, dict(sorted(discarded.items())), belt_off_mm)
 
 
 def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:

@@ -42,6 +42,8 @@ class CameraNode:
         self._refused: Counter[str] = Counter()
         self._first: int | None = None
         self._last: int | None = None
+        self._oldest: tuple[int, float | None] | None = None
+        self._newest: tuple[int, float | None] | None = None
         self._published = 0
         self._info_s = -INFO_EVERY_S
         self._stalled = False
@@ -201,6 +203,8 @@ class CameraNode:
             if self._source.description.live and self._last is not None:
                 self._node.counters.add("frames_missed", frame.seq - self._last - 1)
             self._published += 1
+            self._newest = (frame.captured_ns, frame.travel_m)
+            self._oldest = self._oldest or self._newest
             self._node.counters.add("frames_published")
         else:
             self._node.counters.add("frames_resent")
@@ -225,6 +229,7 @@ class CameraNode:
     def _tell(self, state: Literal["starting", "streaming", "ended", "failed"], *, error: str = "") -> None:
         self._info_s = time.monotonic()
         d = self._source.description
+        oldest, newest = self._oldest or (None, None), self._newest or (None, None)
         self._infos.put(
             CameraInfo(
                 camera=self._node.name,
@@ -240,6 +245,11 @@ class CameraNode:
                 published=self._published,
                 refused=dict(self._refused),
                 error=error[:4000],
+                first_captured_ns=oldest[0],
+                first_travel_m=oldest[1],
+                last_captured_ns=newest[0],
+                last_travel_m=newest[1],
+                live=d.live,
             )
         )
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from aggregator.calibration.tickets import Ticket, check_ticket
-from aggregator.core.coverage import Looked, camera_shares, combined_coverage
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import ledger_file, read_marks, read_tubers, reading, the_run
+from aggregator.ledger.reader import coverage_of, ledger_file, read_sums, reading, the_run
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 
@@ -22,30 +21,25 @@ def ticket_of(path: Path, *, run: str | None, ticket_g: float, ticket_sd_g: floa
         LedgerError: no ledger, or not that run. InputError: the load cannot be calibrated with; the text says why.
     """
     ledger = ledger_file(path)
-    with reading(ledger) as db:
-        chosen = the_run(db, ledger, run)
-        marks = read_marks(db, chosen.run)
-        load = LoadTotals(50.0)
-        for tuber in read_tubers(db, chosen.run):
-            load.add(tuber)
-    looked = {
-        camera: Looked(marks[camera].looked_at_m, marks[camera].travelled_m) if camera in marks else None
-        for camera in chosen.cameras
-    }
-    coverage = combined_coverage(camera_shares(looked), seen_by=load.seen_by) or 0.0
-    estimated_g, low_g, high_g = load.estimated(coverage)
+    with reading(ledger) as view:
+        chosen = the_run(view, ledger, run)
+        sums = read_sums(view, chosen.run)
+    load = LoadTotals(sums.load)
+    seen = coverage_of(chosen, sums)
+    share = seen.share or 0.0
+    estimated_g, low_g, high_g = load.estimated(share, belt_m=seen.belt_m)
     own_g = sum(load.own_error_g()) / 2
     # The unseen belt is random from load to load, the bias that all tubers share is what the ticket is to measure.
     seen_low_g, seen_high_g = load.interval_g()
-    unseen_g = max(0.0, (high_g - low_g) - (seen_high_g - seen_low_g) / max(coverage, 1e-9)) / 2
+    unseen_g = max(0.0, (high_g - low_g) - (seen_high_g - seen_low_g) / max(share, 1e-9)) / 2
     model = _model_of(load, chosen.run)
-    estimated_sd_g = (own_g / max(coverage, 1e-9) + unseen_g) / NORMAL_90
-    return check_ticket(Ticket(chosen.run, model, ticket_g, ticket_sd_g, estimated_g, estimated_sd_g, coverage))
+    estimated_sd_g = (own_g / max(share, 1e-9) + unseen_g) / NORMAL_90
+    return check_ticket(Ticket(chosen.run, model, ticket_g, ticket_sd_g, estimated_g, estimated_sd_g, share))
 
 
 def _model_of(load: LoadTotals, run: str) -> str:
     shares: dict[str, float] = {}
-    for (_, model), weight_g in load.as_weighed_g.items():
+    for (_, model), (_, weight_g) in load.sums.weighed.items():
         shares[model] = shares.get(model, 0.0) + weight_g
     model = max(shares, key=lambda name: shares[name], default="")
     if shares and (not model or shares[model] < LEAST_SHARE * sum(shares.values())):

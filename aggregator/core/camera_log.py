@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from array import array
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -44,32 +44,33 @@ class LoggedEntry:
 
 @dataclass(slots=True)
 class CameraLog:
-    """The state of one camera's log: `checksums[n - 1]` is entry n's, so its length is how far the log is applied."""
+    """The state of one camera's log: entries 1 to `applied` are applied. `fresh` holds the checksums of those that are
+    not in the ledger yet; of the others the ledger knows.
+    """
 
-    checksums: array[int] = field(default_factory=lambda: array("I"))
+    applied: int = 0
     waiting: dict[int, LoggedEntry] = field(default_factory=dict)
+    fresh: dict[int, int] = field(default_factory=dict)
 
-    @property
-    def applied(self) -> int:
-        """Entries 1 to this number are applied."""
-        return len(self.checksums)
-
-    def take(self, entry: TrackEntry) -> tuple[Taken, list[LoggedEntry]]:
+    def take(self, entry: TrackEntry, committed: Callable[[int], int | None]) -> tuple[Taken, list[LoggedEntry]]:
         """What became of `entry`, and the entries that can be applied now, in order.
 
         An entry that came before with other contents is a fault of the sender (its log was lost and begun anew); the
         first one stays.
+
+        Args:
+            committed: the checksum of an entry that the ledger holds, by its number.
         """
         if entry.n < 1 or (entry.track is None) == (entry.mark is None):
             return Taken.MALFORMED, []
-        return self.put(LoggedEntry(entry, entry.encode()))
+        return self.put(LoggedEntry(entry, entry.encode()), committed)
 
-    def put(self, logged: LoggedEntry) -> tuple[Taken, list[LoggedEntry]]:
+    def put(self, logged: LoggedEntry, committed: Callable[[int], int | None]) -> tuple[Taken, list[LoggedEntry]]:
         """Like `take`, for an entry with its bytes, or what was set aside in its place."""
         entry, payload = logged.entry, logged.payload
         if entry.n <= self.applied:
-            same = self.checksums[entry.n - 1] == zlib.crc32(payload)
-            return (Taken.DUPLICATE if same else Taken.CONFLICTING), []
+            known = self.fresh[entry.n] if entry.n in self.fresh else committed(entry.n)
+            return (Taken.DUPLICATE if known == zlib.crc32(payload) else Taken.CONFLICTING), []
         if entry.n in self.waiting:
             return (Taken.DUPLICATE if self.waiting[entry.n].payload == payload else Taken.CONFLICTING), []
         if entry.n > self.applied + 1:
@@ -80,7 +81,8 @@ class CameraLog:
         ready = [logged]
         while (following := self.waiting.pop(entry.n + len(ready), None)) is not None:
             ready.append(following)
-        self.checksums.extend(zlib.crc32(logged.payload) for logged in ready)
+        self.applied += len(ready)
+        self.fresh.update({logged.entry.n: zlib.crc32(logged.payload) for logged in ready})
         return Taken.APPLIED, ready
 
 

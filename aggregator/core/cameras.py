@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from aggregator.core.coverage import Moment
+from aggregator.core.reasons import CameraWord
+from aggregator.core.sight import CameraSight
 from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
-from conveyor.messages import Mark, TrackEntry
+from conveyor.messages import CameraInfo, Mark, TrackEntry
 
 STARTUP_GRACE_S = 60.0
 """A camera never heard of is waited for at least this long: processes of one line do not start at once."""
 
-LINE_SLACK_M = 0.02
+STANDS_AFTER_S = 600.0
+"""Belt that runs on unseen is guessed by the clock for this long at most: a line that is down longer was stopped."""
+
+INFO_AGE_S = 3.0
+"""A camera that publishes says so twice a second: then it, and not our clock, says until when its belt ran."""
+
+PLACE_SLACK_M = 0.02
 """Places are known to a few millimetres: this far from the watermark nothing is committed yet."""
 
 
@@ -27,6 +36,31 @@ class CameraState:
     """Marks not yet used for the watermark, oldest first; the newest is always kept."""
     mark: Mark | None = None
     curve: TravelCurve = field(default_factory=TravelCurve)
+    sight: CameraSight = field(default_factory=CameraSight)
+    info_s: float | None = None
+    marked_s: tuple[float, int] | None = None
+    """When the newest mark of this process's life came, and its capture time."""
+    pace: float = 1.0
+    """Seconds of the camera's clock in one of ours: a recording may be played at another speed."""
+    _paced_from: tuple[float, int] | None = None
+
+    def mark_came(self, captured_ns: int, now_s: float) -> None:
+        """A mark that shows progress has come."""
+        self.marked_s = (now_s, captured_ns)
+        if self._paced_from is None:
+            self._paced_from = self.marked_s
+        since_s = now_s - self._paced_from[0]
+        if since_s >= 2.0:
+            self.pace = min(max((captured_ns - self._paced_from[1]) / 1e9 / since_s, 0.01), 100.0)
+
+    def until_ns(self, now_s: float) -> int | None:
+        """The camera's clock now, where no word of its own says more; None where nothing is known."""
+        if self.marked_s is None:
+            return None
+        if self.info_s is not None and now_s - self.info_s <= INFO_AGE_S:
+            return None
+        came_s, captured_ns = self.marked_s
+        return captured_ns + round(min(now_s - came_s, STANDS_AFTER_S) * self.pace * 1e9)
 
     @property
     def final(self) -> bool:
@@ -45,10 +79,10 @@ class CameraState:
     def says(self, now_s: float, *, stall_s: float) -> str:
         """One word for a person."""
         if self.final:
-            return "ended"
+            return CameraWord.ENDED.value
         if self.stalled(now_s, stall_s=stall_s):
-            return "silent"
-        return "waiting" if self.heard_s is None else "running"
+            return CameraWord.SILENT.value
+        return (CameraWord.WAITING if self.heard_s is None else CameraWord.RUNNING).value
 
 
 class Cameras:
@@ -58,6 +92,7 @@ class Cameras:
         self.names = tuple(sorted(names))
         self.states = {name: CameraState(now_s) for name in self.names}
         self._stall_s = stall_s
+        self._began_s: float | None = now_s
         self._head_start_m: float | None = None
 
     @property
@@ -71,6 +106,58 @@ class Cameras:
         newest = state.mark.captured_ns if state.mark else None
         if entry.mark is None or entry.mark.final or newest is None or entry.mark.captured_ns > newest:
             state.heard_s = now_s
+            if entry.mark is not None:
+                state.mark_came(entry.mark.captured_ns, now_s)
+
+    def info(self, info: CameraInfo, now_s: float) -> None:
+        """What a camera says of itself. Belt that ran under a live one since the load began, before its first frame, is
+        known by our clock alone.
+        """
+        state = self.states.get(info.camera)
+        if state is None:
+            return
+        known = state.sight.published
+        first = known.first_ns is None and info.first_captured_ns is not None
+        known.take(info)
+        if first and info.live and self._began_s is not None and state.mark is None:
+            known.lead_s = now_s - self._began_s
+        if info.state == "streaming":
+            state.info_s = now_s
+        elif info.state == "ended":
+            state.info_s = math.inf
+
+    def resumed(self, *, head_start_m: float | None) -> None:
+        """The run was begun by an earlier process: when, our clock does not know."""
+        self._began_s, self._head_start_m = None, head_start_m
+
+    @property
+    def head_start_m(self) -> float | None:
+        """How far the belt moved before the reference camera's first sample; None while that is not known."""
+        return self._head_start_m
+
+    def away(self, now_s: float) -> set[str]:
+        """Cameras that are silent, or whose segmenter is gone."""
+        return {
+            name
+            for name, state in self.states.items()
+            if not state.final and (state.gone_s is not None or state.stalled(now_s, stall_s=self._stall_s))
+        }
+
+    def given_up(self, now_s: float) -> set[str]:
+        """Cameras that are waited for no longer."""
+        return {
+            name for name, state in self.states.items() if state.final or state.stalled(now_s, stall_s=self._stall_s)
+        }
+
+    def moment(self, now_s: float, *, over: bool) -> Moment:
+        """Now, for the coverage."""
+        until = {name: until for name, state in self.states.items() if (until := state.until_ns(now_s)) is not None}
+        return Moment(over=over, away=self.away(now_s), until_ns=until)
+
+    @property
+    def sights(self) -> Mapping[str, CameraSight]:
+        """What each camera looked at."""
+        return {name: state.sight for name, state in self.states.items()}
 
     def presence(self, camera: str, *, alive: bool, now_s: float) -> None:
         """The liveliness token of the camera's segmenter is there or gone."""
@@ -82,8 +169,19 @@ class Cameras:
         state = self.states[camera]
         state.marks.append(mark)
         state.mark = mark
+        state.sight.marked(mark)
         if mark.travel_estimated:
             state.curve.add(mark.captured_ns, mark.travel_m)
+
+    def restored(
+        self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight
+    ) -> None:
+        """A camera as the ledger knows it; `curve` are samples (capture time, estimated travel), oldest first."""
+        state = self.states[camera]
+        state.marks, state.mark = list(marks), marks[-1] if marks else None
+        state.sight = sight
+        for captured_ns, travel_m in curve:
+            state.curve.add(captured_ns, travel_m)
 
     def place_x_m(
         self, camera: str, own_place_x_m: float, *, t_ns: int, own_travel_m: float, estimated: bool

@@ -1,62 +1,169 @@
-"""How much of the belt was really looked at, over all cameras."""
+"""How much of a load's belt was really looked at, from its first metre to its last, over all cameras.
+
+Every camera's history (`aggregator.core.sight`) is laid along the line's belt. Belt before its first processed frame,
+after the last thing it logged, and while it was away counts as not seen, by the encoder, by another camera, or by the
+clock and the last speed. Pure: histories in, shares out.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 
-START_TOLERANCE_M = 0.5
-"""Cameras of one line start and end a little apart; less than this (or 2 %) behind the others is not belt missed."""
+from aggregator.core.lanes import Stretch, looked_lengths, share_seen
+from aggregator.core.reasons import Unseen
+from aggregator.core.sight import WHOLE, CameraSight
+
+REPLAY_SLACK_M = 0.5
+"""The recordings of one line's cameras start and end a little apart: less than this (or 2 %) behind the others is not
+belt missed."""
+
+LIVE_SLACK_M = 0.05
+"""Two cameras' knowledge of one belt differs by this, or by `ESTIMATE_DRIFT` of it where travel is estimated."""
+
+ESTIMATE_DRIFT = 0.02
+OTHER_CLOCK_NS = 60_000_000_000
+"""Cameras that began further apart than this run on different clocks: they are taken to have begun together."""
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
-    """What one camera's newest mark says: belt that passed its centre row, and what of it was looked at, metres."""
+class Moment:
+    """When coverage is asked for.
 
-    looked_at_m: float
-    travelled_m: float
-
-
-def camera_shares(looked: Mapping[str, Looked | None]) -> dict[str, float | None]:
-    """Share of the belt that each camera looked at, of all that passed the line; None before the belt moved.
-
-    A camera that stopped early is measured by the belt that the others saw go by.
+    Attributes:
+        over: the load ended or was stopped: what is not in the logs by now was not seen. While it goes on, cameras that
+            are `away` (silent or gone) are measured by the others, and the rest by themselves.
+        until_ns: by camera, its capture clock's time until which the belt ran on, where nothing better is known.
     """
-    farthest_m = max((own.travelled_m for own in looked.values() if own), default=0.0)
-    shares: dict[str, float | None] = {}
-    for camera, own in looked.items():
-        if farthest_m <= 0:
-            shares[camera] = None
-        elif own is None:
-            shares[camera] = 0.0
-        else:
-            behind = own.travelled_m < 0.98 * farthest_m - START_TOLERANCE_M
-            whole_m = farthest_m if behind else own.travelled_m
-            shares[camera] = min(1.0, own.looked_at_m / whole_m) if whole_m > 0 else 0.0
-    return shares
+
+    over: bool
+    away: Collection[str] = ()
+    until_ns: Mapping[str, int] = field(default_factory=dict)
 
 
-def combined_coverage(shares: Mapping[str, float | None], *, seen_by: Mapping[frozenset[str], int]) -> float | None:
-    """Share of the line's tubers that passed under an open eye; None before the belt moved.
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What of a load was seen.
 
-    Tubers that only camera A ever sees were lost where A did not look; those that A and B see only where neither did.
-    So what is expected is each group's count over the share of belt that its cameras looked at together. For a camera
-    that never looked there is nothing to go by: it is taken to have had a lane of its own.
+    Attributes:
+        share: of the line's tubers that passed under a looking camera, 0 to 1; None before the belt moved.
+        belt_m: from the load's first metre to its last.
+        cameras: each camera's own share; None before the belt moved.
+        unseen_m: by camera and reason, metres.
+    """
+
+    share: float | None
+    belt_m: float
+    looked_at_m: float
+    cameras: Mapping[str, float | None]
+    unseen_m: Mapping[str, Mapping[Unseen, float]]
+
+    def mean_unseen_m(self) -> dict[str, float]:
+        """Metres not seen by reason, in the mean of the cameras; reasons that did not happen are left out."""
+        found = {reason: sum(own.get(reason, 0.0) for own in self.unseen_m.values()) for reason in Unseen}
+        cameras = max(1, len(self.unseen_m))
+        return {reason.value: metres / cameras for reason, metres in found.items() if metres > 1e-4}
+
+
+@dataclass(slots=True)
+class _Placed:
+    """A camera's belt on the line's axis: `begin` to `end` is what it could know of, `offset` is where s = 0 lies, and
+    up to `seen` its log tells what it looked at."""
+
+    sight: CameraSight
+    offset: float
+    begin: float
+    end: float
+    seen: float
+
+
+def coverage(sights: Mapping[str, CameraSight], *, seen_by: Mapping[frozenset[str], int], moment: Moment) -> Coverage:
+    """What of the load was seen.
 
     Args:
+        sights: all expected cameras.
         seen_by: tubers counted, by the set of cameras that saw them.
     """
-    if not shares or any(share is None for share in shares.values()):
-        return None
-    known = {camera: share for camera, share in shares.items() if share is not None}
-    blind = sum(share <= 0 for share in known.values())
-    lanes = (len(known) - blind) / len(known)
-    seen = sum(seen_by.values())
-    if not seen:
-        return sum(known.values()) / len(known)
-    expected = 0.0
-    for cameras, count in seen_by.items():
-        missed = math.prod(1.0 - known.get(camera, 0.0) for camera in cameras)
-        expected += count / max(1.0 - missed, 0.01)
-    return lanes * min(1.0, seen / expected)
+    placed = _side_by_side(sights, moment)
+    low = min((own.begin for own in placed.values()), default=0.0)
+    high = max((own.end for own in placed.values()), default=0.0)
+    belt_m = high - low
+    if belt_m <= WHOLE:
+        return Coverage(None, 0.0, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
+    stretches: dict[str, list[Stretch]] = {}
+    unseen: dict[str, dict[Unseen, float]] = {}
+    for name in sights:
+        if name in placed:
+            stretches[name], unseen[name] = _own(placed[name], low, high, moment, away=name in moment.away)
+        else:
+            stretches[name], unseen[name] = [Stretch(low, high, 0.0)], {Unseen.NEVER: belt_m}
+    shares = {name: _snapped(sum(s.share * s.length_m for s in own) / belt_m) for name, own in stretches.items()}
+    return Coverage(
+        share=_snapped(share_seen(looked_lengths(stretches), belt_m=belt_m, shares=shares, seen_by=seen_by)),
+        belt_m=belt_m,
+        looked_at_m=sum(own.sight.looked_at_m for own in placed.values()),
+        cameras=dict(shares),
+        unseen_m={name: {why: m for why, m in own.items() if m > WHOLE} for name, own in unseen.items()},
+    )
+
+
+def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str, _Placed]:
+    """Cameras that looked, on one axis: by their encoder, or by the time at which they began."""
+    looked = {name: sight for name, sight in sights.items() if sight.first_ns is not None}
+    if not looked:
+        return {}
+    earliest = min(looked, key=lambda name: (looked[name].first_ns or 0, name))
+    reference = looked[earliest]
+    base = 0.0 if reference.estimated else reference.first_travel_m
+    placed = {}
+    for name, sight in looked.items():
+        offset = sight.first_travel_m
+        if sight.estimated:
+            began_ns, since_ns = sight.first_ns or 0, (sight.first_ns or 0) - (reference.first_ns or 0)
+            same_clock = since_ns <= OTHER_CLOCK_NS
+            offset = base + (reference.s_at(began_ns) - sight.first_s if same_clock and name != earliest else 0.0)
+        length = sight.length_m
+        running = not moment.over and name not in moment.away
+        until_ns = None if sight.final or running else moment.until_ns.get(name)
+        end = length if running else sight.end_m(until_ns=until_ns)
+        seen = length if sight.final or not moment.over else min(length, max(0.0, sight.s_at(sight.complete_ns)))
+        placed[name] = _Placed(sight, offset, offset - sight.missed_before_m(), offset + end, offset + seen)
+    return placed
+
+
+def _own(
+    own: _Placed, low: float, high: float, moment: Moment, *, away: bool
+) -> tuple[list[Stretch], dict[Unseen, float]]:
+    """One camera's looked-at stretches from `low` to `high`, and what it missed. Where it began later or ended earlier
+    than others by no more than the slack, that belt is left to the others' judgement: it counts as looked at.
+    """
+    slack = _slack(own.sight, high - low)
+    before, after = own.begin - low, high - own.end
+    late, early = before > slack, after > slack and (moment.over or away)
+    stretches = [Stretch(low, own.begin, 0.0 if late else 1.0), Stretch(own.begin, own.offset, 0.0)]
+    at, between = own.offset, 0.0
+    for length, looked in own.sight.pieces:
+        end = min(at + length, own.seen)
+        if end > at:
+            share = 1.0 if length - looked < WHOLE else looked / length
+            stretches.append(Stretch(at, end, share))
+            between += (end - at) * (1.0 - share)
+        at += length
+    stretches += [Stretch(own.seen, own.end, 0.0), Stretch(own.end, high, 0.0 if early else 1.0)]
+    unseen = {
+        Unseen.BEFORE: (before if late else 0.0) + own.offset - own.begin,
+        Unseen.BETWEEN: between,
+        Unseen.AFTER: own.end - own.seen + (after if early else 0.0),
+    }
+    return [stretch for stretch in stretches if stretch.length_m > 0], unseen
+
+
+def _snapped(share: float) -> float:
+    """All of it is 1, whatever the last digits say."""
+    return 1.0 if share > 1.0 - 1e-9 else max(0.0, share)
+
+
+def _slack(sight: CameraSight, belt_m: float) -> float:
+    if sight.published.waits:
+        return max(REPLAY_SLACK_M, 0.02 * belt_m)
+    return max(LIVE_SLACK_M, ESTIMATE_DRIFT * belt_m if sight.estimated else 0.0)

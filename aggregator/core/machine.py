@@ -9,16 +9,18 @@ order in which entries of different cameras arrive, nor on when `commit` is call
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
-from aggregator.core.cameras import LINE_SLACK_M, Cameras
+from aggregator.core.cameras import PLACE_SLACK_M, Cameras
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
+from aggregator.core.reasons import Role
+from aggregator.core.sight import CameraSight
 from aggregator.core.tubers import make_tuber
 from conveyor.messages import Mark, Track, TrackEntry, Tuber
 
@@ -47,15 +49,19 @@ class CommittedTubers(Protocol):
         """A track of that id is in the ledger."""
         ...
 
+    def entry_checksum(self, camera: str, n: int) -> int | None:
+        """CRC-32 of entry n of a camera's log, as it was received; None where the ledger does not hold it."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """Where a track's entry went: 'counted' with a tuber, 'late_duplicate' of one, 'repeat' of a known track."""
+    """Where a track's entry went, and with which tuber."""
 
     camera: str
     n: int
     track_id: str
-    role: str
+    role: Role
     tuber_id: int | None
     place_x_m: float
     place_y_m: float
@@ -83,12 +89,19 @@ class PendingTrack:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Everything that one transaction makes durable."""
+    """Everything that one transaction makes durable.
+
+    `watermark_x_m`: tubers at this place and further along are committed. `settled`: of each camera's log, up to which
+    entry every track has gone somewhere. `sights`, `head_start_m`: what is known of the belt by now.
+    """
 
     entries: tuple[Applied, ...]
     tubers: tuple[Tuber, ...]
     observations: tuple[Observation, ...]
-    line_x_m: float
+    watermark_x_m: float
+    settled: Mapping[str, int] = field(default_factory=dict)
+    sights: Mapping[str, CameraSight] = field(default_factory=dict)
+    head_start_m: float | None = None
 
     @property
     def empty(self) -> bool:
@@ -100,11 +113,17 @@ class Batch:
 class Restored:
     """A run as the ledger holds it: what `Aggregation` needs to go on."""
 
-    logs: dict[str, CameraLog] = field(default_factory=dict)
+    begun: bool = False
+    """An earlier process began it."""
+    applied: dict[str, int] = field(default_factory=dict)
     marks: dict[str, list[Mark]] = field(default_factory=dict)
+    """The last marks of each camera, oldest first."""
+    curves: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    sights: dict[str, CameraSight] = field(default_factory=dict)
     pending: list[PendingTrack] = field(default_factory=list)
     tubers: int = 0
-    line_x_m: float = math.inf
+    watermark_x_m: float = math.inf
+    head_start_m: float | None = None
 
 
 class Aggregation:
@@ -135,17 +154,23 @@ class Aggregation:
         self._gate = Gate(merge_gate_mm)
         self._committed = committed
         self._count = count
-        self._logs = {name: state.logs.get(name, CameraLog()) for name in self.cameras.names}
+        self._logs = {name: CameraLog(state.applied.get(name, 0)) for name in self.cameras.names}
         self._unplaced = list(state.pending)
         self._known = {pending.track.track_id for pending in state.pending}
         self._placed: list[PlacedTrack] = []
         self._entries: list[Applied] = []
         self._observations: list[Observation] = []
         self._tubers = state.tubers
-        self._line_x_m = state.line_x_m
-        for name, marks in state.marks.items():
-            for mark in marks:
-                self.cameras.marked(name, mark)
+        self._watermark_x_m = state.watermark_x_m
+        if state.begun:
+            self.cameras.resumed(head_start_m=state.head_start_m)
+            for name in self.cameras.names:
+                self.cameras.restored(
+                    name,
+                    marks=state.marks.get(name, []),
+                    curve=state.curves.get(name, []),
+                    sight=state.sights.get(name, CameraSight()),
+                )
 
     @property
     def pending(self) -> int:
@@ -187,7 +212,7 @@ class Aggregation:
         entry = logged.entry
         if entry.run != self.run or entry.camera not in self._logs:
             return Taken.OTHER_RUN if entry.run != self.run else Taken.UNKNOWN_CAMERA
-        taken, ready = self._logs[entry.camera].put(logged)
+        taken, ready = self._logs[entry.camera].put(logged, self._checksum_of(entry.camera))
         if taken not in (Taken.APPLIED, Taken.WAITING):
             self._count(taken)
             return taken
@@ -200,21 +225,24 @@ class Aggregation:
             return Taken.OTHER_RUN, []
         if entry.camera not in self._logs:
             return Taken.UNKNOWN_CAMERA, []
-        return self._logs[entry.camera].take(entry)
+        return self._logs[entry.camera].take(entry, self._checksum_of(entry.camera))
+
+    def _checksum_of(self, camera: str) -> Callable[[int], int | None]:
+        return lambda n: self._committed.entry_checksum(camera, n)
 
     def _apply(self, logged: LoggedEntry) -> None:
         entry = logged.entry
-        self._entries.append(Applied(logged, self._line_x_m))
+        self._entries.append(Applied(logged, self._watermark_x_m))
         if entry.mark is not None:
             self.cameras.marked(entry.camera, entry.mark)
         elif entry.track is not None:
-            self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._line_x_m))
+            self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._watermark_x_m))
 
     def _add_track(self, pending: PendingTrack) -> None:
         track = pending.track
         if track.track_id in self._known or self._committed.knows_track(track.track_id):
             self._count("tracks_repeated")
-            self._observe(PlacedTrack(pending.camera, pending.n, track, track.place_x_m, track.y_m), "repeat", None)
+            self._observe(PlacedTrack(pending.camera, pending.n, track, track.place_x_m, track.y_m), Role.REPEAT, None)
         else:
             self._known.add(track.track_id)
             self._unplaced.append(pending)
@@ -225,12 +253,30 @@ class Aggregation:
         if crowded:
             self._count("pending_limit_reached")
         watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
-        self._line_x_m = min(self._line_x_m, watermark_x_m + LINE_SLACK_M)
+        self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + PLACE_SLACK_M)
         self._place()
         tubers = self._complete_tubers()
-        batch = Batch(tuple(self._entries), tuple(tubers), tuple(self._observations), self._line_x_m)
+        batch = Batch(
+            tuple(self._entries),
+            tuple(tubers),
+            tuple(self._observations),
+            self._watermark_x_m,
+            settled=self._settled(),
+            sights=self.cameras.sights,
+            head_start_m=self.cameras.head_start_m,
+        )
         self._entries, self._observations = [], []
+        for log in self._logs.values():
+            log.fresh.clear()
         return batch
+
+    def _settled(self) -> dict[str, int]:
+        """Up to which entry of its log each camera's tracks have all gone somewhere."""
+        settled = self.applied()
+        waiting = [(track.camera, track.n) for track in self._unplaced] + [(t.camera, t.n) for t in self._placed]
+        for camera, n in waiting:
+            settled[camera] = min(settled[camera], n - 1)
+        return settled
 
     def _place(self) -> None:
         """Give tracks their place on the line's travel; sort out those whose tuber was committed before."""
@@ -257,7 +303,7 @@ class Aggregation:
                 self._count("tracks_late")
             if (tuber_id := duplicates.get(seen.track.track_id)) is not None:
                 self._count("tracks_late_duplicate")
-                self._observe(seen, "late_duplicate", tuber_id)
+                self._observe(seen, Role.LATE_DUPLICATE, tuber_id)
             else:
                 self._placed.append(seen)
 
@@ -288,11 +334,11 @@ class Aggregation:
 
     def _complete_tubers(self) -> list[Tuber]:
         """Tubers of the blocks that nothing can join any more, in order along the belt."""
-        certain = [track for track in self._placed if track.place_x_m >= self._line_x_m]
+        certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m]
         tubers: list[Tuber] = []
         done: set[str] = set()
         for block in blocks(certain, self._gate):
-            if min(track.place_x_m for track in block) - self._gate.widest_m < self._line_x_m:
+            if min(track.place_x_m for track in block) - self._gate.widest_m < self._watermark_x_m:
                 break
             for group in merge(block, self._gate):
                 self._tubers += 1
@@ -302,14 +348,14 @@ class Aggregation:
                 if len(group.members) > 1:
                     self._count("tubers_merged")
                 for member in group.members:
-                    self._observe(member, "counted", tuber.tuber_id)
+                    self._observe(member, Role.COUNTED, tuber.tuber_id)
             done.update(track.track.track_id for track in block)
         self._placed = [track for track in self._placed if track.track.track_id not in done]
         return tubers
 
-    def _observe(self, placed: PlacedTrack, role: str, tuber_id: int | None) -> None:
+    def _observe(self, placed: PlacedTrack, role: Role, tuber_id: int | None) -> None:
         track = placed.track
-        if role != "repeat":
+        if role is not Role.REPEAT:
             self._known.discard(track.track_id)
         self._observations.append(
             Observation(

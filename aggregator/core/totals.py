@@ -6,12 +6,12 @@ Where load tickets are at hand the load's weight is calibrated by them; the tube
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 from aggregator.calibration.tickets import LoadFactor, Ticket, load_factor
-from conveyor.messages import Totals, Tuber
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.reasons import LoadState
+from conveyor.messages import Totals
 from conveyor.statistics import NORMAL_90
 
 SHARED_BIAS = {"pointraft": 0.05, "volume": 0.10}
@@ -20,77 +20,50 @@ as a share of the weight; it does not shrink with the count. 5 % is what a load 
 blind between seasons published models drifted by 9 to 10 % (docs/ledger.md)."""
 
 UNSEEN_SPREAD = 0.5
-"""Half of the 90 % interval of the weight on belt that was not looked at, as a share of it."""
+"""Half of the 90 % interval of the weight on belt that was not looked at, as a share of it: the belt is not loaded
+evenly. What the count's own chance adds comes on top."""
 
 LEAST_COVERAGE = 1e-9
 """Of a share smaller than that no whole is computed: it would not be a finite number."""
 
-RATE_WINDOW_S = 10.0
-HISTOGRAM_CLASSES = 64
-"""The last class takes everything heavier."""
+UNEVEN = 0.7
+"""Of the load of one metre of belt, standard deviation as a share of the mean, one metre independent of the next: an
+assumption; it widens the interval where little belt was seen, or little was not."""
+
+MEAN_TUBER_G, MEAN_SQUARE_G2 = 172.0, 4.0e4
+"""Of a tuber of which nothing is known (3DPotatoTwin: 172 g in the mean, standard deviation about 100 g)."""
 
 
-@dataclass(slots=True)
 class LoadTotals:
-    """Running sums over committed tubers; the order of `add` changes nothing but the last digits.
+    """What the sums of a load come to. `tickets` of earlier loads calibrate its weight."""
 
-    `as_weighed_g` is the sum of the tubers, by method and model; `weight_g` is that sum after calibration.
-    """
-
-    histogram_step_g: float
-    tickets: Sequence[Ticket] = ()
-    count: int = 0
-    as_weighed_g: dict[tuple[str, str], float] = field(default_factory=dict)
-    low_variance_g2: float = 0.0
-    high_variance_g2: float = 0.0
-    seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
-    merged: int = 0
-    late: int = 0
-    _classes: list[int] = field(default_factory=list)
-    _recent_ns: deque[int] = field(default_factory=deque)
-    _factors: dict[str, LoadFactor | None] = field(default_factory=dict)
-
-    def add(self, tuber: Tuber) -> None:
-        """Count one committed tuber."""
-        self.count += 1
-        weighed_by = (tuber.method, tuber.model)
-        self.as_weighed_g[weighed_by] = self.as_weighed_g.get(weighed_by, 0.0) + tuber.weight_g
-        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / NORMAL_90) ** 2
-        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
-        self.seen_by[frozenset(tuber.cameras)] += 1
-        self.merged += len(tuber.tracks) > 1
-        self.late += "late" in tuber.flags
-        bin_ = min(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), HISTOGRAM_CLASSES - 1)
-        self._classes += [0] * (bin_ + 1 - len(self._classes))
-        self._classes[bin_] += 1
-        self._recent_ns.append(tuber.crossed_ns)
-        newest = max(self._recent_ns[-1], self._recent_ns[0])
-        while self._recent_ns and self._recent_ns[0] < newest - RATE_WINDOW_S * 1e9:
-            self._recent_ns.popleft()
+    def __init__(self, sums: LoadSums, tickets: Sequence[Ticket] = ()) -> None:
+        self.sums = sums
+        self._tickets = tickets
+        self._factors: dict[str, LoadFactor | None] = {}
 
     @property
     def weight_g(self) -> float:
         """What was seen, calibrated where there are tickets."""
-        return sum(self._factor(model) * weight for (_, model), weight in self.as_weighed_g.items())
+        return sum(self._factor(model) * weight for (_, model), (_, weight) in self.sums.weighed.items())
 
     @property
     def tickets_used(self) -> int:
         """Tickets of the weights that weighed this load; 0: it is not calibrated."""
-        return sum(
-            found.tickets for model in {model for _, model in self.as_weighed_g} if (found := self._known(model))
-        )
+        models = {model for _, model in self.sums.weighed}
+        return sum(found.tickets for model in models if (found := self._known(model)))
 
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
-        return NORMAL_90 * math.sqrt(self.low_variance_g2), NORMAL_90 * math.sqrt(self.high_variance_g2)
+        return NORMAL_90 * math.sqrt(self.sums.low_variance_g2), NORMAL_90 * math.sqrt(self.sums.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
         """The 90 % interval of the weight seen: each tuber's own error, and the bias that all of them share."""
         bias_g = sum(
             self._shared(method, model) * self._factor(model) * weight
-            for (method, model), weight in self.as_weighed_g.items()
+            for (method, model), (_, weight) in self.sums.weighed.items()
         )
-        raw_g = sum(self.as_weighed_g.values())
+        raw_g = self.sums.as_weighed_g
         scale = self.weight_g / raw_g if raw_g > 0 else 1.0
         below_g, above_g = self.own_error_g()
         low_g, high_g = math.hypot(scale * below_g, bias_g), math.hypot(scale * above_g, bias_g)
@@ -98,7 +71,7 @@ class LoadTotals:
 
     def _known(self, model: str) -> LoadFactor | None:
         if model not in self._factors:
-            self._factors[model] = load_factor(self.tickets, model)
+            self._factors[model] = load_factor(self._tickets, model)
         return self._factors[model]
 
     def _factor(self, model: str) -> float:
@@ -109,25 +82,53 @@ class LoadTotals:
         known = self._known(model)
         return known.half_width if known else SHARED_BIAS.get(method, 0.10)
 
-    def estimated(self, coverage: float | None) -> tuple[float, float, float]:
-        """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at."""
+    def estimated(self, coverage: float | None, *, belt_m: float | None = None) -> tuple[float, float, float]:
+        """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at.
+
+        The unseen part is known to `UNSEEN_SPREAD`, as evenly as the belt's metres are loaded (`UNEVEN`), and as the
+        numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
+        sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen.
+        """
         low_g, high_g = self.interval_g()
         if not coverage or coverage >= 1.0:
             return self.weight_g, low_g, high_g
         coverage = max(coverage, LEAST_COVERAGE)
         whole_g = self.weight_g / coverage
-        unseen_g = UNSEEN_SPREAD * (whole_g - self.weight_g)
-        below_g = math.hypot((self.weight_g - low_g) / coverage, unseen_g)
-        above_g = math.hypot((high_g - self.weight_g) / coverage, unseen_g)
+        unseen_g = whole_g - self.weight_g
+        spread = UNSEEN_SPREAD
+        if belt_m:
+            spread = math.hypot(spread, NORMAL_90 * UNEVEN / math.sqrt(belt_m * coverage * (1.0 - coverage)))
+        missed_g = math.hypot(spread * unseen_g, self._chance_g(coverage))
+        below_g = math.hypot((self.weight_g - low_g) / coverage, missed_g)
+        above_g = math.hypot((high_g - self.weight_g) / coverage, missed_g)
         return whole_g, max(low_g, whole_g - below_g), whole_g + above_g
 
-    def message(self, run: str, *, coverage: float | None, cameras: Mapping[str, str], final: bool) -> Totals:
+    def _chance_g(self, coverage: float) -> float:
+        """90 % half-width of the unseen weight by the chance of how many tubers lay on belt seen and not seen."""
+        odds = (1.0 - coverage) / coverage
+        unseen = self.sums.count * odds
+        mean_g = self.weight_g / self.sums.count if self.sums.count else MEAN_TUBER_G
+        square_g2 = self.sums.mean_square_g2 or MEAN_SQUARE_G2
+        return NORMAL_90 * math.sqrt(max(unseen, odds) * square_g2 + (self.sums.count + 1) * (odds * mean_g) ** 2)
+
+    def message(
+        self,
+        run: str,
+        *,
+        coverage: float | None,
+        cameras: Mapping[str, str],
+        final: bool,
+        state: LoadState = LoadState.COUNTING,
+        reason: str = "",
+        belt_m: float | None = None,
+        unseen_m: Mapping[str, float] | None = None,
+    ) -> Totals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
-        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage)
+        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m)
         return Totals(
             run=run,
-            count=self.count,
+            count=self.sums.count,
             weight_g=self.weight_g,
             low_g=low_g,
             high_g=high_g,
@@ -135,18 +136,15 @@ class LoadTotals:
             estimated_weight_g=estimated_g,
             estimated_low_g=estimated_low_g,
             estimated_high_g=estimated_high_g,
-            tubers_per_s=self._rate(),
-            histogram_step_g=self.histogram_step_g,
-            histogram=tuple(self._classes),
+            tubers_per_s=self.sums.tubers_per_s(),
+            histogram_step_g=self.sums.histogram_step_g,
+            histogram=tuple(self.sums.classes),
             cameras=dict(cameras),
             final=final,
-            as_weighed_g=sum(self.as_weighed_g.values()),
+            as_weighed_g=self.sums.as_weighed_g,
             tickets=self.tickets_used,
+            state=state.value,
+            reason=reason,
+            belt_m=belt_m,
+            unseen_m=dict(unseen_m or {}),
         )
-
-    def _rate(self) -> float:
-        """Tubers per second over the last stretch of the cameras' time."""
-        if len(self._recent_ns) < 2:
-            return 0.0
-        span_s = (max(self._recent_ns) - min(self._recent_ns)) / 1e9
-        return (len(self._recent_ns) - 1) / span_s if span_s > 0 else 0.0

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from aggregator.core.balance import Equation, camera_equations, ledger_equations
-from aggregator.ledger.reader import RunRow, read_marks
+from aggregator.ledger.check import view_faults
+from aggregator.ledger.reader import RunRow, read_marks, read_sums
+from aggregator.ledger.schema import TUBER
+from aggregator.ledger.sums import RunSums
+from aggregator.ledger.verified import LedgerView
+from conveyor.errors import LedgerError
 from conveyor.messages import Mark
 
 
@@ -22,13 +26,17 @@ class Audit:
     equations: Mapping[str, list[Equation]]
     tracks: Mapping[str, int]
     """Observations by role, and 'pending'."""
-    set_aside: Mapping[str, int]
+    set_aside: Mapping[str, int] = field(default_factory=dict)
     """Entries of a camera's log that could not be read: what they said is lost."""
+    faults: tuple[str, ...] = ()
+    """What is damaged in the ledger; an audit of sums alone looks for none."""
 
     @property
     def balanced(self) -> bool:
-        """Every equation holds."""
-        return all(equation.difference == 0 for equations in self.equations.values() for equation in equations)
+        """Every equation holds, and the ledger is as it was written."""
+        return not self.faults and all(
+            equation.difference == 0 for equations in self.equations.values() for equation in equations
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """For machines: sheets, equations with both sides, and whether all hold."""
@@ -36,6 +44,7 @@ class Audit:
             "run": self.run,
             "finished": self.finished,
             "balanced": self.balanced,
+            "faults": list(self.faults),
             "cameras": {camera: sheet(mark) for camera, mark in self.marks.items()},
             "tracks": dict(self.tracks),
             "set_aside": dict(self.set_aside),
@@ -63,52 +72,39 @@ def sheet(mark: Mark | None) -> dict[str, Any]:
     }
 
 
-def audit_run(db: sqlite3.Connection, run: RunRow) -> Audit:
-    """The balance sheet of `run` as the ledger holds it, finished or not."""
-    marks = read_marks(db, run.run)
-    roles = dict(db.execute("SELECT role, count(*) FROM observation WHERE run = ? GROUP BY role", (run.run,)))
+def audit_run(view: LedgerView, run: RunRow) -> Audit:
+    """The balance sheet of `run`, finished or not, after every row of the ledger was verified and added up."""
+    faults = tuple(view_faults(view))
+    try:
+        return audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
+    except LedgerError as error:
+        return Audit(run.run, run.finished, dict.fromkeys(run.cameras), {}, {}, faults=(*faults, str(error)))
+
+
+def audit_sums(run: RunRow, sums: RunSums, marks: Mapping[str, Mark], *, faults: tuple[str, ...] = ()) -> Audit:
+    """The balance sheet of `run` by the sums carried along, whatever its size."""
     equations = {camera: camera_equations(mark) for camera, mark in marks.items()}
-    per_camera = dict(
-        db.execute("SELECT camera, count(*) FROM entry WHERE run = ? AND kind = 'track' GROUP BY camera", (run.run,))
-    )
-    repeats = dict(
-        db.execute(
-            "SELECT camera, count(*) FROM observation WHERE run = ? AND role = 'repeat' GROUP BY camera", (run.run,)
-        )
-    )
     for camera, mark in marks.items():
         if mark.final:  # a replay that went back to its first frame has logged tracks again, and counted them once
-            counted, logged = mark.tracks.get("counted", 0), per_camera.get(camera, 0) - repeats.get(camera, 0)
+            counted, logged = mark.tracks.get("counted", 0), sums.tracks.get(camera, 0) - sums.repeats.get(camera, 0)
             equations[camera].append(
                 Equation("tracks counted by the camera = tracks in the ledger, repeats aside", counted, logged)
             )
-    set_aside = dict(
-        db.execute("SELECT camera, count(*) FROM entry WHERE run = ? AND kind = 'refused' GROUP BY camera", (run.run,))
-    )
-    for camera, refused in sorted(set_aside.items()):
+    for camera, refused in sorted(sums.set_aside.items()):
         equations.setdefault(camera, []).append(Equation("entries that could not be read = none", refused, 0))
-    pending = _pending(db, run.run)
-    (tubers,) = db.execute("SELECT count(*) FROM tuber WHERE run = ?", (run.run,)).fetchone()
-    (groups,) = db.execute(
-        "SELECT count(DISTINCT tuber_id) FROM observation WHERE run = ? AND role = 'counted'", (run.run,)
-    ).fetchone()
     equations["ledger"] = ledger_equations(
-        roles, track_entries=sum(per_camera.values()), pending=pending, tubers=tubers, groups=groups
+        sums.roles,
+        track_entries=sum(sums.tracks.values()),
+        pending=sums.pending,
+        tubers=sums.count(TUBER),
+        groups=sums.counted,
     )
     return Audit(
         run=run.run,
         finished=run.finished,
         marks={camera: marks.get(camera) for camera in run.cameras},
         equations=equations,
-        tracks={**{str(role): int(n) for role, n in roles.items()}, "pending": pending},
-        set_aside=set_aside,
+        tracks={**sums.roles, "pending": sums.pending},
+        set_aside=dict(sums.set_aside),
+        faults=faults,
     )
-
-
-def _pending(db: sqlite3.Connection, run: str) -> int:
-    (count,) = db.execute(
-        "SELECT count(*) FROM entry WHERE run = ? AND kind = 'track' AND NOT EXISTS (SELECT 1 FROM observation AS seen "
-        "WHERE seen.run = entry.run AND seen.camera = entry.camera AND seen.n = entry.n)",
-        (run,),
-    ).fetchone()
-    return int(count)

@@ -1,21 +1,25 @@
-"""Whether a ledger can be trusted: SQLite's own check, every row's checksum, and counts that must agree."""
+"""Whether a ledger can be trusted: SQLite's own check, every row's checksum, sums that must agree, the seal."""
 
 from __future__ import annotations
 
-import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from aggregator.ledger.faults import DAMAGE
-from aggregator.ledger.receipt import read_receipt, receipt_path
-from aggregator.ledger.schema import APPLICATION_ID, SCHEMA_VERSION, TABLES, checksum
+from aggregator.ledger.reader import read_last_batch, read_runs, read_sums
+from aggregator.ledger.receipt import receipt_path
+from aggregator.ledger.recount import recount
+from aggregator.ledger.schema import ENTRY, OBSERVATION, RUN, TABLES, TOTAL, TUBER, WRITTEN_ONCE
+from aggregator.ledger.seal import seal_faults
+from aggregator.ledger.sums import RunSums
+from aggregator.ledger.verified import LedgerView, named_key, reading
 from conveyor.errors import LedgerError
 
 _SHOWN = 5
 
 
 def check_file(path: Path) -> list[str]:
-    """Everything wrong with the ledger at `path` and its receipt, in words; every index is checked too.
+    """Everything wrong with the ledger at `path` and its receipt, in words; every row and index is checked.
 
     Raises:
         LedgerError: there is no such file.
@@ -23,131 +27,161 @@ def check_file(path: Path) -> list[str]:
     if not path.is_file():
         raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
     try:
-        acknowledged = read_receipt(receipt_path(path))
-    except LedgerError as error:
-        return [str(error)]
-    immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
-    db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{immutable}", uri=True, isolation_level=None)
-    try:
-        return ledger_faults(db, acknowledged=acknowledged, deep=True)
+        with reading(path) as view:
+            return view_faults(view)
     except DAMAGE as error:
         return [f"it cannot be read at all: {error}"]
-    finally:
-        db.close()
+    except LedgerError as error:
+        return [str(error)]
 
 
-def ledger_faults(db: sqlite3.Connection, *, acknowledged: int | None, deep: bool) -> list[str]:
-    """Everything wrong with the ledger, in words; empty where all is well.
+def view_faults(view: LedgerView) -> list[str]:
+    """The same through an open view; with the receipt and the seal beside the file."""
+    receipt = receipt_path(view.path)
+    try:
+        acknowledged = view.receipt()
+    except LedgerError as error:
+        return [str(error)]
+    return [*ledger_faults(view, acknowledged=acknowledged), *seal_faults(view.path, receipt)]
+
+
+def ledger_faults(view: LedgerView, *, acknowledged: int | None, receipt: bool = True) -> list[str]:
+    """Everything wrong with the ledger's contents, in words; empty where all is well.
 
     Args:
         acknowledged: last acknowledged batch according to the receipt; None where there is no receipt.
-        deep: check indexes too (SQLite's integrity_check instead of quick_check).
+        receipt: hold the ledger against its receipt at all.
     """
-    version = list(_version_faults(db))
-    if version:
-        return version
-    faults = list(_page_faults(db, deep=deep))
-    for part in (_row_faults, _log_faults, _count_faults, _reference_faults):
-        try:
-            faults += part(db)
-        except DAMAGE as error:
-            faults.append(f"reading stopped: {error}")
-    faults += _receipt_faults(db, acknowledged)
+    faults = [f"damaged pages: {said}" for (said,) in view.pragma("integrity_check") if said != "ok"]
+    rows = _collected(_row_faults, view)
+    faults += rows
+    for part in (_log_faults, _reference_faults):
+        faults += _collected(part, view)
+    if not rows:  # what follows would say the same again, once a table
+        faults += _collected(_sum_faults, view)
+    return faults + (_collected(lambda view: _receipt_faults(view, acknowledged), view) if receipt else [])
+
+
+def opening_faults(view: LedgerView, *, acknowledged: int | None) -> list[str]:
+    """What a writer looks at before it goes on: runs, sums, the newest batches, the receipt. Its cost does not grow
+    with the ledger, but for one of version 1.
+    """
+    return _collected(_opening_faults, view) + _collected(lambda view: _receipt_faults(view, acknowledged), view)
+
+
+def _collected(part: Callable[[LedgerView], Iterable[str]], view: LedgerView) -> list[str]:
+    """What `part` finds until the damage stops it, and that it did."""
+    faults: list[str] = []
+    try:
+        faults.extend(part(view))
+    except LedgerError as error:
+        faults.append(str(error))
+    except DAMAGE as error:
+        faults.append(f"reading stopped: {error}")
     return faults
 
 
-def _version_faults(db: sqlite3.Connection) -> Iterator[str]:
-    (application,) = db.execute("PRAGMA application_id").fetchone()
-    (version,) = db.execute("PRAGMA user_version").fetchone()
-    if application != APPLICATION_ID:
-        yield f"it is an SQLite file, but no ledger of Tuberline (application id {application:#x})"
-    elif version != SCHEMA_VERSION:
-        yield (
-            f"it has schema version {version}, this program knows version {SCHEMA_VERSION}: "
-            "use the Tuberline that wrote it, or start a new ledger"
-        )
+def _opening_faults(view: LedgerView) -> Iterator[str]:
+    for known in read_runs(view):
+        batch = read_last_batch(view, known.run)
+        if view.version >= 2:
+            yield from _against_batch(known.run, read_sums(view, known.run), batch[3:6] if batch else (0, 0, 0))
 
 
-def _page_faults(db: sqlite3.Connection, *, deep: bool) -> Iterator[str]:
-    try:
-        for (said,) in db.execute("PRAGMA integrity_check" if deep else "PRAGMA quick_check"):
-            if said != "ok":
-                yield f"damaged pages: {said}"
-    except DAMAGE as error:
-        yield f"damaged pages: {error}"
+def _against_batch(run: str, sums: RunSums, said: Iterable[int]) -> Iterator[str]:
+    for table, expected in zip((ENTRY, TUBER, OBSERVATION), said, strict=True):
+        if sums.count(table) != expected:
+            yield f"run {run} has {sums.count(table)} rows of {table.name} by its sums, its last batch says {expected}"
 
 
-def _row_faults(db: sqlite3.Connection) -> Iterator[str]:
+def _row_faults(view: LedgerView) -> Iterator[str]:
     for table in TABLES:
         bad = 0
-        keys = [table.names.index(key) for key in table.key.split(", ")]
         try:
-            for *columns, crc in db.execute(table.select):
-                if checksum(columns) != crc:
-                    bad += 1
-                    if bad <= _SHOWN:
-                        yield f"row of {table.name} with a wrong checksum: {[columns[at] for at in keys]}"
-        except DAMAGE as error:
+            for found, sound in view.scan(table):
+                bad += not sound
+                if not sound and bad <= _SHOWN:
+                    yield f"row of {table.name} with a wrong checksum: {named_key(table, found)}"
+        except LedgerError as error:
             yield f"table {table.name} cannot be read to its end: {error}"
         if bad > _SHOWN:
             yield f"{bad - _SHOWN} more rows of {table.name} with a wrong checksum"
 
 
-def _log_faults(db: sqlite3.Connection) -> Iterator[str]:
-    found = db.execute("SELECT run, camera, count(*), min(n), max(n) FROM entry GROUP BY run, camera")
-    for run, camera, count, first, last in found:
+def _log_faults(view: LedgerView) -> Iterator[str]:
+    logs = view.tally("SELECT run, camera, count(*), min(n), max(n) FROM entry GROUP BY run, camera")
+    for run, camera, count, first, last in logs:
         if (first, count) != (1, last):
             yield f"log of {camera} in run {run} has {count} entries between {first} and {last}: some are missing"
-    (last,) = db.execute("SELECT coalesce(max(seq), 0) FROM batch").fetchone()
-    (count,) = db.execute("SELECT count(*) FROM batch").fetchone()
+    ((count, last),) = view.tally("SELECT count(*), coalesce(max(seq), 0) FROM batch")
     if last != count:
         yield f"{count} batches are there, the last is number {last}: some are missing"
 
 
-def _count_faults(db: sqlite3.Connection) -> Iterator[str]:
-    for (run,) in db.execute("SELECT run FROM run").fetchall():
-        said = db.execute(
-            "SELECT entries, tubers, observations FROM batch WHERE run = ? ORDER BY seq DESC LIMIT 1", (run,)
-        ).fetchone() or (0, 0, 0)
-        for table, expected in zip(("entry", "tuber", "observation"), said, strict=True):
-            (count,) = db.execute(f"SELECT count(*) FROM {table} WHERE run = ?", (run,)).fetchone()
-            if count != expected:
-                yield f"run {run} has {count} rows of {table}, its last batch says {expected}"
+def _sum_faults(view: LedgerView) -> Iterator[str]:
+    """The rows, added up, against the sums carried along and against the last batch."""
+    runs = {known.run for known in read_runs(view)}
+    for table in (*(t for t in WRITTEN_ONCE if t is not RUN), TOTAL):
+        if table is TOTAL and view.version < 2:
+            continue
+        strays = {run for (run,) in view.tally(f"SELECT DISTINCT run FROM {table.name}")} - runs
+        if strays:
+            named = ", ".join(sorted(map(str, strays))[:_SHOWN])
+            yield f"rows of {table.name} belong to runs that are not there: {named}"
+    for run in sorted(runs):
+        step_g = read_sums(view, run).load.histogram_step_g if view.version >= 2 else 50.0
+        counted = recount(view, run, histogram_step_g=step_g)
+        batch = read_last_batch(view, run)
+        for table, expected in zip((ENTRY, TUBER, OBSERVATION), batch[3:6] if batch else (0, 0, 0), strict=True):
+            if counted.count(table) != expected:
+                yield f"run {run} has {counted.count(table)} rows of {table.name}, its last batch says {expected}"
+        if view.version >= 2:
+            yield from _differences(run, counted, read_sums(view, run))
 
 
-def _reference_faults(db: sqlite3.Connection) -> Iterator[str]:
-    questions = (
-        (
-            "tubers that no track was counted for",
-            "SELECT count(*) FROM tuber WHERE NOT EXISTS (SELECT 1 FROM observation AS seen WHERE seen.run = tuber.run "
-            "AND seen.tuber_id = tuber.tuber_id AND seen.role = 'counted')",
-        ),
-        (
-            "observations of tubers that are not there",
-            "SELECT count(*) FROM observation WHERE tuber_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM tuber WHERE "
-            "tuber.run = observation.run AND tuber.tuber_id = observation.tuber_id)",
-        ),
-        (
-            "observations of entries that are not there",
-            "SELECT count(*) FROM observation WHERE NOT EXISTS (SELECT 1 FROM entry WHERE entry.run = observation.run "
-            "AND entry.camera = observation.camera AND entry.n = observation.n)",
-        ),
-    )
-    for what, sql in questions:
-        (count,) = db.execute(sql).fetchone()
+def _differences(run: str, counted: RunSums, carried: RunSums) -> Iterator[str]:
+    for table in WRITTEN_ONCE:
+        (rows, crcs), (said, said_crcs) = counted.rows[table.name], carried.rows[table.name]
+        if rows != said:
+            yield f"run {run} has {rows} rows of {table.name}, its sums say {said}"
+        elif crcs != said_crcs:
+            yield f"run {run}: the rows of {table.name} are not those that its sums were made of"
+    for name in ("tracks", "roles", "repeats", "counted", "last_tuber_id"):
+        if getattr(counted, name) != getattr(carried, name):
+            yield f"run {run}: {name} come to {getattr(counted, name)}, its sums say {getattr(carried, name)}"
+    if not counted.load.same_as(carried.load):
+        yield f"run {run}: the tubers' weights do not come to what its sums say"
+
+
+_ORPHANS = (
+    (
+        "tubers that no track was counted for",
+        "SELECT count(*) FROM tuber WHERE NOT EXISTS (SELECT 1 FROM observation AS seen WHERE seen.run = tuber.run "
+        "AND seen.tuber_id = tuber.tuber_id AND seen.role = 'counted')",
+    ),
+    (
+        "observations of tubers that are not there",
+        "SELECT count(*) FROM observation WHERE tuber_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM tuber WHERE "
+        "tuber.run = observation.run AND tuber.tuber_id = observation.tuber_id)",
+    ),
+    (
+        "observations of entries that are not there",
+        "SELECT count(*) FROM observation WHERE NOT EXISTS (SELECT 1 FROM entry WHERE entry.run = observation.run "
+        "AND entry.camera = observation.camera AND entry.n = observation.n)",
+    ),
+)
+
+
+def _reference_faults(view: LedgerView) -> Iterator[str]:
+    for what, sql in _ORPHANS:
+        ((count,),) = view.tally(sql)
         if count:
             yield f"{count} {what}"
 
 
-def _receipt_faults(db: sqlite3.Connection, acknowledged: int | None) -> list[str]:
-    try:
-        (last,) = db.execute("SELECT coalesce(max(seq), 0) FROM batch").fetchone()
-    except DAMAGE as error:
-        return [f"the last batch cannot be read: {error}"]
-    if acknowledged is None:
-        return (
-            [f"its receipt (.ack) is missing, so it is unknown whether all of {last} batches are there"] if last else []
-        )
-    if last < acknowledged:
-        return [f"{acknowledged} batches were acknowledged, only {last} are there: the newest commits are lost"]
-    return []
+def _receipt_faults(view: LedgerView, acknowledged: int | None) -> Iterator[str]:
+    last = view.last_seq()
+    if acknowledged is None and last:
+        yield f"its receipt (.ack) is missing, so it is unknown whether all of {last} batches are there"
+    if acknowledged is not None and last < acknowledged:
+        yield f"{acknowledged} batches were acknowledged, only {last} are there: the newest commits are lost"

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from collections.abc import Iterator
 
 from aggregator.ledger.reader import RunRow, read_marks, read_tubers
+from aggregator.ledger.verified import LedgerView
 from conveyor.messages import Tuber
 from conveyor.messages.base import plain
 
 CANONICAL_VERSION = 1
 
 
-def canonical_lines(db: sqlite3.Connection, run: RunRow) -> Iterator[str]:
+def canonical_lines(view: LedgerView, run: RunRow) -> Iterator[str]:
     """The run as JSON lines that depend on the recording, the config and the weights alone.
 
     Left out: run id, times of this machine, process names, log entry numbers. Rounded: metres to 1 mm, grams to 0.1 g,
     millimetres to 0.1 mm. Tubers come by id, their order along the belt.
     """
-    marks = read_marks(db, run.run)
+    marks = read_marks(view, run)
     yield _line({"format": "tuberline ledger", "version": CANONICAL_VERSION, "cameras": list(run.cameras)})
     for camera in run.cameras:
         mark = marks.get(camera)
@@ -31,7 +31,7 @@ def canonical_lines(db: sqlite3.Connection, run: RunRow) -> Iterator[str]:
                 "travelled_m": None if mark is None else _round(mark.travelled_m, 3),
             }
         )
-    for tuber in read_tubers(db, run.run):
+    for tuber in read_tubers(view, run.run):
         yield _line(canonical_tuber(tuber))
 
 
@@ -57,9 +57,9 @@ def canonical_tuber(tuber: Tuber) -> dict[str, object]:
     }
 
 
-def full_lines(db: sqlite3.Connection, run: RunRow) -> Iterator[str]:
+def full_lines(view: LedgerView, run: RunRow) -> Iterator[str]:
     """The run's tubers as JSON lines with every digit, by id."""
-    for tuber in read_tubers(db, run.run):
+    for tuber in read_tubers(view, run.run):
         yield _line(plain(tuber))
 
 

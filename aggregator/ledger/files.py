@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from conveyor.errors import StorageError
+from conveyor.errors import StorageError, TuberlineError
 from conveyor.messages import Tuber
 
 COLUMNS = (
@@ -30,12 +30,15 @@ COLUMNS = (
 )
 
 
-def tubers_csv(tubers: Iterable[Tuber]) -> str:
-    """One row per tuber; lists are joined with blanks."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+def tubers_csv(tubers: Iterable[Tuber]) -> Iterator[str]:
+    """The lines of a table with one row per tuber; lists are joined with blanks."""
+    line = io.StringIO()
+    writer = csv.writer(line, lineterminator="\n")
     writer.writerow(COLUMNS)
     for tuber in tubers:
+        yield line.getvalue()
+        line.seek(0)
+        line.truncate()
         writer.writerow(
             (
                 tuber.tuber_id,
@@ -55,11 +58,11 @@ def tubers_csv(tubers: Iterable[Tuber]) -> str:
                 tuber.crossed_ns,
             )
         )
-    return text.getvalue()
+    yield line.getvalue()
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Replace `path` with `text`, durably: readers see the old file or the new one, never a part.
+def write_whole(path: Path, text: str | Iterable[str]) -> None:
+    """Replace `path` with `text` (or its parts, one after the other), durably: readers see the old file or the new one.
 
     Raises:
         StorageError: the disk is full or the folder cannot be written.
@@ -67,7 +70,7 @@ def write_whole(path: Path, text: str) -> None:
     part = path.with_name(path.name + ".part")
     try:
         with part.open("w", encoding="utf-8", newline="") as file:
-            file.write(text)
+            file.writelines([text] if isinstance(text, str) else text)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -76,6 +79,9 @@ def write_whole(path: Path, text: str) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
+    except TuberlineError:
+        part.unlink(missing_ok=True)
+        raise
     except OSError as error:
         part.unlink(missing_ok=True)
         raise StorageError(f"{path} cannot be written: {error.strerror}; free space or mend the rights") from error

@@ -1,69 +1,36 @@
-"""Reads a ledger: runs, tubers, marks, and the state of a run that is to be gone on with."""
+"""What a ledger holds: runs, tubers, logs, marks, sums. Every row is verified (`aggregator.ledger.verified`)."""
 
 from __future__ import annotations
 
 import json
-import math
-import sqlite3
 import zlib
-from array import array
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from aggregator.core.camera_log import CameraLog
-from aggregator.core.machine import PendingTrack, Restored
-from aggregator.ledger.faults import explained
+from aggregator.core.coverage import Coverage, Moment, coverage
+from aggregator.core.sight import CameraSight
 from aggregator.ledger.rows import tuber_from
-from aggregator.ledger.schema import APPLICATION_ID, SCHEMA_VERSION, TUBER
-from conveyor.errors import LedgerError
+from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, OBSERVATION, RUN, SUMMARY, TOTAL, TUBER
+from aggregator.ledger.sums import RunSums
+from aggregator.ledger.verified import LedgerView, Row, reading
+from conveyor.errors import LedgerError, MessageError
 from conveyor.messages import Mark, TrackEntry, Tuber
+
+__all__ = ["LedgerView", "reading"]
 
 
 @dataclass(frozen=True, slots=True)
 class RunRow:
-    """One run as the ledger knows it."""
+    """One run as the ledger knows it; `started_ns` by the clock of the machine that began it."""
 
     run: str
     line: str
     cameras: tuple[str, ...]
     fingerprint: str
     version: str
+    started_ns: int
     finished: bool
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """A read-only connection to the ledger at `path`, also while it is being written.
-
-    Raises:
-        LedgerError: no ledger, of another version, or unreadable.
-    """
-    if not path.is_file():
-        raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
-    immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
-    with explained(path, "reading"):
-        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{immutable}", uri=True, isolation_level=None)
-        try:
-            check_version(db, path)
-            yield db
-        finally:
-            db.close()
-
-
-def check_version(db: sqlite3.Connection, path: Path) -> None:
-    """Raise LedgerError unless the file is a ledger of this version."""
-    (application,) = db.execute("PRAGMA application_id").fetchone()
-    (version,) = db.execute("PRAGMA user_version").fetchone()
-    if application != APPLICATION_ID:
-        raise LedgerError(f"{path} is an SQLite file, but no ledger of Tuberline (application id {application:#x})")
-    if version != SCHEMA_VERSION:
-        raise LedgerError(
-            f"ledger {path} has schema version {version}, this program knows version {SCHEMA_VERSION}: "
-            "use the Tuberline that wrote it, or start a new ledger"
-        )
 
 
 def ledger_file(path: Path) -> Path:
@@ -71,35 +38,30 @@ def ledger_file(path: Path) -> Path:
     return path / "ledger.db" if path.is_dir() else path
 
 
-_RUN = (
-    "SELECT run, line, cameras, fingerprint, version, EXISTS (SELECT 1 FROM summary WHERE summary.run = run.run) "
-    "FROM run"
-)
-
-
-def read_run(db: sqlite3.Connection, run: str) -> RunRow | None:
+def read_run(view: LedgerView, run: str) -> RunRow | None:
     """The run of that id."""
-    found = db.execute(f"{_RUN} WHERE run = ?", (run,)).fetchone()
-    return _run_row(found) if found else None
+    found = view.row(RUN, "WHERE run = ?", (run,))
+    return _run_row(view, found) if found else None
 
 
-def read_runs(db: sqlite3.Connection) -> list[RunRow]:
+def read_runs(view: LedgerView) -> list[RunRow]:
     """All runs in the order they were begun."""
-    return [_run_row(found) for found in db.execute(f"{_RUN} ORDER BY started_ns, run")]
+    return [_run_row(view, found) for found in view.rows(RUN, "ORDER BY started_ns, run")]
 
 
-def _run_row(columns: tuple[Any, ...]) -> RunRow:
-    run, line, cameras, fingerprint, version, finished = columns
-    return RunRow(run, line, tuple(json.loads(cameras)), fingerprint, version, bool(finished))
+def _run_row(view: LedgerView, columns: Row) -> RunRow:
+    run, line, cameras, fingerprint, version, started_ns = columns
+    finished = view.row(SUMMARY, "WHERE run = ?", (run,)) is not None
+    return RunRow(run, line, tuple(json.loads(cameras)), fingerprint, version, started_ns, finished)
 
 
-def the_run(db: sqlite3.Connection, path: Path, run: str | None) -> RunRow:
+def the_run(view: LedgerView, path: Path, run: str | None) -> RunRow:
     """The run named, or the only one there is.
 
     Raises:
         LedgerError: no such run, or several to choose from.
     """
-    runs = read_runs(db)
+    runs = read_runs(view)
     chosen = [known for known in runs if run is None or known.run == run]
     if len(chosen) == 1:
         return chosen[0]
@@ -109,68 +71,142 @@ def the_run(db: sqlite3.Connection, path: Path, run: str | None) -> RunRow:
     raise LedgerError(f"ledger {path} holds no run{f' {run!r}' if run else ''}; known: {names}")
 
 
-def read_tubers(db: sqlite3.Connection, run: str) -> Iterator[Tuber]:
-    """All committed tubers of `run`, by id."""
-    for *columns, _crc in db.execute(f"{TUBER.select} WHERE run = ? ORDER BY tuber_id", (run,)):
-        yield tuber_from(columns)
+def read_tubers(view: LedgerView, run: str, *, since: int = 0, limit: int | None = None) -> Iterator[Tuber]:
+    """Committed tubers of `run` with ids above `since`, by id, `limit` of them at most.
+
+    Raises:
+        LedgerError: one is damaged, or one of those that the run's sums tell of is not there.
+    """
+    sums = read_sums(view, run) if view.version >= 2 else None
+    whole = sums is not None and sums.count(TUBER) == sums.last_tuber_id  # a repair may have lost some, and said so
+    last_id, found = since, 0
+    limited = "" if limit is None else f" LIMIT {limit:d}"
+    for columns in view.rows(TUBER, f"WHERE run = ? AND tuber_id > ? ORDER BY tuber_id{limited}", (run, since)):
+        tuber = tuber_from(columns)
+        if whole and tuber.tuber_id != last_id + 1:
+            raise _lacks(view, run, last_id + 1)
+        last_id, found = tuber.tuber_id, found + 1
+        yield tuber
+    if sums is not None and last_id < sums.last_tuber_id and (limit is None or found < limit):
+        raise _lacks(view, run, last_id + 1)
 
 
-def read_marks(db: sqlite3.Connection, run: str) -> dict[str, Mark]:
+def _lacks(view: LedgerView, run: str, tuber_id: int) -> LedgerError:
+    return LedgerError(
+        f"ledger {view.path} lacks the row of table tuber with run '{run}', tuber_id {tuber_id}, which its sums tell "
+        f"of; `tuberline ledger repair {view.path}` computes it anew from its tracks"
+    )
+
+
+def read_tubers_near(view: LedgerView, run: str, low_x_m: float, high_x_m: float) -> Iterator[Tuber]:
+    """Committed tubers whose place lies between the two, by id."""
+    where = "WHERE run = ? AND place_x_m BETWEEN ? AND ? ORDER BY tuber_id"
+    return map(tuber_from, view.rows(TUBER, where, (run, low_x_m, high_x_m)))
+
+
+def read_entry(view: LedgerView, run: str, camera: str, n: int) -> bytes | None:
+    """The payload of one entry; None where the ledger does not hold it."""
+    found = view.row(ENTRY, "WHERE run = ? AND camera = ? AND n = ?", (run, camera, n))
+    return None if found is None else found[5]
+
+
+def read_entries_after(view: LedgerView, run: str, camera: str, n: int) -> Iterator[Row]:
+    """Rows of a camera's log after entry n, in order."""
+    return view.rows(ENTRY, "WHERE run = ? AND camera = ? AND n > ? ORDER BY n", (run, camera, n))
+
+
+def read_observations(view: LedgerView, run: str, *, tuber_id: int) -> Iterator[Row]:
+    """Where the tracks of a tuber went, by camera and entry."""
+    # Sorted here: asked for this order SQLite walks the key of the whole run, 6 s at a million tubers.
+    found = view.rows(OBSERVATION, "WHERE run = ? AND tuber_id = ?", (run, tuber_id))
+    return iter(sorted(found, key=lambda seen: (seen[1], seen[2])))
+
+
+def is_observed(view: LedgerView, run: str, camera: str, n: int) -> bool:
+    """The track of entry n of a camera's log has gone somewhere."""
+    return view.row(OBSERVATION, "WHERE run = ? AND camera = ? AND n = ?", (run, camera, n)) is not None
+
+
+def knows_track(view: LedgerView, run: str, track_id: str) -> bool:
+    """A track of that id has gone somewhere, as more than the repeat of one."""
+    where = "WHERE run = ? AND track_id = ? AND role != 'repeat'"
+    return view.row(OBSERVATION, where, (run, track_id)) is not None
+
+
+def read_coverage(view: LedgerView, run: str, camera: str, *, limit: int, newest: bool) -> list[Row]:
+    """The first or the newest rows of a camera's marks, oldest first."""
+    order = "DESC" if newest else "ASC"
+    where = f"WHERE run = ? AND camera = ? ORDER BY n {order} LIMIT {limit:d}"
+    return sorted(view.rows(COVERAGE, where, (run, camera)), key=lambda found: int(found[2]))
+
+
+def read_marks(view: LedgerView, run: RunRow) -> dict[str, Mark]:
     """The newest mark of each camera that sent one."""
-    found = db.execute(
-        "SELECT camera, payload, max(n) FROM entry WHERE run = ? AND kind = 'mark' GROUP BY camera ORDER BY camera",
-        (run,),
-    )
-    marks = {camera: TrackEntry.decode(payload).mark for camera, payload, _ in found}
-    return {camera: mark for camera, mark in marks.items() if mark is not None}
-
-
-def restore(db: sqlite3.Connection, run: str) -> Restored:
-    """The state of `run`: logs, marks, tracks not yet in a tuber, and the line up to which places are committed."""
-    (tubers,) = db.execute("SELECT coalesce(max(tuber_id), 0) FROM tuber WHERE run = ?", (run,)).fetchone()
-    line = db.execute("SELECT line_x_m FROM batch WHERE run = ? ORDER BY seq DESC LIMIT 1", (run,)).fetchone()
-    return Restored(
-        logs=_logs(db, run),
-        marks=_marks(db, run),
-        pending=_pending(db, run),
-        tubers=tubers,
-        line_x_m=line[0] if line else math.inf,
-    )
-
-
-def _logs(db: sqlite3.Connection, run: str) -> dict[str, CameraLog]:
-    logs: dict[str, CameraLog] = {}
-    for camera, payload in db.execute("SELECT camera, payload FROM entry WHERE run = ? ORDER BY camera, n", (run,)):
-        logs.setdefault(camera, CameraLog(array("I"))).checksums.append(zlib.crc32(payload))
-    return logs
-
-
-def _marks(db: sqlite3.Connection, run: str) -> dict[str, list[Mark]]:
-    """Every mark where travel is estimated (its samples are needed), else the newest of each camera."""
-    marks: dict[str, list[Mark]] = {}
-    found = db.execute(
-        "SELECT camera, payload FROM entry JOIN coverage USING (run, camera, n) WHERE run = ? AND (travel_estimated OR "
-        "n = (SELECT max(n) FROM coverage AS newest WHERE newest.run = entry.run AND newest.camera = entry.camera)) "
-        "ORDER BY camera, n",
-        (run,),
-    )
-    for camera, payload in found:
-        mark = TrackEntry.decode(payload).mark
-        if mark is not None:
-            marks.setdefault(camera, []).append(mark)
+    marks = {}
+    for camera in run.cameras:
+        for found in read_coverage(view, run.run, camera, limit=1, newest=True):
+            mark = read_mark(view, run.run, camera, found[2])
+            if mark is not None:
+                marks[camera] = mark
     return marks
 
 
-def _pending(db: sqlite3.Connection, run: str) -> list[PendingTrack]:
-    found = db.execute(
-        "SELECT camera, n, late_from_x_m, payload FROM entry WHERE run = ? AND kind = 'track' AND NOT EXISTS (SELECT 1 "
-        "FROM observation AS seen WHERE seen.run = entry.run AND seen.camera = entry.camera AND seen.n = entry.n) "
-        "ORDER BY camera, n",
-        (run,),
-    )
-    pending = []
-    for camera, n, late_from_x_m, payload in found:
-        track = TrackEntry.decode(payload).track
-        if track is not None:
-            pending.append(PendingTrack(camera, n, track, late_from_x_m))
-    return pending
+def read_mark(view: LedgerView, run: str, camera: str, n: int) -> Mark | None:
+    """The mark that is entry n of a camera's log; None where that was lost, or is a track."""
+    payload = read_entry(view, run, camera, n)
+    return None if not payload else decoded(view, payload, f"run '{run}', camera '{camera}', n {n}").mark
+
+
+def decoded(view: LedgerView, payload: bytes, where: str) -> TrackEntry:
+    """An entry's message.
+
+    Raises:
+        LedgerError: the bytes are as they were written, but this program cannot read them.
+    """
+    try:
+        return TrackEntry.decode(payload)
+    except MessageError as error:
+        raise LedgerError(
+            f"ledger {view.path}: the row of table entry with {where} holds a message that this version cannot read "
+            f"({error}); read it with the version that wrote it"
+        ) from error
+
+
+def read_last_batch(view: LedgerView, run: str) -> Row | None:
+    """The newest batch of a run."""
+    return view.row(BATCH, "WHERE run = ? ORDER BY seq DESC", (run,))
+
+
+def read_summary(view: LedgerView, run: str) -> str | None:
+    """The summary of a run that ended."""
+    found = view.row(SUMMARY, "WHERE run = ?", (run,))
+    return None if found is None else str(found[1])
+
+
+def read_sums(view: LedgerView, run: str) -> RunSums:
+    """The sums of a run; added up from its rows in a ledger of version 1.
+
+    Raises:
+        LedgerError: they are damaged, or not there.
+    """
+    if view.version < 2:
+        from aggregator.ledger.recount import recount
+
+        return recount(view, run)
+    found = view.row(TOTAL, "WHERE run = ?", (run,))
+    if found is None:
+        raise LedgerError(
+            f"ledger {view.path} lacks the sums of run '{run}'; `tuberline ledger repair {view.path}` adds them up anew"
+        )
+    return RunSums.from_text(found[2])
+
+
+def coverage_of(run: RunRow, sums: RunSums) -> Coverage:
+    """What of a run's belt was seen, as its ledger knows it."""
+    sights = {camera: sums.sights.get(camera, CameraSight()) for camera in run.cameras}
+    return coverage(sights, seen_by=sums.load.seen_by, moment=Moment(over=True))
+
+
+def entry_checksum(payload: bytes) -> int:
+    """CRC-32 by which entries are compared."""
+    return zlib.crc32(payload)

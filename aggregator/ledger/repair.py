@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.core.merge import Group, PlacedTrack
+from aggregator.core.reasons import Role
 from aggregator.core.tubers import make_tuber
 from aggregator.ledger.faults import DAMAGE, explained
 from aggregator.ledger.receipt import Receipt, receipt_path
+from aggregator.ledger.recount import recounted
 from aggregator.ledger.rows import tuber_row
 from aggregator.ledger.schema import (
     BATCH,
@@ -27,13 +29,17 @@ from aggregator.ledger.schema import (
     OBSERVATION,
     RUN,
     SUMMARY,
-    TABLES,
+    TOTAL,
     TUBER,
+    WRITTEN_ONCE,
     Table,
     checksum,
     definition,
     row,
 )
+from aggregator.ledger.seal import break_seal
+from aggregator.ledger.steps import first_step
+from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
 from conveyor.errors import LedgerError, MessageError
 from conveyor.messages import TrackEntry
 
@@ -71,10 +77,11 @@ def repair(path: Path) -> Repaired:
         _drop_orphans(rows, report)
         seq = _number_batches(rows)
         _write(fresh, rows)
+        break_seal(receipt_path(path))
         _swap(path, fresh)
         receipt.write(seq)
         receipt.write(seq - 1)
-    report.saved = {name: len(found) for name, found in rows.items()}
+    report.saved = {name: len(found) for name, found in rows.items() if name != TOTAL.name}
     return report
 
 
@@ -82,7 +89,7 @@ def _intact_rows(path: Path, report: Repaired) -> dict[str, list[Row]]:
     """Rows of every table whose checksum is right, read one by one past the damage."""
     db = sqlite3.connect(path, isolation_level=None)
     try:
-        return {table.name: _read_table(db, table, report) for table in TABLES}
+        return {table.name: _read_table(db, table, report) for table in (*WRITTEN_ONCE, TOTAL)}
     finally:
         db.close()
 
@@ -102,12 +109,14 @@ def _read_table(db: sqlite3.Connection, table: Table, report: Repaired) -> list[
 
 
 def _both_ways(db: sqlite3.Connection, table: Table, report: Repaired) -> list[Row]:
-    """Rows from the front until the damage, and from the back until the damage."""
+    """Rows from the front until the damage, and from the back until the damage; columns as they were made."""
     rows: list[Row] = []
+    if table is TOTAL and not db.execute("SELECT 1 FROM sqlite_master WHERE name = 'total'").fetchone():
+        return rows  # a ledger of version 1
     for order in ("ASC", "DESC"):
         cursor = db.cursor()
         try:
-            rows.extend(cursor.execute(f"{table.select} ORDER BY rowid {order}"))
+            rows.extend(cursor.execute(f"SELECT * FROM {table.name} ORDER BY rowid {order}"))
             break
         except DAMAGE as error:
             report.mended.append(f"{table.name}: reading ({order}) stopped at damage: {error}")
@@ -120,7 +129,7 @@ def _mend_tubers(rows: dict[str, list[Row]], report: Repaired) -> None:
     have = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
     groups: dict[tuple[str, int], list[Row]] = {}
     for seen in rows[OBSERVATION.name]:
-        if seen[4] == "counted":
+        if seen[4] == Role.COUNTED:
             groups.setdefault((seen[0], seen[5]), []).append(seen)
     for key in sorted(set(groups) - have):
         group = _group(groups[key], entries)
@@ -164,7 +173,7 @@ def _drop_orphans(rows: dict[str, list[Row]], report: Repaired) -> None:
     """Leave out observations of tubers that are lost, and tubers that no observation is left of."""
     tubers = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
     kept = [seen for seen in rows[OBSERVATION.name] if seen[5] is None or (seen[0], seen[5]) in tubers]
-    counted = {(seen[0], seen[5]) for seen in kept if seen[4] == "counted"}
+    counted = {(seen[0], seen[5]) for seen in kept if seen[4] == Role.COUNTED}
     for run, tuber_id in sorted(tubers - counted):
         report.mended.append(f"tuber {tuber_id} of run {run}: its observation is damaged, the tuber itself is kept")
     rows[OBSERVATION.name] = kept
@@ -173,12 +182,12 @@ def _drop_orphans(rows: dict[str, list[Row]], report: Repaired) -> None:
 
 def _number_batches(rows: dict[str, list[Row]]) -> int:
     """One batch per run, with what is there now; the line stays where it was."""
-    last_line = {run: line_x_m for _seq, run, line_x_m, *_ in rows[BATCH.name]}
+    last_watermark = {run: watermark_x_m for _seq, run, watermark_x_m, *_ in rows[BATCH.name]}
     rows[BATCH.name] = []
     for seq, (run, *_) in enumerate(rows[RUN.name], start=1):
         counts = [sum(1 for found in rows[name] if found[0] == run) for name in ("entry", "tuber", "observation")]
-        line_x_m = last_line.get(run, min((t[3] for t in rows[TUBER.name] if t[0] == run), default=math.inf))
-        rows[BATCH.name].append(row((seq, run, line_x_m, *counts)))
+        watermark_x_m = last_watermark.get(run, min((t[3] for t in rows[TUBER.name] if t[0] == run), default=math.inf))
+        rows[BATCH.name].append(row((seq, run, watermark_x_m, *counts)))
     return len(rows[BATCH.name])
 
 
@@ -189,11 +198,31 @@ def _write(path: Path, rows: dict[str, list[Row]]) -> None:
         db.execute("BEGIN IMMEDIATE")
         for statement in definition():
             db.execute(statement)
-        for table in TABLES:
+        for table in WRITTEN_ONCE:
             db.executemany(table.insert, rows[table.name])
+        for (run, *_), sums in zip(rows[RUN.name], _sums(rows), strict=True):
+            first_step(db, run, sums)
         db.execute("COMMIT")
     finally:
         db.close()
+
+
+def _sums(rows: dict[str, list[Row]]) -> list[RunSums]:
+    """The sums of each run, added up anew; what its cameras looked at is as intact old sums have it."""
+    old = {run: RunSums.from_text(payload) for run, _step, payload, _crc in rows[TOTAL.name]}
+    found = []
+    for run, *_ in rows[RUN.name]:
+        step_g = old[run].load.histogram_step_g if run in old else DEFAULT_STEP_G
+        own = [(table, [r[:-1] for r in rows[table.name] if r[_run_at(table)] == run]) for table in WRITTEN_ONCE]
+        sums = recounted(own, histogram_step_g=step_g)
+        if run in old:
+            sums.sights, sums.head_start_m = old[run].sights, old[run].head_start_m
+        found.append(sums)
+    return found
+
+
+def _run_at(table: Table) -> int:
+    return table.names.index("run")
 
 
 def _keep(path: Path) -> Path:

@@ -77,7 +77,7 @@ def observation_row(run: str, seen: Observation) -> tuple[Any, ...]:
             seen.camera,
             seen.n,
             seen.track_id,
-            seen.role,
+            seen.role.value,
             seen.tuber_id,
             float(seen.place_x_m),
             float(seen.place_y_m),

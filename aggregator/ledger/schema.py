@@ -1,4 +1,5 @@
-"""The ledger's tables. Rows are written once, carry a checksum and are never changed.
+"""The ledger's tables. Rows are written once, carry a checksum and are never changed; but for a run's `total`, which
+moves on by one with each transaction.
 
 A row's `crc` is the CRC-32 of its other columns as one MessagePack list, in the order given here.
 """
@@ -12,7 +13,9 @@ from typing import Any
 
 import msgpack
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+OLDEST_VERSION = 1
+"""Read as it is, and brought up to date when it is written to (`aggregator.ledger.migrate`)."""
 APPLICATION_ID = 0x54554252
 """'TUBR' in the file's header: this SQLite file is a ledger."""
 
@@ -142,7 +145,7 @@ BATCH = Table(
     (
         ("seq", "INTEGER NOT NULL"),
         ("run", "TEXT NOT NULL"),
-        ("line_x_m", "REAL NOT NULL"),
+        ("watermark_x_m", "REAL NOT NULL"),
         ("entries", "INTEGER NOT NULL"),
         ("tubers", "INTEGER NOT NULL"),
         ("observations", "INTEGER NOT NULL"),
@@ -151,7 +154,11 @@ BATCH = Table(
 )
 SUMMARY = Table("summary", (("run", "TEXT NOT NULL"), ("payload", "TEXT NOT NULL")), "run")
 
-TABLES: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY)
+TOTAL = Table("total", (("run", "TEXT NOT NULL"), ("step", "INTEGER NOT NULL"), ("payload", "TEXT NOT NULL")), "run")
+"""The sums of a run, carried along in each of its transactions (`aggregator.ledger.sums`); `step` counts them."""
+
+WRITTEN_ONCE: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY)
+TABLES: tuple[Table, ...] = (*WRITTEN_ONCE, TOTAL)
 
 INDEXES: tuple[str, ...] = (
     "CREATE UNIQUE INDEX observation_once ON observation (run, track_id) WHERE role != 'repeat'",
@@ -161,18 +168,30 @@ INDEXES: tuple[str, ...] = (
 )
 
 
+def total_definition() -> list[str]:
+    """SQL that makes `total` and what guards it: a row takes one step after the other and is never removed."""
+    return [
+        TOTAL.create,
+        "CREATE TRIGGER total_update BEFORE UPDATE ON total WHEN NEW.run != OLD.run OR NEW.step != OLD.step + 1 "
+        "BEGIN SELECT RAISE(ABORT, 'rows of total are never changed but by the next step'); END",
+        _never("total", "DELETE"),
+    ]
+
+
 def definition() -> list[str]:
     """All SQL statements of an empty ledger: tables, indexes, and triggers that keep rows as they were written."""
-    frozen = [
-        f"CREATE TRIGGER {table.name}_{verb.lower()} BEFORE {verb} ON {table.name} "
-        f"BEGIN SELECT RAISE(ABORT, 'rows of {table.name} are never changed'); END"
-        for table in TABLES
-        for verb in ("UPDATE", "DELETE")
-    ]
     return [
-        *(table.create for table in TABLES),
+        *(table.create for table in WRITTEN_ONCE),
         *INDEXES,
-        *frozen,
+        *(_never(table.name, verb) for table in WRITTEN_ONCE for verb in ("UPDATE", "DELETE")),
+        *total_definition(),
         f"PRAGMA application_id = {APPLICATION_ID}",
         f"PRAGMA user_version = {SCHEMA_VERSION}",
     ]
+
+
+def _never(table: str, verb: str) -> str:
+    return (
+        f"CREATE TRIGGER {table}_{verb.lower()} BEFORE {verb} ON {table} "
+        f"BEGIN SELECT RAISE(ABORT, 'rows of {table} are never changed'); END"
+    )

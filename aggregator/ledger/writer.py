@@ -1,7 +1,8 @@
 """The ledger's writer: one SQLite file per output folder, one transaction per batch, durable before it is acknowledged.
 
-WAL with synchronous=FULL: a commit is on the disk when `write` returns. Opening checks everything there is to check and
-refuses a ledger that cannot be trusted; nothing is ever mended silently.
+WAL with synchronous=FULL: a commit is on the disk when `write` returns. Opening verifies what it reads (runs, sums, the
+newest batch, the receipt) at a cost that does not grow with the ledger, and refuses one that cannot be trusted; nothing
+is ever mended silently. The whole is verified by `tuberline ledger check` and `tuberline audit`.
 """
 
 from __future__ import annotations
@@ -9,22 +10,43 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-from aggregator.core.machine import Batch, CommittedTuber, Restored
-from aggregator.ledger.check import ledger_faults
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.machine import Batch, Restored
+from aggregator.core.sight import CameraSight
+from aggregator.ledger.check import opening_faults
+from aggregator.ledger.committed import RunTubers
 from aggregator.ledger.faults import explained
-from aggregator.ledger.reader import RunRow, check_version, read_run, read_tubers, restore
+from aggregator.ledger.migrate import migrate
+from aggregator.ledger.reader import RunRow, read_run, read_runs, read_sums, read_tubers
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
+from aggregator.ledger.resume import restore
 from aggregator.ledger.rows import coverage_row, entry_row, observation_row, tuber_row
-from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, OBSERVATION, RUN, SUMMARY, TUBER, definition, row
+from aggregator.ledger.schema import (
+    BATCH,
+    COVERAGE,
+    ENTRY,
+    OBSERVATION,
+    RUN,
+    SCHEMA_VERSION,
+    SUMMARY,
+    TUBER,
+    definition,
+    row,
+)
+from aggregator.ledger.seal import break_seal, set_seal
+from aggregator.ledger.steps import first_step, next_step
+from aggregator.ledger.sums import RunSums
+from aggregator.ledger.verified import LedgerView
 from conveyor.errors import LedgerError, StorageError
 from conveyor.messages import Tuber
 
 BUSY_TIMEOUT_S = 5.0
+RATE_TUBERS = 1000
 
 
 class Ledger:
@@ -43,6 +65,7 @@ class Ledger:
         self._step = step
         self._receipt = Receipt(receipt_path(path))
         self._seq = 0
+        self._sums: dict[str, RunSums] = {}
 
     def __enter__(self) -> Self:
         try:
@@ -54,6 +77,7 @@ class Ledger:
         acknowledged = read_receipt(receipt_path(self.path))
         self._receipt.__enter__()
         try:
+            break_seal(receipt_path(self.path))
             with explained(self.path, "opening"):
                 self._db = sqlite3.connect(self.path, isolation_level=None, timeout=BUSY_TIMEOUT_S)
                 try:
@@ -70,7 +94,11 @@ class Ledger:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._db.close()
-        self._receipt.__exit__(None, None, None)
+        try:
+            if kind is None:
+                set_seal(self.path, receipt_path(self.path))
+        finally:
+            self._receipt.__exit__(None, None, None)
 
     def _prepare(self, acknowledged: int | None) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
@@ -82,15 +110,19 @@ class Ledger:
                     f"lost; bring it back, or remove {receipt_path(self.path)} too and start anew"
                 )
             self._create()
-        check_version(self._db, self.path)
-        faults = ledger_faults(self._db, acknowledged=acknowledged, deep=False)
+        self.view = LedgerView(self._db, self.path)
+        faults = opening_faults(self.view, acknowledged=acknowledged)
         if faults:
             shown = "\n".join(f"  {fault}" for fault in faults[:10])
             raise LedgerError(
                 f"ledger {self.path} cannot be trusted:\n{shown}\n`tuberline ledger repair {self.path}` saves what is "
                 "intact into a new file and keeps this one"
             )
-        self._seq = self._db.execute("SELECT coalesce(max(seq), 0) FROM batch").fetchone()[0]
+        if self.view.version < SCHEMA_VERSION:
+            with self._transaction("migration"):
+                migrate(self._db, self.view, self._step)
+            self.view = LedgerView(self._db, self.path)
+        self._seq = self.view.last_seq()
 
     def _create(self) -> None:
         self._receipt.write(0)
@@ -109,23 +141,25 @@ class Ledger:
         started_ns: int,
         fingerprint: str = "",
         may_be_finished: bool = False,
+        histogram_step_g: float = 50.0,
     ) -> Restored:
         """Begin `run`, or go on with it where the ledger holds it; its state is rebuilt from the ledger alone.
 
         Args:
             fingerprint: of the recording, where there is one; the same recording is not counted twice into one ledger.
             may_be_finished: go on with a finished run (its entries are all duplicates) instead of refusing it.
+            histogram_step_g: width of a weight class, grams; another one than before is counted anew from all tubers.
 
         Raises:
             LedgerError: the run is finished, has other cameras, or its recording is in the ledger under another run.
         """
         with explained(self.path, f"opening run {run}"):
-            known = read_run(self._db, run)
+            known = read_run(self.view, run)
             if known is None:
                 self._refuse_same_recording(run, fingerprint)
-                with self._transaction("run"):
-                    names = json.dumps(sorted(cameras))
-                    self._db.execute(RUN.insert, row((run, line, names, fingerprint, version, started_ns)))
+                self._begin(
+                    run, (line, json.dumps(sorted(cameras)), fingerprint, version, started_ns), histogram_step_g
+                )
                 return Restored()
             if known.finished and not may_be_finished:
                 raise LedgerError(
@@ -137,15 +171,33 @@ class Ledger:
                     f"run '{run}' in ledger {self.path} was begun with cameras {', '.join(known.cameras)}, the config "
                     f"has {', '.join(sorted(cameras))}; mend the config or give another --run"
                 )
-            return restore(self._db, run)
+            return restore(self.view, known, self._go_on(run, histogram_step_g))
+
+    def _begin(self, run: str, columns: tuple[Any, ...], histogram_step_g: float) -> None:
+        sums, begun = RunSums(LoadSums(histogram_step_g)), row((run, *columns))
+        sums.add_rows(RUN, [begun])
+        with self._transaction("run"):
+            self._db.execute(RUN.insert, begun)
+            first_step(self._db, run, sums)
+        self._sums[run] = sums
+
+    def _go_on(self, run: str, histogram_step_g: float) -> RunSums:
+        sums = read_sums(self.view, run)
+        if sums.load.histogram_step_g != histogram_step_g:
+            sums.load = LoadSums(histogram_step_g)
+            for tuber in read_tubers(self.view, run):
+                sums.load.add(tuber)
+        else:
+            for tuber in read_tubers(self.view, run, since=max(0, sums.last_tuber_id - RATE_TUBERS)):
+                sums.load.passed(tuber.crossed_ns)
+        self._sums[run] = sums
+        return sums
 
     def _refuse_same_recording(self, run: str, fingerprint: str) -> None:
-        if not fingerprint:
-            return
-        found = self._db.execute("SELECT run FROM run WHERE fingerprint = ? LIMIT 1", (fingerprint,)).fetchone()
-        if found:
+        found = next((known for known in read_runs(self.view) if known.fingerprint == fingerprint), None)
+        if fingerprint and found:
             raise LedgerError(
-                f"ledger {self.path} already holds this recording ({fingerprint}) as run '{found[0]}': counting it as "
+                f"ledger {self.path} already holds this recording ({fingerprint}) as run '{found.run}': counting it as "
                 f"run '{run}' too would count every tuber twice; give --new-run if that is wanted"
             )
 
@@ -163,63 +215,58 @@ class Ledger:
             self._step("after receipt")
 
     def _insert(self, run: str, batch: Batch) -> None:
+        sums = self.sums(run)
         marks = [(a.logged.entry.camera, a.logged.entry.n, a.logged.entry.mark) for a in batch.entries]
-        self._db.executemany(ENTRY.insert, [entry_row(applied) for applied in batch.entries])
-        self._step("entries written")
-        self._db.executemany(
-            COVERAGE.insert, [coverage_row(run, camera, n, mark) for camera, n, mark in marks if mark is not None]
-        )
-        self._db.executemany(TUBER.insert, [tuber_row(tuber) for tuber in batch.tubers])
-        self._step("tubers written")
-        self._db.executemany(OBSERVATION.insert, [observation_row(run, seen) for seen in batch.observations])
-        self._step("observations written")
-        entries, tubers, observations = self._counts(run)
-        self._db.execute(
-            BATCH.insert,
-            row(
-                (
-                    self._seq + 1,
-                    run,
-                    batch.line_x_m,
-                    entries + len(batch.entries),
-                    tubers + len(batch.tubers),
-                    observations + len(batch.observations),
-                )
-            ),
-        )
+        added = {
+            ENTRY: [entry_row(applied) for applied in batch.entries],
+            COVERAGE: [coverage_row(run, camera, n, mark) for camera, n, mark in marks if mark is not None],
+            TUBER: [tuber_row(tuber) for tuber in batch.tubers],
+            OBSERVATION: [observation_row(run, seen) for seen in batch.observations],
+        }
+        for table, rows in added.items():
+            self._db.executemany(table.insert, rows)
+            sums.add_rows(table, rows)
+            self._step(f"{table.name} written")
+        sums.add_batch(batch)
+        counts = [sums.count(table) for table in (ENTRY, TUBER, OBSERVATION)]
+        written = row((self._seq + 1, run, batch.watermark_x_m, *counts))
+        self._db.execute(BATCH.insert, written)
+        sums.add_rows(BATCH, [written])
         self._step("batch written")
+        next_step(self._db, run, sums)
+        self._step("sums written")
 
-    def _counts(self, run: str) -> tuple[int, int, int]:
-        last = self._db.execute(
-            "SELECT entries, tubers, observations FROM batch WHERE run = ? ORDER BY seq DESC LIMIT 1", (run,)
-        ).fetchone()
-        return last or (0, 0, 0)
-
-    def finish(self, run: str, summary: str) -> None:
+    def finish(self, run: str, summary: str, *, sights: Mapping[str, CameraSight] | None = None) -> None:
         """Keep the summary of a run that ended; the run takes nothing more. A second time changes nothing."""
         with explained(self.path, f"finishing run {run}"), self._transaction("summary"):
-            if not self._db.execute("SELECT 1 FROM summary WHERE run = ?", (run,)).fetchone():
-                self._db.execute(SUMMARY.insert, row((run, summary)))
+            known = read_run(self.view, run)
+            if known is not None and not known.finished:
+                sums, written = self.sums(run), row((run, summary))
+                sums.sights = dict(sights) if sights is not None else sums.sights
+                self._db.execute(SUMMARY.insert, written)
+                sums.add_rows(SUMMARY, [written])
+                next_step(self._db, run, sums)
 
     def _transaction(self, name: str) -> _Transaction:
         return _Transaction(self, name)
 
-    @property
-    def connection(self) -> sqlite3.Connection:
-        """The open database, for reading."""
-        return self._db
+    def sums(self, run: str) -> RunSums:
+        """The sums of `run` as committed."""
+        if run not in self._sums:
+            self._sums[run] = read_sums(self.view, run)
+        return self._sums[run]
 
     def run_row(self, run: str) -> RunRow | None:
         """The run of that id."""
-        return read_run(self._db, run)
+        return read_run(self.view, run)
 
     def tubers(self, run: str) -> Iterator[Tuber]:
         """All committed tubers of `run`, by id."""
-        return read_tubers(self._db, run)
+        return read_tubers(self.view, run)
 
     def committed(self, run: str) -> RunTubers:
         """What the core may ask about `run`."""
-        return RunTubers(self._db, run)
+        return RunTubers(self.view, run)
 
 
 class _Transaction:
@@ -242,46 +289,14 @@ class _Transaction:
                 self._ledger._step(f"before commit of {self._name}")
                 db.execute("COMMIT")
             except BaseException:
+                self._ledger._sums.clear()
                 if db.in_transaction:
                     db.execute("ROLLBACK")
                 raise
             if self._name == "batch":
                 self._ledger._seq += 1
             self._ledger._step(f"after commit of {self._name}")
-        elif db.in_transaction:
-            db.execute("ROLLBACK")
-
-
-class RunTubers:
-    """Committed tubers of one run, asked by place or by track (`aggregator.core.CommittedTubers`)."""
-
-    def __init__(self, db: sqlite3.Connection, run: str) -> None:
-        self._db = db
-        self._run = run
-
-    def near(self, low_x_m: float, high_x_m: float) -> Sequence[CommittedTuber]:
-        """Committed tubers whose place lies between the two, by id."""
-        found = self._db.execute(
-            "SELECT tuber_id, place_x_m, place_y_m FROM tuber WHERE run = ? AND place_x_m BETWEEN ? AND ? "
-            "ORDER BY tuber_id",
-            (self._run, low_x_m, high_x_m),
-        ).fetchall()
-        return [CommittedTuber(tuber_id, x_m, y_m, self._members(tuber_id)) for tuber_id, x_m, y_m in found]
-
-    def _members(self, tuber_id: int) -> tuple[tuple[str, int, int], ...]:
-        return tuple(
-            self._db.execute(
-                "SELECT camera, first_seq, last_seq FROM observation WHERE run = ? AND tuber_id = ? "
-                "AND role != 'repeat' ORDER BY camera, n",
-                (self._run, tuber_id),
-            )
-        )
-
-    def knows_track(self, track_id: str) -> bool:
-        """A track of that id is in the ledger."""
-        return (
-            self._db.execute(
-                "SELECT 1 FROM observation WHERE run = ? AND track_id = ? AND role != 'repeat'", (self._run, track_id)
-            ).fetchone()
-            is not None
-        )
+        else:
+            self._ledger._sums.clear()  # they may hold what was not written: the next one reads them anew
+            if db.in_transaction:
+                db.execute("ROLLBACK")

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from aggregator.core.coverage import Looked, camera_shares, combined_coverage
+from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import ledger_file, read_marks, read_tubers, reading, the_run
+from aggregator.ledger.reader import (
+    coverage_of,
+    ledger_file,
+    read_marks,
+    read_sums,
+    read_tubers,
+    reading,
+    the_run,
+)
 from aggregator.scoring.align import Alignment, align
 from aggregator.scoring.compare import Comparison, compare
 from aggregator.scoring.truth import TrueTuber, read_truth
@@ -85,16 +93,13 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         raise InputError(f"--match-mm {match_mm:g}: give 1 to 500 mm")
     true_tubers = read_truth(truth)
     ledger = ledger_file(path)
-    with reading(ledger) as db:
-        chosen = the_run(db, ledger, run)
-        tubers = list(read_tubers(db, chosen.run))
-        marks = read_marks(db, chosen.run)
+    with reading(ledger) as view:
+        chosen = the_run(view, ledger, run)
+        tubers = list(read_tubers(view, chosen.run))
+        marks = read_marks(view, chosen)
+        share = coverage_of(chosen, read_sums(view, chosen.run)).share
     estimated = any(mark.travel_estimated for mark in marks.values())
-    looked = {
-        camera: Looked(marks[camera].looked_at_m, marks[camera].travelled_m) if camera in marks else None
-        for camera in chosen.cameras
-    }
-    return score_tubers(tubers, true_tubers, match_mm=match_mm, travel_estimated=estimated, looked=looked)
+    return score_tubers(tubers, true_tubers, match_mm=match_mm, travel_estimated=estimated, coverage=share)
 
 
 def score_tubers(
@@ -103,13 +108,13 @@ def score_tubers(
     *,
     match_mm: float,
     travel_estimated: bool,
-    looked: Mapping[str, Looked | None],
+    coverage: float | None,
 ) -> Score:
     """The score of a ledger's tubers; places are aligned first where travel was estimated."""
-    load = LoadTotals(50.0)
+    sums = LoadSums(50.0)
     for tuber in tubers:
-        load.add(tuber)
-    coverage = combined_coverage(camera_shares(looked), seen_by=load.seen_by)
+        sums.add(tuber)
+    load = LoadTotals(sums)
     places_m = np.array([(t.place_x_m, t.place_y_m) for t in tubers]).reshape(-1, 2)
     true_m = np.array([(t.place_x_m, t.place_y_m) for t in truth]).reshape(-1, 2)
     alignment = align(places_m, true_m, gate_m=match_mm / 1000) if travel_estimated and tubers else Alignment()

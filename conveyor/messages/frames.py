@@ -90,6 +90,9 @@ class CameraInfo(Message):
     `published` counts frames put on the wire, `last_seq` is the newest sequence number; `first_seq` the first one
     of the run. `waits` says that the camera waits for the segmenter's progress and so loses nothing (a replay).
     `refused` counts frames the source could not read, by reason; their sequence numbers are gaps downstream.
+    `first_captured_ns`, `first_travel_m`, `last_captured_ns`, `last_travel_m` are of the first and the newest frame
+    published by this process (None before the first; no travel without an encoder): belt that passed between them and
+    was not processed was not seen. `live`: a device, whose belt may have moved before its first frame.
     """
 
     camera: Name
@@ -105,6 +108,11 @@ class CameraInfo(Message):
     published: Count
     refused: Counts
     error: Line = ""
+    first_captured_ns: Nanoseconds | None = None
+    first_travel_m: BeltPlace | None = None
+    last_captured_ns: Nanoseconds | None = None
+    last_travel_m: BeltPlace | None = None
+    live: Yes = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from conveyor.messages.base import Message
 from conveyor.ranges import (
+    BeltPlace,
     Count,
     Id,
     Items,
+    Line,
     LoadGrams,
     Model,
     Name,
@@ -57,6 +59,10 @@ class Totals(Message):
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
     weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
     of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
+
+    `state` is 'starting' (not counting yet), 'counting', 'nothing seen' (then the weights are no numbers; `reason` says
+    why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of
+    it was not seen, by reason, metres in the mean of the cameras.
     """
 
     run: Name
@@ -75,6 +81,10 @@ class Totals(Message):
     final: Yes
     as_weighed_g: LoadGrams = 0.0
     tickets: Count = 0
+    state: Word = "counting"
+    reason: Line = ""
+    belt_m: BeltPlace | None = None
+    unseen_m: Annotated[dict[Word, BeltPlace], Items(64)] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

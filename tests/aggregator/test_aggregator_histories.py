@@ -114,7 +114,7 @@ class Histories(RuleBasedStateMachine):
     @precondition(lambda self: hasattr(self, "it"))
     @invariant()
     def committed_rows_never_change(self) -> None:
-        rows = self.ledger.connection.execute(
+        rows = self.ledger._db.execute(
             "SELECT * FROM tuber WHERE run = ? ORDER BY tuber_id", (self.story.run,)
         ).fetchall()
         assert rows[: len(self.rows)] == self.rows
@@ -123,7 +123,7 @@ class Histories(RuleBasedStateMachine):
     @precondition(lambda self: hasattr(self, "it"))
     @invariant()
     def every_applied_track_is_somewhere_once(self) -> None:
-        db = self.ledger.connection
+        db = self.ledger._db
         (tracks,) = db.execute(
             "SELECT count(*) FROM entry WHERE run = ? AND kind = 'track'", (self.story.run,)
         ).fetchone()

@@ -56,7 +56,7 @@ def test_late_tracks_change_nothing_or_add_what_only_they_saw(seed: int, restart
         assert it.core.finished
         assert it.tubers()[: len(before)] == before
         each_tuber_once(it, told)
-        roles = dict(ledger.connection.execute("SELECT role, count(*) FROM observation GROUP BY role"))
+        roles = dict(ledger._db.execute("SELECT role, count(*) FROM observation GROUP BY role"))
         tracks = sum(entry.track is not None for log in told.logs.values() for entry in log)
         assert sum(roles.values()) == tracks
         assert roles.get("late_duplicate", 0) == it.counts.get("tracks_late_duplicate", 0)

@@ -15,9 +15,10 @@ import pytest
 
 from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
-from conveyor.delivery.kept import KeptSubscriber
+from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
-from conveyor.messages import Committed, TrackEntry, Tuber
+from conveyor.geometry import Intrinsics
+from conveyor.messages import CameraInfo, Committed, TrackEntry, Tuber
 from conveyor.node import Node
 from conveyor.observer import Observer
 from conveyor.wire import pack, unpack
@@ -207,3 +208,50 @@ def test_an_entry_that_cannot_be_read_holds_nobody_up(line: tuple[LineConfig, Pa
     assert summary["aggregator"]["track_refused_range"] >= 1
     assert summary["aggregator"]["track_refused_from_cam0"] == summary["aggregator"]["track_refused"]
     assert any("entries that could not be read" in text for text in summary["differences"])
+
+
+def test_nothing_seen_is_never_a_number(line: tuple[LineConfig, Path], process: Process) -> None:
+    """A line whose segmenters were frozen for 40 s said '90 %: 0.0 to 0.0'."""
+    config, _ = line
+    with Observer(config.link, line="t") as observer:
+        wait_until(lambda: (told := observer.totals()) and told.state == "starting", what="starting", timeout_s=40)
+        told = observer.totals()
+        assert told is not None
+        assert told.reason == "no frame processed yet of cam0, cam1"
+    process.popen.terminate()
+    assert process.end()[0] == 0
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert (summary["state"], summary["reason"]) == ("nothing seen", "no camera was heard of")
+    assert summary["totals"]["weight_g"] is summary["totals"]["low_g"] is summary["totals"]["estimated_high_g"] is None
+
+
+def camera_info(camera: str, *, first_s: float, last_s: float) -> CameraInfo:
+    """A camera without an encoder that published from and to these seconds of its clock."""
+    lens = Intrinsics(10, 10, 10.0, 10.0, 5.0, 5.0)
+    return CameraInfo(
+        camera, "story", "streaming", "test", 30.0, False, lens, 0.001, 0, 299, 300, {},
+        first_captured_ns=round(first_s * 1e9), last_captured_ns=round(last_s * 1e9),
+    )  # fmt: skip
+
+
+def test_belt_that_passed_before_the_segmenters_looked_is_told(line: tuple[LineConfig, Path], process: Process) -> None:
+    """A line that took 8 s to start counted 52 of 61 tubers, and said that it had seen all of the belt."""
+    config, _ = line
+    told = tell(15, cameras=2, n=10, estimated=True)
+    ends_s = {name: told.logs[name][-1].mark.captured_ns / 1e9 for name in told.names}  # type: ignore[union-attr]
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        infos = {name: KeptPublisher(node, topics.CAMERA_INFO, camera=name) for name in told.names}
+        for name, out in infos.items():
+            out.put(camera_info(name, first_s=0.5 - 2.0, last_s=ends_s[name]))
+        segmenters = Segmenters(node, told)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        segmenters.deliver()
+        assert process.end()[0] == 0
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    belt_m = 0.3 * (ends_s["cam0"] - 0.5 + 2.0)
+    assert summary["state"] == "ended"
+    assert summary["belt_m"] == pytest.approx(belt_m, rel=0.1)
+    before_m = summary["unseen_m"]["before_first_frame"]
+    assert before_m == pytest.approx(0.3 * 2.0 - 0.15, rel=0.1)
+    assert summary["coverage"] == pytest.approx(1 - before_m / summary["belt_m"], abs=0.02)
+    assert summary["totals"]["estimated_weight_g"] > summary["totals"]["weight_g"]

@@ -34,7 +34,7 @@ def truth(places: list[tuple[float, float]], weight_g: float = 100.0, length_mm:
 
 
 def score(tubers: list[Tuber], true: list[TrueTuber], *, estimated: bool = False, match_mm: float = 25.0) -> Score:
-    return score_tubers(tubers, true, match_mm=match_mm, travel_estimated=estimated, looked={"a": None})
+    return score_tubers(tubers, true, match_mm=match_mm, travel_estimated=estimated, coverage=None)
 
 
 def test_a_perfect_count_and_the_errors_of_its_weights() -> None:

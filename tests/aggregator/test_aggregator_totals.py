@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 
 import pytest
 
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.coverage import Looked, camera_shares, combined_coverage
+from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import SHARED_BIAS, LoadTotals
 from conveyor.messages import Tuber
 
@@ -16,17 +15,17 @@ TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", 
 
 
 def load(n: int, **changes: object) -> LoadTotals:
-    totals = LoadTotals(50.0)
+    sums = LoadSums(50.0)
     for i in range(n):
-        totals.add(replace(TUBER, crossed_ns=i * 100_000_000, **changes))
-    return totals
+        sums.add(replace(TUBER, crossed_ns=i * 100_000_000, **changes))
+    return LoadTotals(sums)
 
 
 def test_count_weight_and_histogram() -> None:
-    totals = LoadTotals(50.0)
+    sums = LoadSums(50.0)
     for weight_g in (10.0, 49.9, 50.0, 170.0, 99999.0):
-        totals.add(replace(TUBER, weight_g=weight_g))
-    message = totals.message("r", coverage=1.0, cameras={"a": "ended"}, final=True)
+        sums.add(replace(TUBER, weight_g=weight_g))
+    message = LoadTotals(sums).message("r", coverage=1.0, cameras={"a": "ended"}, final=True)
     assert message.count == 5
     assert message.weight_g == pytest.approx(10 + 49.9 + 50 + 170 + 99999)
     assert (message.histogram[0], message.histogram[1], message.histogram[3], message.histogram[63]) == (2, 1, 1, 1)
@@ -65,46 +64,10 @@ def test_the_rate_is_that_of_the_last_seconds() -> None:
     assert load(1).message("r", coverage=None, cameras={}, final=False).tubers_per_s == 0.0
 
 
-def seen(**groups: int) -> Counter[frozenset[str]]:
-    return Counter({frozenset(name): n for name, n in groups.items()})
-
-
-def test_all_eyes_open_is_full_coverage() -> None:
-    assert combined_coverage({"a": 1.0, "b": 1.0}, seen_by=seen(a=40, b=50, ab=10)) == pytest.approx(1.0)
-
-
-def test_a_camera_that_missed_half_loses_half_of_its_own_lane() -> None:
-    """Two lanes side by side, 100 tubers each; b saw only 50 of its own."""
-    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen(a=100, b=50)) == pytest.approx(0.75)
-
-
-def test_what_another_camera_saw_too_is_not_missed() -> None:
-    """Both look at the same belt; b was blind for half of it."""
-    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen(ab=50, a=50)) == pytest.approx(1.0)
-
-
-def test_a_camera_that_never_looked_had_a_lane_of_its_own() -> None:
-    assert combined_coverage({"a": 1.0, "b": 0.0}, seen_by=seen(a=100)) == pytest.approx(0.5)
-
-
-def test_without_tubers_the_shares_are_averaged_and_without_travel_nothing_is_known() -> None:
-    assert combined_coverage({"a": 1.0, "b": 0.5}, seen_by=seen()) == pytest.approx(0.75)
-    assert combined_coverage({"a": None, "b": None}, seen_by=seen()) is None
-
-
-def test_a_camera_that_stopped_is_measured_by_the_belt_the_others_saw() -> None:
-    shares = camera_shares({"a": Looked(100.0, 100.0), "b": Looked(25.0, 25.0), "c": None})
-    assert shares == {"a": 1.0, "b": 0.25, "c": 0.0}
-    assert camera_shares({"a": Looked(10.0, 10.0), "b": Looked(9.9, 9.9)}) == {"a": 1.0, "b": 1.0}
-    assert camera_shares({"a": Looked(9.0, 10.0)}) == {"a": pytest.approx(0.9)}
-    assert camera_shares({"a": Looked(0.0, 0.0), "b": None}) == {"a": None, "b": None}
-
-
 def test_tickets_scale_the_load_and_narrow_its_interval_but_leave_the_tubers_as_weighed() -> None:
     tickets = [Ticket(f"r{n}", "m", 0.9e6, 1000.0, 1e6, 3000.0, 1.0) for n in range(5)]
-    calibrated, plain = LoadTotals(50.0, tickets), load(1000)
-    for n in range(1000):
-        calibrated.add(replace(TUBER, crossed_ns=n * 100_000_000))
+    plain = load(1000)
+    calibrated = LoadTotals(plain.sums, tickets)
     message = calibrated.message("r", coverage=1.0, cameras={}, final=False)
     assert message.tickets == 5
     assert message.as_weighed_g == pytest.approx(plain.weight_g)
@@ -113,7 +76,6 @@ def test_tickets_scale_the_load_and_narrow_its_interval_but_leave_the_tubers_as_
 
 
 def test_tickets_of_other_weights_change_nothing() -> None:
-    other = LoadTotals(50.0, [Ticket("r", "other", 0.9e6, 1000.0, 1e6, 3000.0, 1.0)])
-    other.add(TUBER)
+    other = LoadTotals(load(1).sums, [Ticket("r", "other", 0.9e6, 1000.0, 1e6, 3000.0, 1.0)])
     assert other.weight_g == pytest.approx(TUBER.weight_g)
     assert other.message("r", coverage=None, cameras={}, final=False).tickets == 0

@@ -85,7 +85,7 @@ class Aggregator:
     def canonical(self) -> list[str]:
         row = self.ledger.run_row(self.story.run)
         assert row is not None
-        return list(canonical_lines(self.ledger.connection, row))
+        return list(canonical_lines(self.ledger.view, row))
 
 
 def undisturbed(ledger: Ledger, told: Story) -> Aggregator:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from aggregator.ledger.schema import ENTRY, checksum
 from conveyor.messages import TrackEntry
 from tests.belts import tuberline
 
@@ -49,13 +50,18 @@ def test_a_track_nobody_accounts_for_is_missed(copy: Path) -> None:
 
 def test_frames_that_vanish_from_a_sheet_are_missed(copy: Path) -> None:
     with sqlite3.connect(copy / "ledger.db") as db:
-        rows = db.execute("SELECT rowid, payload FROM entry WHERE kind = 'mark' ORDER BY camera, n DESC").fetchall()
+        row, *columns, _crc = db.execute(
+            f"SELECT rowid, {', '.join(ENTRY.names)}, crc FROM entry WHERE kind = 'mark' ORDER BY camera, n DESC"
+        ).fetchone()
     db.close()
-    row, payload = rows[0]
-    entry = TrackEntry.decode(payload)
+    entry = TrackEntry.decode(columns[-1])
     assert entry.mark is not None
     entry.mark.frames["processed"] -= 3
-    falsify(copy, f"UPDATE entry SET payload = x'{entry.encode().hex()}' WHERE rowid = {row}")
+    columns[-1] = entry.encode()  # with a checksum that fits: a fault of a program, not of the disk
+    falsify(
+        copy,
+        f"UPDATE entry SET payload = x'{columns[-1].hex()}', crc = {checksum(columns)} WHERE rowid = {row}",
+    )
     done = tuberline("audit", copy, "--json", check=False)
     assert done.returncode == 1
     laws = [law for laws in json.loads(done.stdout)["equations"].values() for law in laws if law["difference"]]

@@ -22,6 +22,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from aggregator.ledger.schema import TUBER
 from tests.laws.virtual_graph import FRAMES, NAMES, REGRESSORS, Graph, true_places
 
 HISTORIES = int(os.environ.get("TUBERLINE_HISTORIES", "40"))
@@ -175,9 +176,7 @@ def test_the_undisturbed_ledger_holds_every_tuber_once() -> None:
         graph = Graph(Path(folder), 0)
         run_out(graph)
         audit = graph.audit()
-        places = np.array(
-            graph.ledger.connection.execute("SELECT place_x_m, place_y_m FROM tuber").fetchall(), np.float64
-        )
+        places = np.array([row[3:5] for row in graph.ledger.view.rows(TUBER)], np.float64)
         graph.close()
     assert audit.balanced
     for name in NAMES:

@@ -20,6 +20,7 @@ import numpy as np
 from aggregator.core.machine import Aggregation
 from aggregator.ledger.audit import Audit, audit_run
 from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.schema import TUBER
 from aggregator.ledger.writer import Ledger
 from camera_sim.flow import SendWindow
 from conveyor.geometry import straight_down_belt_from_camera
@@ -375,17 +376,17 @@ class Graph:
 
     def tubers(self) -> list[tuple[Any, ...]]:
         """The ledger's rows of tubers, in order."""
-        return self.ledger.connection.execute("SELECT * FROM tuber ORDER BY tuber_id").fetchall()
+        return list(self.ledger.view.rows(TUBER, "ORDER BY tuber_id"))
 
     def canonical(self) -> list[str]:
         row = self.ledger.run_row(RUN)
         assert row is not None
-        return list(canonical_lines(self.ledger.connection, row))
+        return list(canonical_lines(self.ledger.view, row))
 
     def audit(self) -> Audit:
         row = self.ledger.run_row(RUN)
         assert row is not None
-        return audit_run(self.ledger.connection, row)
+        return audit_run(self.ledger.view, row)
 
 
 def true_places() -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
-from aggregator.ledger.schema import SUMMARY, checksum
-from conveyor.errors import LedgerError
+from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
 from conveyor.messages import Totals, Tuber
 from conveyor.messages.base import plain
 
@@ -96,8 +94,8 @@ def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
     with reading(file) as db:
         chosen = the_run(db, file, run)
         tubers = tuple(read_tubers(db, chosen.run))
-        found = db.execute(f"{SUMMARY.select} WHERE run = ?", (chosen.run,)).fetchone()
-    summary = _summary(file, found) if found else None
+        told = read_summary(db, chosen.run)
+    summary: dict[str, Any] | None = json.loads(told) if told else None
     return Ledger(
         path=file,
         run=chosen.run,
@@ -107,16 +105,6 @@ def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
         totals=_totals(summary["totals"]) if summary else None,
         summary=summary,
     )
-
-
-def _summary(path: Path, found: tuple[Any, ...]) -> dict[str, Any]:
-    *columns, crc = found
-    if checksum(columns) != crc:
-        raise LedgerError(
-            f"ledger {path}: the summary of run {columns[0]} is damaged; see `tuberline ledger check {path}`"
-        )
-    summary: dict[str, Any] = json.loads(columns[1])
-    return summary
 
 
 def _totals(values: dict[str, Any]) -> Totals:

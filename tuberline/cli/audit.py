@@ -35,5 +35,7 @@ def audit(run_dir: Path, /, *, run: str | None = None, json: bool = False) -> No
         console = Console()
         console.print(camera_table(found))
         console.print(audit_table(found))
+        for fault in found.faults:
+            console.print(f"damaged: {fault}", style="red", markup=False, highlight=False)
     if not found.balanced:
         sys.exit(1)

@@ -93,13 +93,20 @@ def totals_panel(totals: Totals | None) -> Panel:
     """The load so far, in one box."""
     if totals is None:
         return Panel("waiting for the first tuber ...", title="load")
+    title = f"load · run {totals.run}" + (" · final" if totals.final else "")
+    if totals.state == "nothing seen":
+        return Panel(f"[bold red]nothing seen[/]: {totals.reason}", title=title)
+    if totals.state == "starting" and not totals.count:
+        return Panel(f"starting, not counting: {totals.reason}", title=title)
     half_g = (totals.high_g - totals.low_g) / 2
     coverage = "-" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
     text = (
         f"[bold]{totals.weight_g / 1000:8.2f} kg[/] ± {half_g / 1000:.2f}   [bold]{totals.count}[/] tubers   "
         f"{totals.tubers_per_s:.1f}/s   belt seen {coverage}"
     )
-    return Panel(text, title=f"load · run {totals.run}" + (" · final" if totals.final else ""))
+    if totals.state == "starting":
+        text += f"   [yellow]starting: {totals.reason}[/]"
+    return Panel(text, title=title)
 
 
 def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Table:

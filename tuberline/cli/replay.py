@@ -6,7 +6,7 @@ import json as json_module
 import sys
 from pathlib import Path
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, TuberlineError
 from tuberline.replayer import replay_recording, resume_replay
 
 
@@ -68,6 +68,8 @@ def replay(
         from tuberline.cli.report import print_summary
 
         print_summary(Console(), summary, out=out)
+    if summary["state"] == "nothing seen":
+        raise TuberlineError(f"nothing was seen of {recording}: {summary['reason']}")
 
 
 def parse_speed(text: str) -> float:

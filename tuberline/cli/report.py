@@ -10,16 +10,37 @@ from rich.table import Table
 
 from tuberline.cli.live import histogram_lines
 
+REASONS = {
+    "before_first_frame": "before the first frame",
+    "between_frames": "between frames",
+    "after_last_frame": "after the last frame",
+    "camera_never_looked": "under a camera that never looked",
+}
+"""Why belt was not seen (`aggregator.core.reasons.Unseen`), in words."""
+
 
 def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> None:
     """The load, its histogram, what was lost, and where the files are."""
     totals = summary["totals"]
+    if summary.get("state") == "nothing seen":
+        console.print(f"[bold red]nothing seen[/]: {summary['reason']}", highlight=False)
+    else:
+        _print_load(console, summary, totals)
+    for finding in summary.get("findings", []):
+        console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
+    for name, n in summary.get("restarts", {}).items():
+        console.print(f"[yellow]{name} was restarted {n} times[/]")
+    console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
+
+
+def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any]) -> None:
     coverage = totals["coverage"]
     seen = "unknown" if coverage is None else f"{100 * coverage:.1f} %"
+    unseen = "".join(f", {m:.2f} m {REASONS.get(why, why)}" for why, m in summary.get("unseen_m", {}).items())
     table = Table(show_header=False, box=None, padding=(0, 2))
     table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
     table.add_row("tubers", f"[bold]{totals['count']}[/]")
-    table.add_row("belt seen", seen)
+    table.add_row("belt seen", seen + (f"  (not seen{unseen[1:]})" if unseen else ""))
     if coverage is not None and coverage < 1:
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
@@ -30,11 +51,6 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
     console.print(table)
     for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
         console.print(line, highlight=False)
-    for finding in summary.get("findings", []):
-        console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
-    for name, n in summary.get("restarts", {}).items():
-        console.print(f"[yellow]{name} was restarted {n} times[/]")
-    console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
 
 
 def _range(totals: dict[str, Any], prefix: str) -> str:

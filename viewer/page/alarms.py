@@ -35,7 +35,14 @@ def alarms(state: LineState) -> tuple[Alarm, ...]:
     """Everything that is wrong, the worst first. Where there is no contact, that is the one thing to say."""
     if not state.in_contact:
         return _no_contact(state)
-    found = [*_aggregator(state), *_cameras(state), *_regressors(state), *_stalled(state), *_coverage(state)]
+    found = [
+        *_aggregator(state),
+        *_cameras(state),
+        *_regressors(state),
+        *_stalled(state),
+        *_sight(state),
+        *_coverage(state),
+    ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:MAX_ALARMS])
 
 
@@ -122,6 +129,16 @@ def _stalled(state: LineState) -> Iterator[Alarm]:
                 f"{waiting:.0f} entries of {name} wait for the ledger; they are safe on its disk.",
                 "Look at the aggregator and its disk.",
             )
+
+
+def _sight(state: LineState) -> Iterator[Alarm]:
+    totals = state.totals
+    if totals is not None and totals.state == "nothing seen":
+        fix = "Look at the cameras' pictures and their logs; this is no empty load."
+        yield Alarm("nothing-seen", "trouble", f"Nothing was seen: {totals.reason}.", fix)
+    elif totals is not None and totals.state == "starting":
+        fix = "Wait, or see why it does not come."
+        yield Alarm("starting", "warning", f"Starting, not counting: {totals.reason}.", fix)
 
 
 def _coverage(state: LineState) -> Iterator[Alarm]:

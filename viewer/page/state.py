@@ -73,7 +73,7 @@ class PastLoad:
     run: str
     started_unix_s: float
     count: int
-    weight_g: float
+    weight_g: float | None
     low_g: float | None
     high_g: float | None
     coverage: float | None

@@ -117,7 +117,7 @@ export class LineCard {
   past(past) {
     const scale = loadUnit(past.weight_g);
     return [
-      when(past.started_unix_s), `${load(past.weight_g, scale)} ${scale.unit}`,
+      when(past.started_unix_s), past.weight_g === null ? "nothing seen" : `${load(past.weight_g, scale)} ${scale.unit}`,
       past.low_g === null ? "–" : `${load(past.low_g, scale)} to ${load(past.high_g, scale)}`,
       number(past.count), past.coverage === null ? "–" : `${number(100 * past.coverage, 1)} %`, past.run, past.final ? "complete" : "open",
     ];

@@ -1,0 +1,132 @@
+"""Sums over the committed tubers of a load, carried along: the millionth tuber costs what the first one did."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from conveyor.messages import Tuber
+from conveyor.statistics import NORMAL_90
+
+RATE_WINDOW_S = 10.0
+RATE_TUBERS = 1000
+HISTOGRAM_CLASSES = 64
+"""The last class takes everything heavier."""
+
+
+@dataclass(slots=True)
+class LoadSums:
+    """Sums over committed tubers; the order of `add` changes nothing but the last digits.
+
+    `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams.
+    """
+
+    histogram_step_g: float
+    count: int = 0
+    weighed: dict[tuple[str, str], tuple[int, float]] = field(default_factory=dict)
+    low_variance_g2: float = 0.0
+    high_variance_g2: float = 0.0
+    squares_g2: float = 0.0
+    seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
+    merged: int = 0
+    late: int = 0
+    classes: list[int] = field(default_factory=list)
+    _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
+
+    def add(self, tuber: Tuber) -> None:
+        """Count one committed tuber."""
+        self.count += 1
+        n, weight_g = self.weighed.get((tuber.method, tuber.model), (0, 0.0))
+        self.weighed[tuber.method, tuber.model] = (n + 1, weight_g + tuber.weight_g)
+        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / NORMAL_90) ** 2
+        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
+        self.squares_g2 += tuber.weight_g**2
+        self.seen_by[frozenset(tuber.cameras)] += 1
+        self.merged += len(tuber.tracks) > 1
+        self.late += "late" in tuber.flags
+        bin_ = min(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), HISTOGRAM_CLASSES - 1)
+        self.classes += [0] * (bin_ + 1 - len(self.classes))
+        self.classes[bin_] += 1
+        self.passed(tuber.crossed_ns)
+
+    def passed(self, crossed_ns: int) -> None:
+        """A tuber crossed the centre row: for the rate alone."""
+        self._recent_ns.append(crossed_ns)
+        newest = max(self._recent_ns[-1], self._recent_ns[0])
+        while self._recent_ns and self._recent_ns[0] < newest - RATE_WINDOW_S * 1e9:
+            self._recent_ns.popleft()
+
+    @property
+    def as_weighed_g(self) -> float:
+        """Sum of the tubers' weights, grams."""
+        return sum(weight_g for _, weight_g in self.weighed.values())
+
+    @property
+    def mean_square_g2(self) -> float | None:
+        """Mean square of a tuber's weight; None without tubers."""
+        return self.squares_g2 / self.count if self.count else None
+
+    def tubers_per_s(self) -> float:
+        """Tubers per second over the last stretch of the cameras' time."""
+        if len(self._recent_ns) < 2:
+            return 0.0
+        span_s = (max(self._recent_ns) - min(self._recent_ns)) / 1e9
+        return (len(self._recent_ns) - 1) / span_s if span_s > 0 else 0.0
+
+    def models(self) -> dict[str, int]:
+        """Tubers by model; those without a weighed view have none."""
+        return self._tally(1)
+
+    def methods(self) -> dict[str, int]:
+        """Tubers by method."""
+        return self._tally(0)
+
+    def _tally(self, at: int) -> dict[str, int]:
+        found: dict[str, int] = {}
+        for key, (n, _) in sorted(self.weighed.items()):
+            if key[at]:
+                found[key[at]] = found.get(key[at], 0) + n
+        return found
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON keeps it; every digit."""
+        return {
+            "histogram_step_g": self.histogram_step_g,
+            "count": self.count,
+            "weighed": [[*key, *sums] for key, sums in sorted(self.weighed.items())],
+            "low_variance_g2": self.low_variance_g2,
+            "high_variance_g2": self.high_variance_g2,
+            "squares_g2": self.squares_g2,
+            "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
+            "merged": self.merged,
+            "late": self.late,
+            "classes": self.classes,
+        }
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Self:
+        """Back from `plain`; the rate begins anew."""
+        return cls(
+            **{
+                **plain,
+                "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
+                "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
+            }
+        )
+
+    def same_as(self, other: Self) -> bool:
+        """The two sums say the same, but for the last digits of sums of floats."""
+        mine, others = self.plain(), other.plain()
+        return _close(mine, others)
+
+
+def _close(a: Any, b: Any) -> bool:
+    if isinstance(a, float) or isinstance(b, float):
+        return math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-6)
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_close(a[name], b[name]) for name in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(_close(x, y) for x, y in zip(a, b, strict=True))
+    return bool(a == b)

@@ -1,0 +1,217 @@
+"""What one camera looked at of a load, along the belt, from its marks and from what the camera says it published.
+
+`s` is the belt counted by the camera's own log: 0 at its first processed frame, then `Mark.travelled_m`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from conveyor.messages import CameraInfo, Mark
+
+PIECES = 256
+"""Stretches of one looked-at share that are told apart per camera; beyond it the shortest neighbours become one."""
+
+GAP_M = 0.25
+"""A stretch that lacks more than this lacks it in one piece, at its end: a camera whose frames come no more sends no
+mark before the next one does."""
+
+SAMPLES = 96
+"""Of (time, s) per camera, for the speed and for laying cameras side by side; beyond it older ones thin out."""
+
+SPEED_OVER_NS = 1_000_000_000
+WHOLE = 1e-6
+"""Metres: less than this is rounding."""
+
+
+@dataclass(slots=True)
+class Published:
+    """First and newest frame that the camera sent in this run, whoever processed them; travel only by an encoder."""
+
+    first_ns: int | None = None
+    first_travel_m: float | None = None
+    last_ns: int | None = None
+    last_travel_m: float | None = None
+    frames: int = 0
+    waits: bool = False
+    live: bool = False
+    lead_s: float = 0.0
+    """Seconds from the load's beginning to the first frame of a live camera, by the aggregator's clock."""
+
+    def take(self, info: CameraInfo) -> None:
+        """What a camera says of itself; one that was started again goes on from here."""
+        self.waits, self.live = info.waits, info.live
+        if info.first_seq is not None and info.last_seq is not None:
+            self.frames = max(self.frames, info.last_seq - info.first_seq + 1)
+        if info.first_captured_ns is not None and (self.first_ns is None or info.first_captured_ns < self.first_ns):
+            self.first_ns, self.first_travel_m = info.first_captured_ns, info.first_travel_m
+        if info.last_captured_ns is not None and (self.last_ns is None or info.last_captured_ns > self.last_ns):
+            self.last_ns, self.last_travel_m = info.last_captured_ns, info.last_travel_m
+
+
+@dataclass(slots=True)
+class CameraSight:
+    """One camera's history. `pieces` are stretches (length, looked at), metres, one after the other from s = 0."""
+
+    first_ns: int | None = None
+    first_s: float = 0.0
+    first_travel_m: float = 0.0
+    """Travel at s = 0, as the camera knows it."""
+    estimated: bool = False
+    pieces: list[tuple[float, float]] = field(default_factory=list)
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    complete_ns: int = 0
+    last_travel_m: float = 0.0
+    final: bool = False
+    processed: int = 0
+    frames: dict[str, int] = field(default_factory=dict)
+    published: Published = field(default_factory=Published)
+
+    def marked(self, mark: Mark) -> None:
+        """Take the next mark of the camera's log."""
+        self.final, self.frames = mark.final, dict(mark.frames)
+        self.processed = mark.frames.get("processed", 0)
+        if mark.captured_ns == 0 and mark.travelled_m == 0:
+            return  # the end of a camera that never processed a frame
+        s, looked = max(0.0, mark.travelled_m), max(0.0, mark.looked_at_m)
+        if self.first_ns is None:
+            self.first_ns, self.first_s = mark.captured_ns, s
+            self.first_travel_m = mark.travel_m - s
+        self.estimated = mark.travel_estimated
+        self.last_travel_m, self.complete_ns = mark.travel_m, mark.complete_ns
+        self._cut(s)
+        length = s - self.length_m
+        self._append(max(0.0, length), looked - self.looked_at_m)
+        self._sample(mark.captured_ns, s)
+
+    @property
+    def length_m(self) -> float:
+        """Belt in the log."""
+        return sum(length for length, _ in self.pieces)
+
+    @property
+    def looked_at_m(self) -> float:
+        """Of that, looked at."""
+        return sum(looked for _, looked in self.pieces)
+
+    @property
+    def last_ns(self) -> int:
+        """Of the newest mark."""
+        return self.curve[-1][0] if self.curve else 0
+
+    def _cut(self, s: float) -> None:
+        """A segmenter that was started again has lost what it had not logged: the belt from `s` on is told anew."""
+        surplus = self.length_m - s
+        while surplus > 0 and self.pieces:
+            length, looked = self.pieces.pop()
+            if length > surplus:
+                self.pieces.append((length - surplus, looked * (length - surplus) / length))
+                return
+            surplus -= length
+
+    def _append(self, length: float, looked: float) -> None:
+        """Add a stretch. Looked-at belt that is taken back, or that the stretch cannot hold, goes to those before."""
+        fits = min(max(looked, 0.0), length)
+        if fits > 0 and length - fits > GAP_M:
+            self._append(fits, fits)
+            self._append(length - fits, looked - fits)
+            return
+        if length > 0:
+            whole = abs(fits - length) < WHOLE
+            before = self.pieces[-1] if self.pieces else None
+            if whole and before and abs(before[0] - before[1]) < WHOLE:
+                self.pieces[-1] = (before[0] + length, before[1] + fits)
+            else:
+                self.pieces.append((length, fits))
+        left = looked - fits
+        for at in range(len(self.pieces) - 1, -1, -1):
+            if abs(left) < WHOLE:
+                break
+            size, seen = self.pieces[at]
+            now = min(max(seen + left, 0.0), size)
+            left -= now - seen
+            self.pieces[at] = (size, now)
+        if len(self.pieces) > PIECES:
+            self._coarsen()
+
+    def _coarsen(self) -> None:
+        sizes = [a[0] + b[0] for a, b in zip(self.pieces, self.pieces[1:], strict=False)]
+        at = sizes.index(min(sizes))
+        a, b = self.pieces[at : at + 2]
+        self.pieces[at : at + 2] = [(a[0] + b[0], a[1] + b[1])]
+
+    def _sample(self, t_ns: int, s: float) -> None:
+        while self.curve and (self.curve[-1][0] >= t_ns or self.curve[-1][1] > s):
+            self.curve.pop()
+        self.curve.append((t_ns, s))
+        if len(self.curve) > SAMPLES:
+            half = SAMPLES // 2
+            self.curve = self.curve[:half:2] + self.curve[half:]
+
+    def s_at(self, t_ns: int) -> float:
+        """Belt at a capture time, metres; beyond the marks at the first or the last speed."""
+        if not self.curve:
+            return 0.0
+        (t0, s0), (t1, s1) = self.curve[0], self.curve[-1]
+        if t_ns <= t0:
+            return s0 - (t0 - t_ns) / 1e9 * self.speed_mps(first=True)
+        if t_ns >= t1:
+            return s1 + (t_ns - t1) / 1e9 * self.speed_mps(first=False)
+        right = bisect_right(self.curve, (t_ns, float("inf")))
+        (ta, sa), (tb, sb) = self.curve[right - 1], self.curve[right]
+        return sa + (sb - sa) * (t_ns - ta) / (tb - ta)
+
+    def speed_mps(self, *, first: bool) -> float:
+        """Belt speed over the first or the last second and more of marks; 0 where there is but one."""
+        if len(self.curve) < 2:
+            return 0.0
+        if first:
+            (t0, s0), later = self.curve[0], self.curve[1:]
+            t1, s1 = next((c for c in later if c[0] - t0 >= SPEED_OVER_NS), later[-1])
+        else:
+            (t1, s1), earlier = self.curve[-1], self.curve[-2::-1]
+            t0, s0 = next((c for c in earlier if t1 - c[0] >= SPEED_OVER_NS), earlier[-1])
+        return max(0.0, (s1 - s0) / (t1 - t0) * 1e9)
+
+    def missed_before_m(self) -> float:
+        """Belt between the first frame published (or the load's beginning) and the first one processed."""
+        if self.first_ns is None:
+            return 0.0
+        known, speed = self.published, self.speed_mps(first=True)
+        missed_m = 0.0
+        if not self.estimated and known.first_travel_m is not None:
+            missed_m = self.first_travel_m - known.first_travel_m
+        elif known.first_ns is not None:
+            missed_m = (self.first_ns - known.first_ns) / 1e9 * speed - self.first_s
+        return max(0.0, missed_m) + max(0.0, known.lead_s) * speed
+
+    def end_m(self, *, until_ns: int | None) -> float:
+        """Where the belt had come to, in terms of s: by the last frame published, or by the clock until `until_ns`."""
+        known, s = self.published, self.length_m
+        if not self.estimated and known.last_travel_m is not None:
+            s = max(s, known.last_travel_m - self.first_travel_m)
+        elif known.last_ns is not None and known.last_ns > self.last_ns:
+            s = max(s, self.s_at(known.last_ns))
+        if until_ns is not None and until_ns > max(self.last_ns, known.last_ns or 0):
+            newest_ns = max(self.last_ns, known.last_ns or 0)
+            s += (until_ns - newest_ns) / 1e9 * self.speed_mps(first=False)
+        return s
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON keeps it."""
+        values = {name: getattr(self, name) for name in self.__slots__ if name != "published"}
+        return {**values, "published": {name: getattr(self.published, name) for name in Published.__slots__}}
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Self:
+        """Back from `plain`."""
+        return cls(
+            **{
+                **plain,
+                "pieces": [(length, looked) for length, looked in plain["pieces"]],
+                "curve": [(t_ns, s) for t_ns, s in plain["curve"]],
+                "published": Published(**plain["published"]),
+            }
+        )

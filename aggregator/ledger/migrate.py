@@ -1,0 +1,47 @@
+"""Brings a ledger of version 1 (Tuberline 0.1) up to date, in one transaction of its writer.
+
+Version 2 carries the sums of each run along (`total`) and calls a batch's watermark by its name. Every row is read and
+verified on the way; a ledger that is damaged is left as it is and refused.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+
+from aggregator.ledger.check import ledger_faults
+from aggregator.ledger.reader import read_runs
+from aggregator.ledger.recount import recount
+from aggregator.ledger.schema import SCHEMA_VERSION, total_definition
+from aggregator.ledger.steps import first_step
+from aggregator.ledger.verified import LedgerView
+from conveyor.errors import LedgerError
+
+
+def migrate(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None]) -> None:
+    """Bring the ledger behind `view` to this program's version; the caller begins and commits.
+
+    Args:
+        step: called with a name between the writes.
+
+    Raises:
+        LedgerError: it is damaged.
+    """
+    faults = ledger_faults(view, acknowledged=None, receipt=False)
+    if faults:
+        shown = "\n".join(f"  {fault}" for fault in faults[:10])
+        raise LedgerError(
+            f"ledger {view.path} of version {view.version} cannot be brought to version {SCHEMA_VERSION}:\n{shown}\n"
+            f"`tuberline ledger repair {view.path}` saves what is intact into a new file and keeps this one"
+        )
+    sums = {known.run: recount(view, known.run) for known in read_runs(view)}
+    for statement in total_definition():
+        db.execute(statement)
+        step("migration: table made")
+    for run, own in sums.items():
+        first_step(db, run, own)
+        step("migration: sums written")
+    db.execute("ALTER TABLE batch RENAME COLUMN line_x_m TO watermark_x_m")
+    step("migration: column named")
+    db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    step("migration: version written")

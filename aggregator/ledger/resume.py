@@ -1,0 +1,71 @@
+"""The state of a run that is to be gone on with, at a cost that does not grow with the run: from its sums, the newest
+entries of each log, and a bounded number of marks.
+"""
+
+from __future__ import annotations
+
+import math
+
+from aggregator.core.machine import PendingTrack, Restored
+from aggregator.ledger.reader import (
+    RunRow,
+    decoded,
+    is_observed,
+    read_coverage,
+    read_entries_after,
+    read_last_batch,
+    read_mark,
+)
+from aggregator.ledger.sums import RunSums
+from aggregator.ledger.verified import LedgerView
+from conveyor.messages import Mark
+
+MARKS = 20
+"""Marks of a camera that may not have been used for the watermark yet: its travel waits for the reference camera's."""
+
+SAMPLES = 5000
+"""Samples of estimated travel from a run's beginning, and from its end: 5000 s of each."""
+
+
+def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
+    """Logs, marks, tracks not yet in a tuber, and the place up to which tubers are committed."""
+    batch = read_last_batch(view, run.run)
+    restored = Restored(
+        begun=True,
+        tubers=sums.last_tuber_id,
+        watermark_x_m=batch[2] if batch else math.inf,
+        head_start_m=sums.head_start_m,
+        sights=dict(sums.sights),
+    )
+    for camera in run.cameras:
+        restored.marks[camera] = _marks(view, run.run, camera)
+        restored.curves[camera] = _curve(view, run.run, camera)
+        settled = sums.settled.get(camera, 0)
+        restored.applied[camera] = settled
+        for found in read_entries_after(view, run.run, camera, settled):
+            n, kind, late_from_x_m, payload = found[2:6]
+            restored.applied[camera] = n
+            if kind == "track" and not is_observed(view, run.run, camera, n):
+                track = decoded(view, payload, f"run '{run.run}', camera '{camera}', n {n}").track
+                if track is not None:
+                    restored.pending.append(PendingTrack(camera, n, track, late_from_x_m))
+    return restored
+
+
+def _marks(view: LedgerView, run: str, camera: str) -> list[Mark]:
+    numbers = [found[2] for found in read_coverage(view, run, camera, limit=MARKS, newest=True)]
+    return [mark for n in numbers if (mark := read_mark(view, run, camera, n)) is not None]
+
+
+def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:
+    """(capture time, travel) of marks with estimated travel: the first and the newest."""
+    last = read_coverage(view, run, camera, limit=1, newest=True)
+    if not last or not last[0][5]:
+        return []  # the belt has an encoder
+    newest = read_coverage(view, run, camera, limit=SAMPLES, newest=True)
+    first = []
+    if len(newest) == SAMPLES:
+        first = [
+            found for found in read_coverage(view, run, camera, limit=SAMPLES, newest=False) if found[2] < newest[0][2]
+        ]
+    return [(found[3], found[4]) for found in (*first, *newest) if found[5]]

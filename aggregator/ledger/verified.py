@@ -1,0 +1,157 @@
+"""The only way to a ledger's rows: every row that is read is checked against its checksum first.
+
+Whoever reads a ledger, a command, a query or the aggregator going on with it, holds a `LedgerView` and no connection.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from aggregator.ledger.faults import DAMAGE, explained
+from aggregator.ledger.receipt import read_receipt, receipt_path
+from aggregator.ledger.schema import (
+    APPLICATION_ID,
+    BATCH,
+    OLDEST_VERSION,
+    SCHEMA_VERSION,
+    TABLES,
+    TOTAL,
+    Table,
+    checksum,
+)
+from conveyor.errors import LedgerError
+
+Row = tuple[Any, ...]
+
+_NAMES_OF_VERSION_1 = {("batch", "watermark_x_m"): "line_x_m"}
+
+
+class LedgerView:
+    """Reads the ledger at `path` through an open connection; `version` is that of its schema."""
+
+    def __init__(self, db: sqlite3.Connection, path: Path, *, receipt: Callable[[], int | None] | None = None) -> None:
+        self._db = db
+        self.receipt = receipt or (lambda: read_receipt(receipt_path(path)))
+        """The last acknowledged batch, as it was when this view began; raises LedgerError where that is damaged."""
+        self.path = path
+        self.version = checked_version(db, path)
+
+    def rows(self, table: Table, where: str = "", arguments: Sequence[Any] = ()) -> Iterator[Row]:
+        """Rows of `table` without their checksum, each verified.
+
+        Args:
+            where: SQL after the table's name, e.g. 'WHERE run = ? ORDER BY n'.
+
+        Raises:
+            LedgerError: a row that is not as it was written, or pages that cannot be read; says which, and the mend.
+        """
+        for found, sound in self.scan(table, where, arguments):
+            if not sound:
+                raise LedgerError(
+                    f"ledger {self.path}: the row of table {table.name} with {named_key(table, found)} is not as it "
+                    "was written (its checksum is wrong); `tuberline ledger check` lists all damage, `tuberline ledger "
+                    f"repair {self.path}` saves what is intact into a new file and keeps this one"
+                )
+            yield found
+
+    def row(self, table: Table, where: str, arguments: Sequence[Any] = ()) -> Row | None:
+        """The first row that `rows` gives, or None."""
+        return next(self.rows(table, f"{where} LIMIT 1", arguments), None)
+
+    def scan(self, table: Table, where: str = "", arguments: Sequence[Any] = ()) -> Iterator[tuple[Row, bool]]:
+        """Rows without their checksum, and whether it is right: for who lists damage or saves what is left."""
+        if table is TOTAL and self.version < 2:
+            return
+        with explained(self.path, f"reading table {table.name}"):
+            for *columns, crc in self._db.execute(f"{self._select(table)} {where}", arguments):
+                yield tuple(columns), checksum(columns) == crc
+
+    def tally(self, sql: str) -> list[Row]:
+        """Counts over columns of rows: for the check of what rows say of each other, after each was verified."""
+        with explained(self.path, "counting rows"):
+            return list(self._db.execute(sql))
+
+    def last_seq(self) -> int:
+        """Number of the newest batch; 0 where there is none."""
+        found = self.row(BATCH, "ORDER BY seq DESC")
+        return 0 if found is None else int(found[0])
+
+    def pragma(self, name: str) -> list[Row]:
+        """The answer of an SQLite check or setting; damage is told, not raised."""
+        try:
+            return list(self._db.execute(f"PRAGMA {name}"))
+        except DAMAGE as error:
+            return [(str(error),)]
+
+    def _select(self, table: Table) -> str:
+        if self.version >= 2:
+            return table.select
+        names = [_NAMES_OF_VERSION_1.get((table.name, name), name) for name in table.names]
+        return f"SELECT {', '.join(names)}, crc FROM {table.name}"
+
+
+def named_key(table: Table, found: Row) -> str:
+    """The key of a row in words, e.g. "run 'r', tuber_id 3"."""
+    return ", ".join(f"{name} {str(found[table.names.index(name)])[:80]!r}" for name in table.key.split(", "))
+
+
+def checked_version(db: sqlite3.Connection, path: Path) -> int:
+    """The schema version of a ledger.
+
+    Raises:
+        LedgerError: not a ledger, or of a version that this program does not know.
+    """
+    (application,) = db.execute("PRAGMA application_id").fetchone()
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    if application != APPLICATION_ID:
+        raise LedgerError(f"{path} is an SQLite file, but no ledger of Tuberline (application id {application:#x})")
+    if not OLDEST_VERSION <= version <= SCHEMA_VERSION:
+        raise LedgerError(
+            f"ledger {path} has schema version {version}, this program knows version {SCHEMA_VERSION} and reads from "
+            f"{OLDEST_VERSION}: use the Tuberline that wrote it, or start a new ledger"
+        )
+    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    missing = [t.name for t in TABLES if t.name not in tables and (t is not TOTAL or version >= 2)]
+    if missing:
+        raise LedgerError(
+            f"ledger {path} lacks its tables {', '.join(missing)}: its schema is damaged; `tuberline ledger repair "
+            f"{path}` saves what is intact into a new file and keeps this one"
+        )
+    return int(version)
+
+
+def _receipt_now(path: Path) -> Callable[[], int | None]:
+    try:
+        acknowledged = read_receipt(receipt_path(path))
+    except LedgerError as error:
+        text = str(error)
+
+        def damaged() -> int | None:
+            raise LedgerError(text)
+
+        return damaged
+    return lambda: acknowledged
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[LedgerView]:
+    """The ledger at `path`, read-only, also while it is being written: all reads see one and the same moment.
+
+    Raises:
+        LedgerError: no ledger, of another version, or unreadable.
+    """
+    if not path.is_file():
+        raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
+    immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
+    with explained(path, "reading"):
+        receipt = _receipt_now(path)  # before the view's moment: the batches that it tells of are in the view
+        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{immutable}", uri=True, isolation_level=None)
+        try:
+            db.execute("BEGIN")
+            yield LedgerView(db, path, receipt=receipt)
+        finally:
+            db.close()
