@@ -1,0 +1,58 @@
+"""The correction of all tickets, each counted by how well the others bear it out; and what more tickets would bring."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from aggregator.calibration.correction import Correction, Prior, fit, usable
+from aggregator.calibration.evidence import sum_tickets
+from aggregator.calibration.leave_one_out import left_out_z
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.fusion import Z90
+
+DOUBTFUL_SD = 2.0
+"""A ticket farther than this from what all others say counts as if it were just so far: its variance grows."""
+
+NUMBERS = (0, 1, 2, 3, 5, 10)
+TYPICAL_TICKET_SD = 0.005
+
+
+def correction_of(tickets: Sequence[Ticket], model: str, prior: Prior, *, cultivar: str = "") -> Correction:
+    """The correction that the tickets of `model` give for tubers of `cultivar`; without tickets it is the prior.
+
+    A ticket that the others contradict counts for little (`DOUBTFUL_SD`) and widens what is left.
+    """
+    return _correction_of(usable(tickets, model), model, prior, cultivar)
+
+
+@lru_cache(maxsize=32)
+def _correction_of(tickets: tuple[Ticket, ...], model: str, prior: Prior, cultivar: str) -> Correction:
+
+    doubt = np.maximum(1.0, (left_out_z(tickets, prior) / DOUBTFUL_SD) ** 2)
+    return fit(tickets, prior, cultivar=cultivar, doubt=doubt, model=model)
+
+
+def expected_accuracy(
+    tickets: Sequence[Ticket], model: str, prior: Prior, *, per_mm: float, numbers: Sequence[int] = NUMBERS
+) -> dict[int, float]:
+    """90 % half-width, as a share, of the next load after `n` more load tickets that say what is expected by now.
+
+    Args:
+        per_mm: of the loads to come, grams per mm over grams.
+    """
+    known = usable(tickets, model)
+    now = correction_of(known, model, prior)
+    weight_g = 1e6
+    scale_g = weight_g * now.factor[0] * (1.0 + per_mm * now.offset_mm[0])
+    more = Ticket("", model, scale_g, TYPICAL_TICKET_SD * scale_g, weight_g, 0.0, 1.0, per_mm_g=per_mm * weight_g)
+    more = replace(more, stated_offset_mm=prior.stated_offset_mm)
+    widths = {}
+    for number in numbers:
+        found = fit((*known, *[more] * number), prior)
+        slope = sum_tickets([more], found.mean, found.cultivars).slopes[0]
+        widths[number] = Z90 * float(np.sqrt(slope @ found.covariance @ slope + found.load_sd**2))
+    return widths
