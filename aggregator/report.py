@@ -32,8 +32,12 @@ class Reporter:
         self._core = core
         self._config = config
         self._counters = counters
-        tickets = config.aggregator.tickets
-        self._load = LoadTotals(config.aggregator.histogram_step_g, read_tickets(tickets) if tickets else ())
+        settings = config.aggregator
+        self._load = LoadTotals(
+            settings.histogram_step_g,
+            read_tickets(settings.tickets) if settings.tickets else (),
+            cultivar=settings.cultivar,
+        )
         for tuber in ledger.tubers(core.run):
             self._load.add(tuber)
 
@@ -101,5 +105,5 @@ class Reporter:
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
-            f"calibrated by {totals.tickets} load tickets, final={totals.final}"
+            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
         )

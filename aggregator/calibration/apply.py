@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aggregator.calibration.correction import Correction, Prior
+from aggregator.calibration.correction import Correction, Prior, usable
 from aggregator.calibration.robust import correction_of
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
@@ -131,3 +131,32 @@ def told(correction: Correction) -> str:
     by = ", ".join(f"{number} {_KINDS[kind][number > 1]}" for kind, number in correction.used)
     (offset, offset_sd), (factor, factor_sd) = correction.offset_mm, correction.factor
     return f"{by}: offset {offset:+.1f} mm +- {Z90 * offset_sd:.1f}, factor {factor:.3f} +- {Z90 * factor_sd:.3f}"
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFactor:
+    """What a typical load by `model` is multiplied with, and the 90 % half-width of what is left, as a share of it."""
+
+    model: str
+    factor: float
+    half_width: float
+    tickets: int
+
+
+def load_factor(
+    tickets: Sequence[Ticket], model: str, prior: Prior | None = None, *, cultivar: str = ""
+) -> LoadFactor | None:
+    """The correction as one figure, for a load of the tickets' own mix of sizes; None without tickets of `model`."""
+    known = usable(tickets, model)
+    if not known:
+        return None
+    weighed_g = sum(ticket.estimated_g for ticket in known)
+    found = calibrated(
+        {("pointraft", model): weighed_g},
+        per_mm_g=sum(ticket.grams_per_mm for ticket in known),
+        own_variance_g2=(0.0, 0.0),
+        tickets=known,
+        prior=prior,
+        cultivar=cultivar,
+    )
+    return LoadFactor(model, found.weight_g / weighed_g, Z90 * found.high_sd_g / found.weight_g, len(known))

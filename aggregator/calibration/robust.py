@@ -11,6 +11,7 @@ import numpy as np
 from aggregator.calibration.correction import Correction, Prior, fit, usable
 from aggregator.calibration.evidence import sum_tickets
 from aggregator.calibration.leave_one_out import left_out_z
+from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.fusion import Z90
 
@@ -37,13 +38,14 @@ def _correction_of(tickets: tuple[Ticket, ...], model: str, prior: Prior, cultiv
 
 
 def expected_accuracy(
-    tickets: Sequence[Ticket], model: str, prior: Prior, *, per_mm: float, numbers: Sequence[int] = NUMBERS
+    tickets: Sequence[Ticket], model: str, prior: Prior, *, per_mm: float | None, numbers: Sequence[int] = NUMBERS
 ) -> dict[int, float]:
     """90 % half-width, as a share, of the next load after `n` more load tickets that say what is expected by now.
 
     Args:
-        per_mm: of the loads to come, grams per mm over grams.
+        per_mm: of the loads to come, grams per mm over grams; None: what is typical.
     """
+    per_mm = per_mm or TYPICAL_PER_MM
     known = usable(tickets, model)
     now = correction_of(known, model, prior)
     weight_g = 1e6

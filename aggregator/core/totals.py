@@ -1,6 +1,6 @@
 """Totals of a load: weight with its interval, count, size classes, rate, and what the unseen belt adds.
 
-Where load tickets are at hand the load's weight is calibrated by them; the tubers in the ledger stay as weighed.
+Where tickets are at hand the load's weight is calibrated by them; the tubers in the ledger stay as weighed.
 """
 
 from __future__ import annotations
@@ -10,14 +10,12 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from aggregator.calibration.tickets import LoadFactor, Ticket, load_factor
+from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
+from aggregator.calibration.correction import Prior
+from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.calibration.tickets import Ticket
 from aggregator.core.fusion import Z90
 from conveyor.messages import Totals, Tuber
-
-SHARED_BIAS = {"pointraft": 0.05, "volume": 0.10}
-"""Half of the 90 % interval of what all tubers of a load have in common (belt height, density, drift between seasons),
-as a share of the weight; it does not shrink with the count. 5 % is what a load total can be without a calibration load;
-blind between seasons published models drifted by 9 to 10 % (docs/ledger.md)."""
 
 UNSEEN_SPREAD = 0.5
 """Half of the 90 % interval of the weight on belt that was not looked at, as a share of it."""
@@ -31,13 +29,17 @@ HISTOGRAM_CLASSES = 64
 class LoadTotals:
     """Running sums over committed tubers; the order of `add` changes nothing but the last digits.
 
-    `as_weighed_g` is the sum of the tubers, by method and model; `weight_g` is that sum after calibration.
+    `as_weighed_g` is the sum of the tubers, by method and model; `weight_g` is that sum after calibration. By
+    `per_mm_g` it grows for each millimetre that all of them lie lower. `prior` and `cultivar` are those of this run.
     """
 
     histogram_step_g: float
     tickets: Sequence[Ticket] = ()
+    prior: Prior = field(default_factory=Prior)
+    cultivar: str = ""
     count: int = 0
     as_weighed_g: dict[tuple[str, str], float] = field(default_factory=dict)
+    per_mm_g: float = 0.0
     low_variance_g2: float = 0.0
     high_variance_g2: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
@@ -45,13 +47,13 @@ class LoadTotals:
     late: int = 0
     _classes: list[int] = field(default_factory=list)
     _recent_ns: deque[int] = field(default_factory=deque)
-    _factors: dict[str, LoadFactor | None] = field(default_factory=dict)
 
     def add(self, tuber: Tuber) -> None:
         """Count one committed tuber."""
         self.count += 1
         weighed_by = (tuber.method, tuber.model)
         self.as_weighed_g[weighed_by] = self.as_weighed_g.get(weighed_by, 0.0) + tuber.weight_g
+        self.per_mm_g += tuber_g_per_mm(tuber)
         self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / Z90) ** 2
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / Z90) ** 2
         self.seen_by[frozenset(tuber.cameras)] += 1
@@ -65,46 +67,35 @@ class LoadTotals:
         while self._recent_ns and self._recent_ns[0] < newest - RATE_WINDOW_S * 1e9:
             self._recent_ns.popleft()
 
+    def calibrated(self) -> Calibrated:
+        """What was seen by the tickets of its weights; without any, as weighed and as wide as what is not known."""
+        return calibrated(
+            self.as_weighed_g,
+            per_mm_g=self.per_mm_g,
+            own_variance_g2=(self.low_variance_g2, self.high_variance_g2),
+            tickets=self.tickets,
+            prior=self.prior,
+            cultivar=self.cultivar,
+        )
+
     @property
     def weight_g(self) -> float:
         """What was seen, calibrated where there are tickets."""
-        return sum(self._factor(model) * weight for (_, model), weight in self.as_weighed_g.items())
+        return self.calibrated().weight_g
 
     @property
     def tickets_used(self) -> int:
         """Tickets of the weights that weighed this load; 0: it is not calibrated."""
-        return sum(
-            found.tickets for model in {model for _, model in self.as_weighed_g} if (found := self._known(model))
-        )
+        return self.calibrated().tickets
 
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
         return Z90 * math.sqrt(self.low_variance_g2), Z90 * math.sqrt(self.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
-        """The 90 % interval of the weight seen: each tuber's own error, and the bias that all of them share."""
-        bias_g = sum(
-            self._shared(method, model) * self._factor(model) * weight
-            for (method, model), weight in self.as_weighed_g.items()
-        )
-        raw_g = sum(self.as_weighed_g.values())
-        scale = self.weight_g / raw_g if raw_g > 0 else 1.0
-        below_g, above_g = self.own_error_g()
-        low_g, high_g = math.hypot(scale * below_g, bias_g), math.hypot(scale * above_g, bias_g)
-        return max(0.0, self.weight_g - low_g), self.weight_g + high_g
-
-    def _known(self, model: str) -> LoadFactor | None:
-        if model not in self._factors:
-            self._factors[model] = load_factor(self.tickets, model)
-        return self._factors[model]
-
-    def _factor(self, model: str) -> float:
-        known = self._known(model)
-        return known.factor if known else 1.0
-
-    def _shared(self, method: str, model: str) -> float:
-        known = self._known(model)
-        return known.half_width if known else SHARED_BIAS.get(method, 0.10)
+        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share."""
+        seen = self.calibrated()
+        return max(0.0, seen.weight_g - Z90 * seen.low_sd_g), seen.weight_g + Z90 * seen.high_sd_g
 
     def estimated(self, coverage: float | None) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at."""
@@ -121,10 +112,11 @@ class LoadTotals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
         estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage)
+        seen = self.calibrated()
         return Totals(
             run=run,
             count=self.count,
-            weight_g=self.weight_g,
+            weight_g=seen.weight_g,
             low_g=low_g,
             high_g=high_g,
             coverage=coverage,
@@ -137,7 +129,15 @@ class LoadTotals:
             cameras=dict(cameras),
             final=final,
             as_weighed_g=sum(self.as_weighed_g.values()),
-            tickets=self.tickets_used,
+            tickets=seen.tickets,
+            calibrated_by=seen.told,
+            parts_percent=parts_percent(
+                seen,
+                estimated_g=estimated_g,
+                low_g=estimated_low_g,
+                high_g=estimated_high_g,
+                coverage=min(coverage, 1.0) if coverage else 1.0,
+            ),
         )
 
     def _rate(self) -> float:

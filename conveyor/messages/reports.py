@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from conveyor.messages.base import Message
 
@@ -41,7 +41,8 @@ class Totals(Message):
 
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
     weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
-    of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
+    of the tubers; `weight_g` differs from it where `tickets` calibrate the load, and `calibrated_by` says which, and
+    how. `parts_percent` are the 90 % half-widths of the estimate by cause, in percent of it; their squares add up.
     """
 
     run: str
@@ -60,6 +61,8 @@ class Totals(Message):
     final: bool
     as_weighed_g: float = 0.0
     tickets: int = 0
+    calibrated_by: str = ""
+    parts_percent: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
