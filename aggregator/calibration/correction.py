@@ -36,8 +36,8 @@ CULTIVAR_SD = 0.02
 """Of a cultivar's own shape and density beyond that (median densities of three cultivars span 2.4 %)."""
 
 LOAD_SDS = np.array([0.004, 0.008, 0.013, 0.020, 0.030])
-LOAD_SD_CHANCES = np.array([0.10, 0.20, 0.25, 0.30, 0.15])
-"""What s_load may be, and how likely each is before any ticket: root mean square 1.8 %, so that intervals also hold for
+LOAD_SD_CHANCES = np.array([0.05, 0.15, 0.25, 0.35, 0.20])
+"""What s_load may be, and how likely each is before any ticket: root mean square 1.9 %, so that intervals also hold for
 loads that differ by 1.5 %. An assumption, for no ticket of a real load was at hand; tickets teach it."""
 
 ROUNDS = 6

@@ -24,6 +24,8 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )
+    for name, text in _calibration(totals):
+        table.add_row(name, text)
     table.add_row(
         "balance sheet", "[green]balanced[/]" if summary["balanced"] else "[red]DOES NOT BALANCE[/] (tuberline audit)"
     )
@@ -35,6 +37,18 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
     for name, n in summary.get("restarts", {}).items():
         console.print(f"[yellow]{name} was restarted {n} times[/]")
     console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
+
+
+def _calibration(totals: dict[str, Any]) -> list[tuple[str, str]]:
+    """By what the load is calibrated, and what its interval is made of; a summary of version 0.1 does not say."""
+    rows = []
+    if totals.get("calibrated_by"):
+        rows.append(("calibrated by", totals["calibrated_by"]))
+        rows.append(("as weighed", f"{totals['as_weighed_g'] / 1000:.3f} kg"))
+    parts = totals.get("parts_percent") or {}
+    if parts:
+        rows.append(("its 90 % interval", ", ".join(f"{name} {part:.1f} %" for name, part in parts.items())))
+    return rows
 
 
 def _range(totals: dict[str, Any], prefix: str) -> str:
