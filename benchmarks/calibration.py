@@ -62,7 +62,7 @@ def one(draw: int, seed: int, between_sd: float) -> list[tuple[float, float]]:
     singles = singles_ticket(draw_passed(world, worlds.BUCKET_TUBERS, rng), rng)
     loads = [load_ticket(world, n, rng) for n in range(3)]
     test = draw_load(world, rng)
-    stages = ([], [bucket], [singles], loads[:1], loads, [bucket, *loads])
+    stages: tuple[list[Ticket], ...] = ([], [bucket], [singles], loads[:1], loads, [bucket, *loads])
     return [judged(test, stage) for stage in stages]
 
 

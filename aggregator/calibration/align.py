@@ -65,7 +65,9 @@ def _best(scale: list[float], weighed: list[float], ratio: float) -> list[tuple[
     cost = [{j: LEFT_OUT_COST * j for j in range(min(band, len(weighed)) + 1)}]
     came = [dict.fromkeys(cost[0], "tuber")]
     for i, log_scale in enumerate(scale, start=1):
-        above, here, steps = cost[-1], {}, {}
+        above = cost[-1]
+        here: dict[int, float] = {}
+        steps: dict[int, str] = {}
         for j in range(max(0, i - band), min(len(weighed), i + band) + 1):
             ways = {
                 "weight": above.get(j, math.inf) + LEFT_OUT_COST,

@@ -56,10 +56,10 @@ def total(weighed_g: np.ndarray, tickets: Sequence[Ticket]) -> float:
 def test_without_an_observation_it_is_the_prior() -> None:
     found = correction_of([], MODEL, PRIOR)
     assert found.offset_mm == (0.0, OFFSET_SD_MM)
-    assert found.factor == (1.0, pytest.approx(FACTOR_SD))
+    assert found.factor == pytest.approx((1.0, FACTOR_SD))
     assert found.tickets == 0
     stated = correction_of([], MODEL, Prior(5.5, offset_sd_mm=0.7))
-    assert stated.offset_mm == (0.0, pytest.approx(0.7))  # beyond what is stated
+    assert stated.offset_mm == pytest.approx((0.0, 0.7))  # beyond what is stated
 
 
 def test_an_observation_without_worth_leaves_the_prior() -> None:
