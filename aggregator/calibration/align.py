@@ -42,6 +42,12 @@ def align(scale_g: Sequence[float], weighed_g: Sequence[float]) -> Alignment:
     Raises:
         InputError: they are not of the same tubers in the same order.
     """
+    fewest, most = sorted((len(scale_g), len(weighed_g)))
+    if fewest < LEAST_SHARE * most:
+        raise InputError(
+            f"{len(scale_g)} weights and {len(weighed_g)} tubers: more than {100 * (1 - LEAST_SHARE):.0f} % apart. "
+            "Name the part of the run that was weighed (--first, --last or --from-x, --to-x)"
+        )
     logs_scale, logs_weighed = [math.log(g) for g in scale_g], [math.log(g) for g in weighed_g]
     ratio = median(logs_scale) - median(logs_weighed) if logs_scale and logs_weighed else 0.0
     pairs: list[tuple[int, int]] = []

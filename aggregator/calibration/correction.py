@@ -40,6 +40,9 @@ LOAD_SD_CHANCES = np.array([0.05, 0.15, 0.25, 0.35, 0.20])
 """What s_load may be, and how likely each is before any ticket: root mean square 1.9 %, so that intervals also hold for
 loads that differ by 1.5 %. An assumption, for no ticket of a real load was at hand; tickets teach it."""
 
+KNOWN_SD = 1e-4
+"""What is stated as known exactly is known to this (0.1 um, 0.01 %)."""
+
 ROUNDS = 6
 
 
@@ -112,6 +115,7 @@ def fit(
     cultivars = tuple(sorted({ticket.cultivar for ticket in tickets} | {cultivar}))
     prior_mean = np.array([prior.stated_offset_mm, 0.0, *[0.0] * len(cultivars)])
     prior_sd = np.array([prior.offset_sd_mm, prior.factor_sd, *[prior.cultivar_sd] * len(cultivars)])
+    prior_sd = np.maximum(prior_sd, KNOWN_SD)
     precision = np.diag(1.0 / prior_sd**2)
     doubt = np.ones(len(tickets)) if doubt is None else doubt
     mean, covariance, load_sd = prior_mean, np.diag(prior_sd**2), _rms(LOAD_SD_CHANCES)

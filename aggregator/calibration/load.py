@@ -30,7 +30,11 @@ LEAST_SD = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Which tubers of a run met the scale: by id, or by place on the belt; all of them by default."""
+    """Which tubers of a run met the scale: by id, or by place on the belt; all of them by default.
+
+    Places fall as the belt runs: from -1.5 m on is what passed after the tuber at -1.5 m. Two places may stand in any
+    order.
+    """
 
     first: int | None = None
     last: int | None = None
@@ -49,8 +53,8 @@ class Part:
     def holds(self, tuber: Tuber) -> bool:
         """The tuber belongs to it."""
         ends = [x for x in (self.from_x_m, self.to_x_m) if x is not None]
-        low = min(ends) if len(ends) == 2 else self.from_x_m
-        high = max(ends) if len(ends) == 2 else self.to_x_m
+        low = min(ends) if len(ends) == 2 else self.to_x_m
+        high = max(ends) if len(ends) == 2 else self.from_x_m
         return (
             (self.first is None or tuber.tuber_id >= self.first)
             and (self.last is None or tuber.tuber_id <= self.last)
@@ -156,7 +160,10 @@ def bucket_ticket(
     """
     found = counted(path, run=run)
     tubers = _some(found, part)
-    scale = _count_scale(tubers, count, found.run)
+    # Of a whole run that nobody counted by hand, belt that was not seen is made up for as in a load.
+    whole_run = count is None and not part.name
+    coverage = found.coverage if whole_run else 1.0
+    scale = 1.0 / max(coverage, 1e-9) if whole_run else _count_scale(tubers, count, found.run)
     weighed_g = scale * sum(tuber.weight_g for tuber in tubers)
     return check_ticket(
         Ticket(
@@ -165,8 +172,10 @@ def bucket_ticket(
             ticket_g,
             ticket_sd_g,
             weighed_g,
-            math.hypot(scale * _own_sd_g(tubers), _miscounted_sd_g(tubers, count)),
-            1.0,
+            math.hypot(
+                scale * _own_sd_g(tubers), _miscounted_sd_g(tubers, count), found.unseen_sd_g if whole_run else 0.0
+            ),
+            coverage,
             kind="bucket",
             part=part.name,
             tubers=len(tubers),

@@ -38,7 +38,13 @@ def _correction_of(tickets: tuple[Ticket, ...], model: str, prior: Prior, cultiv
 
 
 def expected_accuracy(
-    tickets: Sequence[Ticket], model: str, prior: Prior, *, per_mm: float | None, numbers: Sequence[int] = NUMBERS
+    tickets: Sequence[Ticket],
+    model: str,
+    prior: Prior,
+    *,
+    per_mm: float | None,
+    cultivar: str = "",
+    numbers: Sequence[int] = NUMBERS,
 ) -> dict[int, float]:
     """90 % half-width, as a share, of the next load after `n` more load tickets that say what is expected by now.
 
@@ -47,14 +53,14 @@ def expected_accuracy(
     """
     per_mm = per_mm or TYPICAL_PER_MM
     known = usable(tickets, model)
-    now = correction_of(known, model, prior)
+    now = correction_of(known, model, prior, cultivar=cultivar)
     weight_g = 1e6
     scale_g = weight_g * now.factor[0] * (1.0 + per_mm * now.offset_mm[0])
     more = Ticket("", model, scale_g, TYPICAL_TICKET_SD * scale_g, weight_g, 0.0, 1.0, per_mm_g=per_mm * weight_g)
-    more = replace(more, stated_offset_mm=prior.stated_offset_mm)
+    more = replace(more, stated_offset_mm=prior.stated_offset_mm, cultivar=cultivar)
     widths = {}
     for number in numbers:
-        found = fit((*known, *[more] * number), prior)
+        found = fit((*known, *[more] * number), prior, cultivar=cultivar)
         slope = sum_tickets([more], found.mean, found.cultivars).slopes[0]
         widths[number] = Z90 * float(np.sqrt(slope @ found.covariance @ slope + found.load_sd**2))
     return widths

@@ -136,6 +136,17 @@ def test_weights_of_other_tubers_are_refused(line: Line, tmp_path: Path) -> None
         calibrate_tubers(folder, wrong, tickets=tmp_path / "tickets.json")
 
 
+def test_weights_of_a_part_need_the_part_named(line: Line, tmp_path: Path) -> None:
+    folder, tubers = line
+    some = sorted((t for t in tubers if 10 <= t.tuber_id <= 30), key=lambda t: (t.crossed_ns, t.tuber_id))
+    path = weights_file(tmp_path / "weights.csv", [tuber.weight_g for tuber in some])
+    with pytest.raises(InputError, match="Name the part of the run"):
+        calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json")
+    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json", first=10, last=30)
+    (ticket,) = read_tickets(tmp_path / "tickets.json")
+    assert [one.tuber_id for one in ticket.singles] == [tuber.tuber_id for tuber in some]
+
+
 def test_rows_are_laid_beside_each_other_by_their_weights_alone() -> None:
     weighed = [100.0, 250.0, 60.0, 310.0, 140.0, 90.0, 200.0]
     laid = align([1.1 * g for g in weighed if g != 310.0], weighed)
@@ -154,7 +165,7 @@ def test_the_three_kinds_share_a_file_and_the_table_names_who_contradicts(
     calibrate_bucket(folder, kg=weighed_kg, tickets=path)
     calibrate_bucket(folder, kg=sum(t.weight_g for t in tubers if t.tuber_id <= 20) / 1000, last=20, tickets=path)
     calibrate_tubers(folder, weights_file(tmp_path / "w.csv", [t.weight_g for t in tubers]), tickets=path)
-    assert "contradicts the others: load of run" in capsys.readouterr().out
+    assert "contradicts all else that is known: load of run" in capsys.readouterr().out
     show(path, json=True)
     (table,) = printed(capsys)
     verdicts = {(row["kind"], row["part"]): row["contradicts"] for row in table["tickets"]}
@@ -185,3 +196,11 @@ def test_a_part_says_what_it_holds(line: Line) -> None:
     assert Part(from_x_m=-1.0, to_x_m=-2.5).name == "places -1 m to -2.5 m"
     inside = [tuber for tuber in tubers if Part(from_x_m=-1.0, to_x_m=-2.5).holds(tuber)]
     assert all(-2.5 <= tuber.place_x_m <= -1.0 for tuber in inside)
+    # One place alone divides what passed before it from what passed after.
+    middle_x_m = tubers[len(tubers) // 2].place_x_m
+    after = {tuber.tuber_id for tuber in tubers if Part(from_x_m=middle_x_m).holds(tuber)}
+    before = {tuber.tuber_id for tuber in tubers if Part(to_x_m=middle_x_m).holds(tuber)}
+    assert len(after & before) == 1
+    assert len(after | before) == len(tubers)
+    assert tubers[-1].tuber_id in after
+    assert tubers[0].tuber_id in before

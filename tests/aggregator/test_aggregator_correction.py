@@ -59,6 +59,8 @@ def test_without_an_observation_it_is_the_prior() -> None:
     assert found.factor == pytest.approx((1.0, FACTOR_SD))
     assert found.tickets == 0
     stated = correction_of([], MODEL, Prior(5.5, offset_sd_mm=0.7))
+    exact = correction_of([summed(GRAMS)], MODEL, Prior(5.5, offset_sd_mm=0.0))
+    assert exact.offset_mm == pytest.approx((0.0, 0.0), abs=1e-3)
     assert stated.offset_mm == pytest.approx((0.0, 0.7))  # beyond what is stated
 
 

@@ -72,12 +72,14 @@ def _of_model(known: tuple[Any, ...], model: str, prior: Any) -> dict[str, Any]:
     from tuberline.cli.calibration_told import correction_values
 
     used = usable(known, model)
-    correction = correction_of(known, model, prior)
+    cultivar = next((ticket.cultivar for ticket in reversed(known) if ticket in used), "")
+    correction = correction_of(known, model, prior, cultivar=cultivar)
     weighed_g = sum(ticket.estimated_g for ticket in used)
     per_mm = sum(ticket.grams_per_mm for ticket in used) / weighed_g if used else None
-    factor = load_factor(known, model, prior)
+    factor = load_factor(known, model, prior, cultivar=cultivar)
     return {
         "model": model,
+        "cultivar": cultivar,
         "told": told(correction) if used else "no ticket in use",
         "factor": factor.factor if factor else None,
         "correction": correction_values(correction),
@@ -97,12 +99,16 @@ def _of_model(known: tuple[Any, ...], model: str, prior: Any) -> dict[str, Any]:
             }
             for entry in leave_one_out(known, model, prior)
         ],
-        "half_width_after_more": expected_accuracy(known, model, prior, per_mm=per_mm),
+        "half_width_after_more": expected_accuracy(known, model, prior, per_mm=per_mm, cultivar=cultivar),
     }
 
 
 def _text(found: dict[str, Any]) -> str:
     lines = [f"{found['model']}: {found['told']}"]
+    lines += [
+        f"  cultivar {name}: factor {value['mean']:.3f} +- {value['half_width_90']:.3f}"
+        for name, value in found["correction"]["cultivars"].items()
+    ]
     lines.append(f"{'ticket':<36}{'scale kg':>11}{'raw kg':>11}{'others kg':>11}{'apart':>9}{'sd':>8}  verdict")
     for row in found["tickets"]:
         name = " ".join(filter(None, (row["kind"], row["run"], row["part"])))
@@ -113,6 +119,7 @@ def _text(found: dict[str, Any]) -> str:
             f"{name[:35]:<36}{row['scale_kg']:>11.3f}{row['raw_kg']:>11.3f}{row['expected_kg']:>11.3f}"
             f"{row['apart_percent']:>+8.1f}%{row['sd_percent']:>7.1f}%  {verdict}".rstrip()
         )
-    lines.append("a load is known to, 90 %, with n more load tickets that agree:")
+    of = f" of {found['cultivar']}" if found["cultivar"] else ""
+    lines.append(f"a load{of} is known to, 90 %, with n more load tickets that agree:")
     lines.append("  ".join(f"{n}: {100 * width:.1f} %" for n, width in found["half_width_after_more"].items()))
     return "\n".join(lines) + "\n\n"

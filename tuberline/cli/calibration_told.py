@@ -90,8 +90,8 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
 def warning(entry: LeftOut, path: Path) -> str:
     """A ticket that contradicts, and what to do about it."""
     return (
-        f"contradicts the others: {entry.ticket.name} says {entry.ticket.ticket_g / 1000:.3f} kg, they expect "
-        f"{entry.expected_g / 1000:.3f} kg, {abs(entry.z):.1f} standard deviations apart; it counts for little. If it "
-        f"is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} --kind {entry.ticket.kind} "
-        '--reason "..."'
+        f"contradicts all else that is known: {entry.ticket.name} says {entry.ticket.ticket_g / 1000:.3f} kg, "
+        f"expected are {entry.expected_g / 1000:.3f} kg, {abs(entry.z):.1f} standard deviations apart; it counts for "
+        f"little. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
+        f'--kind {entry.ticket.kind} --reason "..."'
     )
