@@ -16,10 +16,10 @@ from numpy.random import Generator
 
 from aggregator.calibration.apply import calibrated
 from aggregator.calibration.tickets import Single, Ticket
-from aggregator.core.fusion import Z90
 from benchmarks import calibration_worlds as worlds
 from benchmarks.calibration_worlds import Passed, World, draw_load, draw_passed, draw_world
 from benchmarks.figures_in_docs import put_table
+from conveyor.statistics import NORMAL_90
 
 SEED = 73019
 """Of the table in docs/calibrate.md; fixed in the commit before it was first run."""
@@ -76,7 +76,7 @@ def judged(load: Passed, tickets: Sequence[Ticket]) -> tuple[float, float]:
         own_variance_g2=(own, own),
         tickets=tickets,
     )
-    half_g = Z90 * float(np.hypot(found.high_sd_g / load.coverage, unseen_sd_g(load)))
+    half_g = NORMAL_90 * float(np.hypot(found.high_sd_g / load.coverage, unseen_sd_g(load)))
     estimate_g = found.weight_g / load.coverage
     return float(np.log(estimate_g / load.truth_g.sum())), half_g / estimate_g
 

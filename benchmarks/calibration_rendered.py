@@ -16,12 +16,12 @@ import numpy as np
 from aggregator.calibration.apply import calibrated
 from aggregator.calibration.sensitivity import outline_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket
-from aggregator.core.fusion import Z90
 from benchmarks.calibration import MODEL
 from benchmarks.figures_in_docs import put_table
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import ViewSimulator
 from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.statistics import NORMAL_90
 
 OFFSETS_MM = (-2.0, 0.0, 4.0, 8.0)
 STRIDE = 5
@@ -78,7 +78,7 @@ def rendered(preset: str, *, tubers: int, seed: int, weights: Path | None) -> di
                     )
                     answer = weigher.weigh(cloud, belt_sd_m=view.belt_sd_m)
                     per_mm_g = outline_g_per_mm(cloud.surface.length_mm, cloud.surface.width_mm)
-                    sd_g = (answer.high_g - answer.low_g) / 2 / Z90
+                    sd_g = (answer.high_g - answer.low_g) / 2 / NORMAL_90
                     found.append(Read(view.tuber.weight_g, answer.weight_g, sd_g, per_mm_g))
             except RefusedCloud:
                 continue
@@ -129,9 +129,9 @@ def table(reads: dict[float, list[Read]], *, preset: str, seed: int) -> str:
                 tickets=tickets,
             )
             truth_g = sum(r.truth_g for r in load)
-            half = 100 * Z90 * result.high_sd_g / truth_g
+            half = 100 * NORMAL_90 * result.high_sd_g / truth_g
             cells.append(f"{100 * (result.weight_g / truth_g - 1):+.1f} ± {half:.1f}")
             mean, sd = result.corrections[MODEL].offset_mm
-            offset = f"{mean:+.1f} ± {Z90 * sd:.1f} mm"
+            offset = f"{mean:+.1f} ± {NORMAL_90 * sd:.1f} mm"
         lines.append(f"| {offset_mm:+g} mm | {' | '.join(cells)} | {offset} |")
     return "\n".join(lines)

@@ -12,7 +12,7 @@ from aggregator.calibration.correction import Correction, Prior, usable
 from aggregator.calibration.robust import correction_of
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.fusion import Z90
+from conveyor.statistics import NORMAL_90
 
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
@@ -113,7 +113,7 @@ def parts_percent(
     """90 % half-widths by cause in percent of the estimate; their squares add up to the whole interval's."""
     if estimated_g <= 0:
         return {}
-    parts = {name: 100 * Z90 * sd_g / coverage / estimated_g for name, sd_g in seen.parts_g.items()}
+    parts = {name: 100 * NORMAL_90 * sd_g / coverage / estimated_g for name, sd_g in seen.parts_g.items()}
     whole = 100 * (high_g - low_g) / 2 / estimated_g
     parts[UNSEEN] = math.sqrt(max(whole**2 - sum(part**2 for part in parts.values()), 0.0))
     return {name: round(part, 2) for name, part in parts.items()}
@@ -130,7 +130,8 @@ def told(correction: Correction) -> str:
     """A correction in words: what it rests on, and what it says."""
     by = ", ".join(f"{number} {_KINDS[kind][number > 1]}" for kind, number in correction.used)
     (offset, offset_sd), (factor, factor_sd) = correction.offset_mm, correction.factor
-    return f"{by}: offset {offset:+.1f} mm +- {Z90 * offset_sd:.1f}, factor {factor:.3f} +- {Z90 * factor_sd:.3f}"
+    offset_half, factor_half = NORMAL_90 * offset_sd, NORMAL_90 * factor_sd
+    return f"{by}: offset {offset:+.1f} mm +- {offset_half:.1f}, factor {factor:.3f} +- {factor_half:.3f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,4 +160,4 @@ def load_factor(
         prior=prior,
         cultivar=cultivar,
     )
-    return LoadFactor(model, found.weight_g / weighed_g, Z90 * found.high_sd_g / found.weight_g, len(known))
+    return LoadFactor(model, found.weight_g / weighed_g, NORMAL_90 * found.high_sd_g / found.weight_g, len(known))

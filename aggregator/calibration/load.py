@@ -11,11 +11,11 @@ from aggregator.calibration.align import Alignment, align
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
 from aggregator.core.coverage import Looked, camera_shares, combined_coverage
-from aggregator.core.fusion import Z90
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import ledger_file, read_marks, read_tubers, reading, the_run
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
+from conveyor.statistics import NORMAL_90
 
 LEAST_SHARE = 0.95
 """Of a load's weight that one set of weights must have weighed: its ticket says nothing about any other."""
@@ -102,7 +102,7 @@ def counted(path: Path, *, run: str | None) -> Counted:
     seen_half_g = (seen_high_g - seen_low_g) / 2 / max(coverage, 1e-9)
     unseen_g = math.sqrt(max(0.0, ((high_g - low_g) / 2) ** 2 - seen_half_g**2))
     ordered = tuple(sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id)))
-    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / Z90)
+    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / NORMAL_90)
 
 
 def ticket_of(
@@ -252,7 +252,7 @@ def _count_scale(tubers: Sequence[Tuber], count: int | None, run: str) -> float:
 
 
 def _tuber_sd_g(tuber: Tuber) -> float:
-    return max((tuber.high_g - tuber.low_g) / (2 * Z90), LEAST_SD * tuber.weight_g)
+    return max((tuber.high_g - tuber.low_g) / (2 * NORMAL_90), LEAST_SD * tuber.weight_g)
 
 
 def _own_sd_g(tubers: Sequence[Tuber]) -> float:

@@ -13,7 +13,7 @@ from aggregator.calibration.evidence import sum_tickets
 from aggregator.calibration.leave_one_out import left_out_z
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.fusion import Z90
+from conveyor.statistics import NORMAL_90
 
 DOUBTFUL_SD = 2.0
 """A ticket farther than this from what all others say counts as if it were just so far: its variance grows."""
@@ -62,5 +62,5 @@ def expected_accuracy(
     for number in numbers:
         found = fit((*known, *[more] * number), prior, cultivar=cultivar)
         slope = sum_tickets([more], found.mean, found.cultivars).slopes[0]
-        widths[number] = Z90 * float(np.sqrt(slope @ found.covariance @ slope + found.load_sd**2))
+        widths[number] = NORMAL_90 * float(np.sqrt(slope @ found.covariance @ slope + found.load_sd**2))
     return widths

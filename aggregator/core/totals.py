@@ -14,8 +14,8 @@ from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.fusion import Z90
 from conveyor.messages import Totals, Tuber
+from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
 """Half of the 90 % interval of the weight on belt that was not looked at, as a share of it."""
@@ -54,8 +54,8 @@ class LoadTotals:
         weighed_by = (tuber.method, tuber.model)
         self.as_weighed_g[weighed_by] = self.as_weighed_g.get(weighed_by, 0.0) + tuber.weight_g
         self.per_mm_g += tuber_g_per_mm(tuber)
-        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / Z90) ** 2
-        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / Z90) ** 2
+        self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / NORMAL_90) ** 2
+        self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -90,12 +90,12 @@ class LoadTotals:
 
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
-        return Z90 * math.sqrt(self.low_variance_g2), Z90 * math.sqrt(self.high_variance_g2)
+        return NORMAL_90 * math.sqrt(self.low_variance_g2), NORMAL_90 * math.sqrt(self.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
         """The 90 % interval of the weight seen: each tuber's own error, and what all of them share."""
         seen = self.calibrated()
-        return max(0.0, seen.weight_g - Z90 * seen.low_sd_g), seen.weight_g + Z90 * seen.high_sd_g
+        return max(0.0, seen.weight_g - NORMAL_90 * seen.low_sd_g), seen.weight_g + NORMAL_90 * seen.high_sd_g
 
     def estimated(self, coverage: float | None) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at."""

@@ -14,7 +14,7 @@ from aggregator.calibration.correction import FACTOR_SD, OFFSET_SD_MM, Prior
 from aggregator.calibration.leave_one_out import CONTRADICTS_SD, leave_one_out
 from aggregator.calibration.robust import correction_of, expected_accuracy
 from aggregator.calibration.tickets import Single, Ticket
-from aggregator.core.fusion import Z90
+from conveyor.statistics import NORMAL_90
 
 MODEL, PRIOR = "m", Prior()
 GRAMS = np.geomspace(30.0, 450.0, 60)
@@ -172,8 +172,8 @@ def test_more_tickets_are_expected_to_bring_more() -> None:
     weighed_g = reads(offset_mm=2.0, factor=1.0)
     widths = expected_accuracy([summed(weighed_g)], MODEL, PRIOR, per_mm=None)
     assert list(widths.values()) == sorted(widths.values(), reverse=True)
-    assert widths[0] < Z90 * 0.04
-    assert expected_accuracy([], MODEL, PRIOR, per_mm=None)[0] == pytest.approx(Z90 * 0.1, rel=0.15)
+    assert widths[0] < NORMAL_90 * 0.04
+    assert expected_accuracy([], MODEL, PRIOR, per_mm=None)[0] == pytest.approx(NORMAL_90 * 0.1, rel=0.15)
 
 
 def test_a_ticket_of_a_run_that_stated_its_offset_says_the_same_of_the_line() -> None:

@@ -19,9 +19,9 @@ from aggregator.calibration.correction import (
 from aggregator.calibration.sensitivity import outline_g_per_mm
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.coverage import Looked, camera_shares, combined_coverage
-from aggregator.core.fusion import Z90
 from aggregator.core.totals import LoadTotals
 from conveyor.messages import Tuber
+from conveyor.statistics import NORMAL_90
 
 TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))
 
@@ -52,7 +52,9 @@ def half_width(totals: LoadTotals) -> float:
 def test_random_errors_vanish_with_the_count_and_what_is_not_known_of_the_line_stays() -> None:
     """Before any ticket a load is as wide as offset, factor, cultivar and load make it."""
     per_mm = outline_g_per_mm(TUBER.length_mm, TUBER.width_mm) / TUBER.weight_g
-    shared = Z90 * math.hypot(per_mm * OFFSET_SD_MM, FACTOR_SD, CULTIVAR_SD, math.sqrt(LOAD_SD_CHANCES @ LOAD_SDS**2))
+    shared = NORMAL_90 * math.hypot(
+        per_mm * OFFSET_SD_MM, FACTOR_SD, CULTIVAR_SD, math.sqrt(LOAD_SD_CHANCES @ LOAD_SDS**2)
+    )
     assert 0.12 < shared < 0.20
     for n in (1, 100, 10_000):
         assert half_width(load(n)) == pytest.approx(math.hypot(shared, 30 / 170 / math.sqrt(n)), rel=1e-6)

@@ -45,12 +45,16 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
 
 def correction_values(correction: Correction) -> dict[str, Any]:
     """A correction as plain values: means and 90 % half-widths."""
-    from aggregator.core.fusion import Z90
+    from conveyor.statistics import NORMAL_90
 
     values: dict[str, tuple[float, float]] = {"offset_mm": correction.offset_mm, "factor": correction.factor}
-    plain: dict[str, Any] = {name: {"mean": mean, "half_width_90": Z90 * sd} for name, (mean, sd) in values.items()}
+    plain: dict[str, Any] = {
+        name: {"mean": mean, "half_width_90": NORMAL_90 * sd} for name, (mean, sd) in values.items()
+    }
     cultivars = {name: correction.cultivar_factor(name) for name in correction.cultivars if name}
-    plain["cultivars"] = {name: {"mean": mean, "half_width_90": Z90 * sd} for name, (mean, sd) in cultivars.items()}
+    plain["cultivars"] = {
+        name: {"mean": mean, "half_width_90": NORMAL_90 * sd} for name, (mean, sd) in cultivars.items()
+    }
     return {**plain, "loads_differ_by": correction.load_sd, "tickets": dict(correction.used)}
 
 
