@@ -1,7 +1,8 @@
 """The correction on simulated views, rendered and weighed by the shipped weights, with the resting level stated wrong.
 
 The same views are weighed as if tubers lay by so many mm higher than they do. Every second tuber is the bucket, the
-others are the load that is estimated: few, so a load's own scatter stays in the error.
+others are the load that is estimated: few, so a load's own scatter stays in the error. Outlines are the tubers' true
+ones; a line takes them from its ledger.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def rendered(preset: str, *, tubers: int, seed: int, weights: Path | None) -> di
                         belt_from_camera=straight_down_belt_from_camera(level_m),
                     )
                     answer = weigher.weigh(cloud, belt_sd_m=view.belt_sd_m)
-                    per_mm_g = outline_g_per_mm(cloud.surface.length_mm, cloud.surface.width_mm)
+                    per_mm_g = outline_g_per_mm(*view.tuber.axes_mm[:2])
                     sd_g = (answer.high_g - answer.low_g) / 2 / NORMAL_90
                     found.append(Read(view.tuber.weight_g, answer.weight_g, sd_g, per_mm_g))
             except RefusedCloud:

@@ -1,7 +1,8 @@
 """What a millimetre of resting level is worth on a tuber's weight, by its outline, for weights as shipped.
 
 The same simulated views are weighed with the resting level lowered by 1 to 6 mm. To first order the volume under the
-surface grows by outline area times the shift, so grams per mm = k * density * pi/4 * length * width; k is fitted here.
+surface grows by outline area times the shift, so grams per mm = k * density * pi/4 * length * width, by caliper; k is
+fitted here.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def shifted(
     grams, units = [], []
     for number in range(tubers):
         for view in simulator.views(number * STRIDE):
-            k, weighed, unit = view.intrinsics, [], 0.0
+            k, weighed = view.intrinsics, []
             try:
                 for shift_mm in SHIFTS_MM:
                     cloud = prepare_depth(
@@ -78,9 +79,8 @@ def shifted(
                     )
                     answer = weigher.weigh(cloud)
                     weighed.append((answer.weight_g, answer.volume_g))
-                    unit = unit or outline_g_per_mm(cloud.surface.length_mm, cloud.surface.width_mm, k=1.0)
             except RefusedCloud:
                 continue
             grams.append(weighed)
-            units.append(unit)
+            units.append(outline_g_per_mm(*view.tuber.axes_mm[:2], k=1.0))
     return np.array(grams), np.array(units)

@@ -17,6 +17,9 @@ from conveyor.statistics import NORMAL_90
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
 
+LEAST_TOLD_G, LEAST_COVERAGE = 1e-3, 1e-9
+"""Of less no percentages are told: they would not be finite numbers."""
+
 RESTING, CAMERA, TUBERS, UNSEEN = "resting level", "camera", "tubers", "belt not seen"
 """What an interval is made of. Camera: depth scale, density and what the weights misjudge in all tubers. Tubers: each
 one's own error, the cultivar, and what differs from load to load."""
@@ -110,9 +113,13 @@ def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: st
 def parts_percent(
     seen: Calibrated, *, estimated_g: float, low_g: float, high_g: float, coverage: float
 ) -> dict[str, float]:
-    """90 % half-widths by cause in percent of the estimate; their squares add up to the whole interval's."""
-    if estimated_g <= 0:
+    """90 % half-widths by cause in percent of the estimate; their squares add up to the whole interval's.
+
+    Empty where nothing was weighed.
+    """
+    if estimated_g < LEAST_TOLD_G:
         return {}
+    coverage = max(coverage, LEAST_COVERAGE)
     parts = {name: 100 * NORMAL_90 * sd_g / coverage / estimated_g for name, sd_g in seen.parts_g.items()}
     whole = 100 * (high_g - low_g) / 2 / estimated_g
     parts[UNSEEN] = math.sqrt(max(whole**2 - sum(part**2 for part in parts.values()), 0.0))

@@ -114,8 +114,7 @@ def fit(
     """
     cultivars = tuple(sorted({ticket.cultivar for ticket in tickets} | {cultivar}))
     prior_mean = np.array([prior.stated_offset_mm, 0.0, *[0.0] * len(cultivars)])
-    prior_sd = np.array([prior.offset_sd_mm, prior.factor_sd, *[prior.cultivar_sd] * len(cultivars)])
-    prior_sd = np.maximum(prior_sd, KNOWN_SD)
+    prior_sd = prior_sds(prior, len(cultivars))
     precision = np.diag(1.0 / prior_sd**2)
     doubt = np.ones(len(tickets)) if doubt is None else doubt
     mean, covariance, load_sd = prior_mean, np.diag(prior_sd**2), _rms(LOAD_SD_CHANCES)
@@ -124,6 +123,12 @@ def fit(
         mean, covariance, load_sd = _mixed(found, mean, prior_mean - mean, precision)
     used = tuple(sorted(Counter(ticket.kind for ticket in tickets).items()))
     return Correction(model, cultivars, mean, covariance, load_sd, prior, used)
+
+
+def prior_sds(prior: Prior, cultivars: int) -> Floats:
+    """(2 + cultivars,) standard deviations of the parameters before any ticket."""
+    sds = np.array([prior.offset_sd_mm, prior.factor_sd, *[prior.cultivar_sd] * cultivars])
+    return np.asarray(np.maximum(sds, KNOWN_SD), np.float64)
 
 
 def _mixed(found: Evidence, at: Floats, prior_step: Floats, prior_precision: Floats) -> tuple[Floats, Floats, float]:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
-from aggregator.calibration.correction import Correction, Prior, fit, usable
-from aggregator.calibration.evidence import sum_tickets
+from aggregator.calibration.correction import Correction, Prior, fit, prior_sds, usable
+from aggregator.calibration.evidence import gather, sum_tickets
 from aggregator.calibration.leave_one_out import left_out_z
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
@@ -46,7 +47,9 @@ def expected_accuracy(
     cultivar: str = "",
     numbers: Sequence[int] = NUMBERS,
 ) -> dict[int, float]:
-    """90 % half-width, as a share, of the next load after `n` more load tickets that say what is expected by now.
+    """90 % half-width, as a share, of the next load after `n` more load tickets.
+
+    They say what is expected by now, and loads differ as is expected by now: tickets that agree better will do better.
 
     Args:
         per_mm: of the loads to come, grams per mm over grams; None: what is typical.
@@ -60,7 +63,10 @@ def expected_accuracy(
     more = replace(more, stated_offset_mm=prior.stated_offset_mm, cultivar=cultivar)
     widths = {}
     for number in numbers:
-        found = fit((*known, *[more] * number), prior, cultivar=cultivar)
-        slope = sum_tickets([more], found.mean, found.cultivars).slopes[0]
-        widths[number] = NORMAL_90 * float(np.sqrt(slope @ found.covariance @ slope + found.load_sd**2))
+        tickets = (*known, *[more] * number)
+        found = gather(tickets, now.mean, now.cultivars, np.ones(len(tickets)))
+        precision = np.diag(1.0 / prior_sds(prior, len(now.cultivars)) ** 2) + found.at(now.load_sd**2)[0]
+        slope = sum_tickets([more], now.mean, now.cultivars).slopes[0]
+        variance = float(slope @ np.linalg.solve(precision, slope))
+        widths[number] = NORMAL_90 * math.sqrt(variance + now.load_sd**2)
     return widths

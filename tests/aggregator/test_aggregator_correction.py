@@ -172,8 +172,9 @@ def test_more_tickets_are_expected_to_bring_more() -> None:
     weighed_g = reads(offset_mm=2.0, factor=1.0)
     widths = expected_accuracy([summed(weighed_g)], MODEL, PRIOR, per_mm=None)
     assert list(widths.values()) == sorted(widths.values(), reverse=True)
-    assert widths[0] < NORMAL_90 * 0.04
-    assert expected_accuracy([], MODEL, PRIOR, per_mm=None)[0] == pytest.approx(NORMAL_90 * 0.1, rel=0.15)
+    assert widths[0] < NORMAL_90 * 0.03
+    assert widths[10] > NORMAL_90 * 0.01  # never better than loads are known to differ
+    assert expected_accuracy([], MODEL, PRIOR, per_mm=None)[0] == pytest.approx(NORMAL_90 * 0.09, rel=0.1)
 
 
 def test_a_ticket_of_a_run_that_stated_its_offset_says_the_same_of_the_line() -> None:

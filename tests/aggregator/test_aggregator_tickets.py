@@ -136,7 +136,7 @@ def test_a_file_of_version_0_1_is_read_as_loads(tmp_path: Path) -> None:
     path.write_text(json.dumps({"format": 1, "tickets": [old]}))
     (found,) = read_tickets(path)
     assert found == ticket(0.95)
-    assert found.grams_per_mm == pytest.approx(0.023 * 1e6)
+    assert found.grams_per_mm == pytest.approx(0.020 * 1e6)
     write_tickets(path, (found,))
     assert json.loads(path.read_text())["format"] == 2
     assert read_tickets(path) == (found,)

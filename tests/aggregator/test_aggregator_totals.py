@@ -16,7 +16,7 @@ from aggregator.calibration.correction import (
     OFFSET_SD_MM,
     Prior,
 )
-from aggregator.calibration.sensitivity import outline_g_per_mm
+from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.coverage import Looked, camera_shares, combined_coverage
 from aggregator.core.totals import LoadTotals
@@ -51,11 +51,11 @@ def half_width(totals: LoadTotals) -> float:
 
 def test_random_errors_vanish_with_the_count_and_what_is_not_known_of_the_line_stays() -> None:
     """Before any ticket a load is as wide as offset, factor, cultivar and load make it."""
-    per_mm = outline_g_per_mm(TUBER.length_mm, TUBER.width_mm) / TUBER.weight_g
+    per_mm = tuber_g_per_mm(TUBER) / TUBER.weight_g
     shared = NORMAL_90 * math.hypot(
         per_mm * OFFSET_SD_MM, FACTOR_SD, CULTIVAR_SD, math.sqrt(LOAD_SD_CHANCES @ LOAD_SDS**2)
     )
-    assert 0.12 < shared < 0.20
+    assert 0.10 < shared < 0.20
     for n in (1, 100, 10_000):
         assert half_width(load(n)) == pytest.approx(math.hypot(shared, 30 / 170 / math.sqrt(n)), rel=1e-6)
 
@@ -65,7 +65,7 @@ def test_a_resting_level_that_is_stated_well_narrows_the_interval() -> None:
     for _ in range(1000):
         stated.add(TUBER)
     assert stated.weight_g == pytest.approx(1000 * TUBER.weight_g)  # it is in the tubers' weights already
-    assert half_width(stated) < 0.5 * half_width(load(1000))
+    assert half_width(stated) < 0.65 * half_width(load(1000))
 
 
 def test_the_parts_of_the_interval_add_up_to_it() -> None:
@@ -76,6 +76,9 @@ def test_the_parts_of_the_interval_add_up_to_it() -> None:
     whole = 100 * (message.estimated_high_g - message.estimated_low_g) / 2 / message.estimated_weight_g
     assert math.hypot(*message.parts_percent.values()) == pytest.approx(whole, abs=0.05)
     assert message.calibrated_by == ""
+    nothing = LoadTotals(50.0).message("r", coverage=None, cameras={}, final=False)
+    assert nothing.parts_percent == {}
+    assert (nothing.weight_g, nothing.low_g, nothing.high_g) == (0.0, 0.0, 0.0)
     seen_whole = totals.message("r", coverage=1.0, cameras={}, final=False)
     assert seen_whole.parts_percent["belt not seen"] == pytest.approx(0.0, abs=0.01)
 
@@ -140,7 +143,7 @@ def test_a_camera_that_stopped_is_measured_by_the_belt_the_others_saw() -> None:
 
 
 def test_tickets_scale_the_load_and_narrow_its_interval_but_leave_the_tubers_as_weighed() -> None:
-    per_mm_g = 1e6 / TUBER.weight_g * outline_g_per_mm(TUBER.length_mm, TUBER.width_mm)
+    per_mm_g = 1e6 / TUBER.weight_g * tuber_g_per_mm(TUBER)
     tickets = [Ticket(f"r{n}", "m", 0.9e6, 1000.0, 1e6, 3000.0, 1.0, per_mm_g=per_mm_g) for n in range(5)]
     calibrated, plain = LoadTotals(50.0, tickets), load(1000)
     for n in range(1000):

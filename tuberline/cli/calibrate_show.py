@@ -120,6 +120,6 @@ def _text(found: dict[str, Any]) -> str:
             f"{row['apart_percent']:>+8.1f}%{row['sd_percent']:>7.1f}%  {verdict}".rstrip()
         )
     of = f" of {found['cultivar']}" if found["cultivar"] else ""
-    lines.append(f"a load{of} is known to, 90 %, with n more load tickets that agree:")
+    lines.append(f"a load{of} is known to, 90 %, with n more load tickets:")
     lines.append("  ".join(f"{n}: {100 * width:.1f} %" for n, width in found["half_width_after_more"].items()))
     return "\n".join(lines) + "\n\n"
