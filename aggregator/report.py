@@ -38,7 +38,8 @@ class Reporter:
         self._core = core
         self._config = config
         self._counters = counters
-        self._tickets = read_tickets(config.aggregator.tickets) if config.aggregator.tickets else ()
+        settings = config.aggregator
+        self._tickets = read_tickets(settings.tickets) if settings.tickets else ()
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -67,7 +68,7 @@ class Reporter:
             given_up=cameras.given_up(now_s),
             sheets=self.sheets,
         )
-        return LoadTotals(sums.load, self._tickets).message(
+        return LoadTotals(sums.load, self._tickets, cultivar=self._config.aggregator.cultivar).message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -124,7 +125,7 @@ class Reporter:
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
-            f"calibrated by {totals.tickets} load tickets, final={totals.final}"
+            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
         )
 
 

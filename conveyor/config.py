@@ -142,7 +142,8 @@ class AggregatorConfig(Section):
     commit_interval_s: float = Field(0.2, ge=0.01, le=10, description="entries are committed together this often")
     histogram_step_g: float = Field(50.0, gt=0, le=1000)
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
-    tickets: Path | None = Field(None, description="load tickets that calibrate totals, see `tuberline calibrate load`")
+    tickets: Path | None = Field(None, description="a scale's tickets that calibrate totals, see `tuberline calibrate`")
+    cultivar: str = Field("", description="named as with the tickets: its own factor is learned beside the line's")
 
 
 class ViewerConfig(Section):

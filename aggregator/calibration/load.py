@@ -1,46 +1,271 @@
-"""From a run in the ledger and what the scale said of it to a load ticket."""
+"""From a run in the ledger, or a part of it, and what the scale said of it to a ticket."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from aggregator.calibration.tickets import Ticket, check_ticket
+from aggregator.calibration.align import Alignment, align
+from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.calibration.tickets import Single, Ticket, check_ticket
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import coverage_of, ledger_file, read_sums, reading, the_run
+from aggregator.ledger.reader import coverage_of, ledger_file, read_sums, read_tubers, reading, the_run
 from conveyor.errors import InputError
+from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
 LEAST_SHARE = 0.95
 """Of a load's weight that one set of weights must have weighed: its ticket says nothing about any other."""
 
+MISCOUNTED = 0.002
+"""Share of tubers that counting may miss or count twice where nobody counted by hand."""
 
-def ticket_of(path: Path, *, run: str | None, ticket_g: float, ticket_sd_g: float) -> Ticket:
-    """The ticket of the run in the folder (or ledger) `path`.
+MOST_MISCOUNTED = 0.1
+LEAST_SD = 0.01
+"""Of a tuber's weight: a ledger's interval is never narrower."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which tubers of a run met the scale: by id, or by place on the belt; all of them by default.
+
+    Places fall as the belt runs: from -1.5 m on is what passed after the tuber at -1.5 m. Two places may stand in any
+    order.
+    """
+
+    first: int | None = None
+    last: int | None = None
+    from_x_m: float | None = None
+    to_x_m: float | None = None
+
+    @property
+    def name(self) -> str:
+        """In words; '' for the whole run."""
+        ids = f"tubers {self.first or 1} to {self.last or 'the last'}" if self.first or self.last else ""
+        if self.from_x_m is None and self.to_x_m is None:
+            return ids
+        ends = [f"{x:g} m" if x is not None else "the end" for x in (self.from_x_m, self.to_x_m)]
+        return ", ".join(filter(None, (ids, f"places {ends[0]} to {ends[1]}")))
+
+    def holds(self, tuber: Tuber) -> bool:
+        """The tuber belongs to it."""
+        ends = [x for x in (self.from_x_m, self.to_x_m) if x is not None]
+        low = min(ends) if len(ends) == 2 else self.to_x_m
+        high = max(ends) if len(ends) == 2 else self.from_x_m
+        return (
+            (self.first is None or tuber.tuber_id >= self.first)
+            and (self.last is None or tuber.tuber_id <= self.last)
+            and (low is None or tuber.place_x_m >= low)
+            and (high is None or tuber.place_x_m <= high)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """What a run counted: its id, its tubers in the order they crossed, and what the totals make of the whole belt.
+
+    `unseen_sd_g` is the random error of the belt that was not looked at.
+    """
+
+    run: str
+    tubers: tuple[Tuber, ...]
+    coverage: float
+    estimated_g: float
+    unseen_sd_g: float
+
+
+def counted(path: Path, *, run: str | None) -> Counted:
+    """The run in the folder (or ledger) `path`.
 
     Raises:
-        LedgerError: no ledger, or not that run. InputError: the load cannot be calibrated with; the text says why.
+        LedgerError: no ledger, or not that run.
     """
     ledger = ledger_file(path)
     with reading(ledger) as view:
         chosen = the_run(view, ledger, run)
         sums = read_sums(view, chosen.run)
+        tubers = tuple(read_tubers(view, chosen.run))
     load = LoadTotals(sums.load)
     seen = coverage_of(chosen, sums)
-    share = seen.share or 0.0
-    estimated_g, low_g, high_g = load.estimated(share, belt_m=seen.belt_m)
-    own_g = sum(load.own_error_g()) / 2
+    coverage = seen.share or 0.0
+    estimated_g, low_g, high_g = load.estimated(coverage, belt_m=seen.belt_m)
     # The unseen belt is random from load to load, the bias that all tubers share is what the ticket is to measure.
     seen_low_g, seen_high_g = load.interval_g()
-    unseen_g = max(0.0, (high_g - low_g) - (seen_high_g - seen_low_g) / max(share, 1e-9)) / 2
-    model = _model_of(load, chosen.run)
-    estimated_sd_g = (own_g / max(share, 1e-9) + unseen_g) / NORMAL_90
-    return check_ticket(Ticket(chosen.run, model, ticket_g, ticket_sd_g, estimated_g, estimated_sd_g, share))
+    seen_half_g = (seen_high_g - seen_low_g) / 2 / max(coverage, 1e-9)
+    unseen_g = math.sqrt(max(0.0, ((high_g - low_g) / 2) ** 2 - seen_half_g**2))
+    ordered = tuple(sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id)))
+    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / NORMAL_90)
 
 
-def _model_of(load: LoadTotals, run: str) -> str:
+def ticket_of(
+    path: Path,
+    *,
+    run: str | None,
+    ticket_g: float,
+    ticket_sd_g: float,
+    cultivar: str = "",
+    stated_offset_mm: float = 0.0,
+) -> Ticket:
+    """The ticket of a whole load: the run in the folder (or ledger) `path`.
+
+    Raises:
+        LedgerError: no ledger, or not that run. InputError: the load cannot be calibrated with; the text says why.
+    """
+    found = counted(path, run=run)
+    whole = 1.0 / max(found.coverage, 1e-9)
+    own_sd_g = whole * math.hypot(_own_sd_g(found.tubers), _miscounted_sd_g(found.tubers, None))
+    return check_ticket(
+        Ticket(
+            found.run,
+            _model_of(found.tubers, found.run),
+            ticket_g,
+            ticket_sd_g,
+            found.estimated_g,
+            math.hypot(own_sd_g, found.unseen_sd_g),
+            found.coverage,
+            tubers=len(found.tubers),
+            per_mm_g=whole * sum(map(tuber_g_per_mm, found.tubers)),
+            stated_offset_mm=stated_offset_mm,
+            cultivar=cultivar,
+        )
+    )
+
+
+def bucket_ticket(
+    path: Path,
+    *,
+    run: str | None,
+    part: Part,
+    ticket_g: float,
+    ticket_sd_g: float,
+    count: int | None = None,
+    cultivar: str = "",
+    stated_offset_mm: float = 0.0,
+) -> Ticket:
+    """The ticket of tubers that passed and were weighed together.
+
+    Args:
+        count: how many were in the bucket by hand; the sum of those seen is scaled to it.
+
+    Raises:
+        LedgerError: no ledger, or not that run. InputError: the count is another, or the figures cannot be these.
+    """
+    found = counted(path, run=run)
+    tubers = _some(found, part)
+    # Of a whole run that nobody counted by hand, belt that was not seen is made up for as in a load.
+    whole_run = count is None and not part.name
+    coverage = found.coverage if whole_run else 1.0
+    scale = 1.0 / max(coverage, 1e-9) if whole_run else _count_scale(tubers, count, found.run)
+    weighed_g = scale * sum(tuber.weight_g for tuber in tubers)
+    return check_ticket(
+        Ticket(
+            found.run,
+            _model_of(tubers, found.run),
+            ticket_g,
+            ticket_sd_g,
+            weighed_g,
+            math.hypot(
+                scale * _own_sd_g(tubers), _miscounted_sd_g(tubers, count), found.unseen_sd_g if whole_run else 0.0
+            ),
+            coverage,
+            kind="bucket",
+            part=part.name,
+            tubers=len(tubers),
+            per_mm_g=scale * sum(map(tuber_g_per_mm, tubers)),
+            stated_offset_mm=stated_offset_mm,
+            cultivar=cultivar,
+        )
+    )
+
+
+def singles_ticket(
+    path: Path,
+    *,
+    run: str | None,
+    part: Part,
+    scale_g: Sequence[float],
+    scale_sd_g: float,
+    cultivar: str = "",
+    stated_offset_mm: float = 0.0,
+) -> tuple[Ticket, Alignment, tuple[Tuber, ...]]:
+    """(ticket of single weights in belt order, how they were laid beside the tubers, those tubers in belt order).
+
+    Raises:
+        LedgerError: no ledger, or not that run. InputError: the weights are not of these tubers in this order.
+    """
+    found = counted(path, run=run)
+    tubers = _some(found, part)
+    laid = align(scale_g, [tuber.weight_g for tuber in tubers])
+    singles = []
+    for i, j in laid.pairs:
+        tuber = tubers[j]
+        sd_g = math.hypot(_tuber_sd_g(tuber), scale_sd_g * tuber.weight_g / scale_g[i])
+        singles.append(Single(tuber.tuber_id, scale_g[i], tuber.weight_g, sd_g, tuber_g_per_mm(tuber)))
+    paired = [tubers[j] for _, j in laid.pairs]
+    ticket = Ticket(
+        found.run,
+        _model_of(paired, found.run),
+        sum(one.scale_g for one in singles),
+        scale_sd_g * math.sqrt(len(singles)),
+        sum(one.weighed_g for one in singles),
+        _own_sd_g(paired),
+        1.0,
+        kind="tubers",
+        part=part.name,
+        tubers=len(singles),
+        per_mm_g=sum(one.per_mm_g for one in singles),
+        stated_offset_mm=stated_offset_mm,
+        cultivar=cultivar,
+        singles=tuple(singles),
+    )
+    return check_ticket(ticket), laid, tubers
+
+
+def _some(found: Counted, part: Part) -> tuple[Tuber, ...]:
+    tubers = tuple(tuber for tuber in found.tubers if part.holds(tuber) and tuber.weight_g > 0)
+    if not tubers:
+        raise InputError(
+            f"run {found.run} counted {len(found.tubers)} tubers, none of them among {part.name or 'all'}: see its "
+            "tubers.csv for ids and places"
+        )
+    return tubers
+
+
+def _count_scale(tubers: Sequence[Tuber], count: int | None, run: str) -> float:
+    if count is None:
+        return 1.0
+    if abs(count - len(tubers)) > max(1.0, MOST_MISCOUNTED * len(tubers)):
+        raise InputError(
+            f"the bucket held {count} tubers, run {run} counted {len(tubers)} in that part: more than "
+            f"{100 * MOST_MISCOUNTED:.0f} % apart. Name the part that the bucket is of (--first, --last or --from-x, "
+            "--to-x)"
+        )
+    return count / len(tubers)
+
+
+def _tuber_sd_g(tuber: Tuber) -> float:
+    return max((tuber.high_g - tuber.low_g) / (2 * NORMAL_90), LEAST_SD * tuber.weight_g)
+
+
+def _own_sd_g(tubers: Sequence[Tuber]) -> float:
+    return math.sqrt(sum(_tuber_sd_g(tuber) ** 2 for tuber in tubers))
+
+
+def _miscounted_sd_g(tubers: Sequence[Tuber], count: int | None) -> float:
+    """Of the sum, by tubers that were missed or counted twice; a count by hand leaves the weights of those unknown."""
+    if not tubers:
+        return 0.0
+    mean_square_g2 = sum(tuber.weight_g**2 for tuber in tubers) / len(tubers)
+    wrong = MISCOUNTED * len(tubers) if count is None else abs(count - len(tubers))
+    return math.sqrt(wrong * mean_square_g2)
+
+
+def _model_of(tubers: Sequence[Tuber], run: str) -> str:
     shares: dict[str, float] = {}
-    for (_, model), (_, weight_g) in load.sums.weighed.items():
-        shares[model] = shares.get(model, 0.0) + weight_g
+    for tuber in tubers:
+        shares[tuber.model] = shares.get(tuber.model, 0.0) + tuber.weight_g
     model = max(shares, key=lambda name: shares[name], default="")
     if shares and (not model or shares[model] < LEAST_SHARE * sum(shares.values())):
         told = ", ".join(f"{name or 'visible volume'} {grams / 1000:.1f} kg" for name, grams in sorted(shares.items()))

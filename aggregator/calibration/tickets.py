@@ -1,13 +1,8 @@
-"""Load tickets: what a scale said of loads that were counted, and what follows for the loads to come.
+"""Tickets: what a scale said of tubers that were counted and weighed; the file that keeps them.
 
-All tubers of a load share an error (belt height, density, soil, the season's shapes) that does not shrink with the
-count. A ticket measures it. With the log ratios r_i of ticket to estimate, the model is
-
-    r_i ~ N(ln factor, s_load^2 + s_i^2),     ln factor ~ N(0, s_prior^2)
-
-where s_i is the load's own random error (tubers, belt that was not seen, the scale) and s_load what still differs
-from load to load. Its posterior gives the factor; the next load is known to `factor` times `exp(+-half_width)` at 90 %,
-never better than one load differs from another. Tickets hold for the weights (model) that weighed them and no other.
+Three kinds stand in one file: a load (a trailer on a weighbridge), a bucket (a part of a run on a small scale) and
+tubers (single weights in belt order). `aggregator.calibration.correction` makes one correction of all of them.
+A ticket holds for the weights (model) that weighed its tubers and no other.
 """
 
 from __future__ import annotations
@@ -19,35 +14,53 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.ledger.files import write_whole
 from conveyor.errors import InputError
-from conveyor.statistics import NORMAL_90
-
-PRIOR_SD = 0.05 / NORMAL_90
-"""Of ln factor without any ticket: a load is then known to 5 % at 90 % (docs/ledger.md)."""
-
-LOAD_SD = 0.015
-"""Of what differs from load to load after calibration: soil on the tubers, moisture, the mix of shapes. An assumption:
-no ticket of a real load was at hand. Three and more tickets replace it by their own scatter where that is larger."""
 
 RATIO_RANGE = (0.75, 1.35)
-"""A ticket outside of it is of another load, in other units, or the line did not see most of the belt."""
+"""A ticket outside of it is of other tubers, in other units, or the line did not see most of the belt."""
 
 LEAST_COVERAGE = 0.8
-FORMAT = 1
+KINDS = ("load", "bucket", "tubers")
+FORMAT = 2
+OLD_FORMAT = 1
+"""Of version 0.1: loads alone, without their outline."""
+
+
+@dataclass(frozen=True, slots=True)
+class Single:
+    """One tuber that met the scale.
+
+    Attributes:
+        scale_g: what the scale said. weighed_g, sd_g: what Tuberline said, and its standard deviation.
+        per_mm_g: by how much that grows for each millimetre that the tuber lies lower than stated.
+    """
+
+    tuber_id: int
+    scale_g: float
+    weighed_g: float
+    sd_g: float
+    per_mm_g: float
 
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """A load that met a scale.
+    """Tubers that met a scale.
 
     Attributes:
-        run: of the ledger; the same run counts once.
+        run: of the ledger; the same kind and part of a run counts once.
         model: weights that weighed it, name@digest.
         ticket_g, ticket_sd_g: what the scale said, net, and its standard deviation.
         estimated_g, estimated_sd_g: what Tuberline said before any calibration, for the whole belt, and its random
             error alone.
         coverage: share of the belt that was looked at.
+        kind: one of `KINDS`. part: of the run, '' for all of it.
+        tubers: how many were counted; 0 in tickets of version 0.1.
+        per_mm_g: by how much `estimated_g` grows for each millimetre that tubers lie lower than stated.
+        stated_offset_mm: resting offset that the run was weighed with.
+        cultivar: '' where none was named. singles: of kind 'tubers'.
+        set_aside: why it is not used; '' where it is.
     """
 
     run: str
@@ -57,6 +70,24 @@ class Ticket:
     estimated_g: float
     estimated_sd_g: float
     coverage: float
+    kind: str = "load"
+    part: str = ""
+    tubers: int = 0
+    per_mm_g: float = 0.0
+    stated_offset_mm: float = 0.0
+    cultivar: str = ""
+    singles: tuple[Single, ...] = ()
+    set_aside: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What a ticket is of; there is one ticket of each."""
+        return self.kind, self.run, self.part
+
+    @property
+    def name(self) -> str:
+        """The key in words."""
+        return f"{self.kind} of run {self.run}{f', {self.part}' if self.part else ''}"
 
     @property
     def log_ratio(self) -> float:
@@ -68,33 +99,10 @@ class Ticket:
         """Random error of `log_ratio`."""
         return math.hypot(self.ticket_sd_g / self.ticket_g, self.estimated_sd_g / self.estimated_g)
 
-
-@dataclass(frozen=True, slots=True)
-class LoadFactor:
-    """What a weight by `model` is multiplied with, and the 90 % half-width of what is left, as a share of it."""
-
-    model: str
-    factor: float
-    half_width: float
-    tickets: int
-
-
-def load_factor(tickets: Sequence[Ticket], model: str) -> LoadFactor | None:
-    """The calibration that the tickets of `model` give; None where there are none."""
-    of_model = [ticket for ticket in tickets if ticket.model == model]
-    if not of_model:
-        return None
-    ratios = [ticket.log_ratio for ticket in of_model]
-    between = LOAD_SD
-    if len(ratios) >= 3:
-        mean = sum(ratios) / len(ratios)
-        seen = math.sqrt(sum((ratio - mean) ** 2 for ratio in ratios) / (len(ratios) - 1))
-        between = max(between, seen)
-    weights = [1 / (between**2 + ticket.sd**2) for ticket in of_model]
-    precision = 1 / PRIOR_SD**2 + sum(weights)
-    mean = sum(weight * ratio for weight, ratio in zip(weights, ratios, strict=True)) / precision
-    half_width = NORMAL_90 * math.hypot(between, 1 / math.sqrt(precision))
-    return LoadFactor(model, math.exp(mean), half_width, len(of_model))
+    @property
+    def grams_per_mm(self) -> float:
+        """`per_mm_g`, or what is typical of a load whose outlines are not known (tickets of version 0.1)."""
+        return self.per_mm_g or TYPICAL_PER_MM * self.estimated_g
 
 
 def check_ticket(ticket: Ticket) -> Ticket:
@@ -103,6 +111,8 @@ def check_ticket(ticket: Ticket) -> Ticket:
     Raises:
         InputError: it cannot; the text says which figure is off and what to look for.
     """
+    if ticket.kind not in KINDS:
+        raise InputError(f"a ticket of run {ticket.run} is of kind {ticket.kind!r}; known: {', '.join(KINDS)}")
     if not (math.isfinite(ticket.ticket_g) and ticket.ticket_g > 0):
         raise InputError(f"the ticket says {ticket.ticket_g / 1000:g} kg: give the load's net weight, above 0 kg")
     if ticket.estimated_g <= 0:
@@ -116,26 +126,44 @@ def check_ticket(ticket: Ticket) -> Ticket:
     low, high = RATIO_RANGE
     if not low <= ratio <= high:
         raise InputError(
-            f"the ticket says {ticket.ticket_g / 1000:.1f} kg, run {ticket.run} {ticket.estimated_g / 1000:.1f} kg: "
+            f"the ticket says {ticket.ticket_g / 1000:.1f} kg, {ticket.name} {ticket.estimated_g / 1000:.1f} kg: "
             f"a ratio of {ratio:.2f}, allowed is {low} to {high}; is it the same load, net, in kilograms?"
         )
+    if (ticket.kind == "tubers") != bool(ticket.singles):
+        raise InputError(f"{ticket.name}: single weights belong to kind 'tubers', and to no other")
+    if any(min(one.scale_g, one.weighed_g, one.sd_g) <= 0 for one in ticket.singles):
+        raise InputError(f"{ticket.name}: every single weight and its standard deviation must be above 0 g")
     return ticket
 
 
 def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tuple[Ticket, ...]:
-    """`tickets` with one more; a run has one ticket.
+    """`tickets` with one more; the same kind and part of a run has one.
 
     Raises:
-        InputError: the run has one already and `again` is not given.
+        InputError: there is one already and `again` is not given.
     """
-    others = tuple(known for known in tickets if known.run != ticket.run)
+    others = tuple(known for known in tickets if known.key != ticket.key)
     if len(others) < len(tickets) and not again:
-        raise InputError(f"run {ticket.run} has a ticket already; give --again to replace it")
+        raise InputError(f"{ticket.name} has a ticket already; give --again to replace it")
     return (*others, ticket)
 
 
+def set_aside(tickets: Sequence[Ticket], run: str, *, kind: str | None, reason: str) -> tuple[Ticket, ...]:
+    """`tickets` with the one of `run` set aside for a reason, or back in use for the reason ''.
+
+    Raises:
+        InputError: none of that run, or several kinds or parts of it.
+    """
+    chosen = [ticket for ticket in tickets if ticket.run == run and kind in (None, ticket.kind)]
+    if len(chosen) != 1:
+        known = "; ".join(ticket.name for ticket in chosen or tickets) or "none"
+        many = "several tickets" if chosen else "no ticket"
+        raise InputError(f"{many} of {kind or 'any kind'} of run {run!r}; choose with --run and --kind among: {known}")
+    return tuple(replace(ticket, set_aside=reason) if ticket is chosen[0] else ticket for ticket in tickets)
+
+
 def read_tickets(path: Path) -> tuple[Ticket, ...]:
-    """The tickets in the JSON file at `path`.
+    """The tickets in the JSON file at `path`, of this format or that of version 0.1.
 
     Raises:
         InputError: unreadable, of another format, or with a ticket that cannot be one.
@@ -146,23 +174,48 @@ def read_tickets(path: Path) -> tuple[Ticket, ...]:
         raise InputError(f"tickets {path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"tickets {path} are not JSON: {error}") from error
-    if not isinstance(raw, dict) or raw.get("format") != FORMAT or not isinstance(raw.get("tickets"), list):
-        raise InputError(f'tickets {path}: want {{"format": {FORMAT}, "tickets": [...]}} as `calibrate load` writes it')
-    return tuple(_ticket(item, n, path) for n, item in enumerate(raw["tickets"]))
+    version = raw.get("format") if isinstance(raw, dict) else None
+    if version not in (OLD_FORMAT, FORMAT) or not isinstance(raw.get("tickets"), list):
+        raise InputError(
+            f'tickets {path}: want {{"format": {FORMAT}, "tickets": [...]}} as `tuberline calibrate` writes it; this '
+            f"version reads formats {OLD_FORMAT} and {FORMAT}"
+        )
+    names = tuple(Ticket.__dataclass_fields__)[: 7 if version == OLD_FORMAT else None]
+    return tuple(_ticket(item, names, f"tickets {path}: ticket {n}") for n, item in enumerate(raw["tickets"]))
 
 
-def _ticket(item: Any, n: int, path: Path) -> Ticket:
-    names = Ticket.__dataclass_fields__
+_TEXTS = ("run", "model", "kind", "part", "cultivar", "set_aside")
+_SIGNED = ("stated_offset_mm",)
+
+
+def _ticket(item: Any, names: Sequence[str], where: str) -> Ticket:
+    values = _values(item, names, where)
+    singles = values.pop("singles", [])
+    if not isinstance(singles, list):
+        raise InputError(f"{where}: singles must be a list")
+    fields = tuple(Single.__dataclass_fields__)
+    found = [_values(one, fields, f"{where}: single {n}") for n, one in enumerate(singles)]
+    ids = [{**one, "tuber_id": int(one["tuber_id"])} for one in found]
+    if "tubers" in values:
+        values["tubers"] = int(values["tubers"])
+    return check_ticket(replace(_EMPTY, **values, singles=tuple(replace(_NONE, **one) for one in ids)))
+
+
+_EMPTY, _NONE = Ticket("", "", 0, 0, 0, 0, 0), Single(0, 0, 0, 0, 0)
+
+
+def _values(item: Any, names: Sequence[str], where: str) -> dict[str, Any]:
     if not isinstance(item, dict) or set(item) != set(names):
-        raise InputError(f"tickets {path}: ticket {n} must have exactly {', '.join(names)}")
-    texts = {name: item[name] for name in ("run", "model")}
-    numbers = {name: item[name] for name in names if name not in texts}
-    for name, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
-            raise InputError(f"tickets {path}: ticket {n}: {name} is {value!r}, must be a number of at least 0")
-    if not all(isinstance(text, str) for text in texts.values()):
-        raise InputError(f"tickets {path}: ticket {n}: run and model must be texts")
-    return check_ticket(replace(Ticket("", "", 0, 0, 0, 0, 0), **texts, **numbers))
+        raise InputError(f"{where} must have exactly {', '.join(names)}")
+    for name, value in item.items():
+        if name in _TEXTS:
+            if not isinstance(value, str):
+                raise InputError(f"{where}: {name} is {value!r}, must be a text")
+        elif name != "singles":
+            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            if not number or (value < 0 and name not in _SIGNED):
+                raise InputError(f"{where}: {name} is {value!r}, must be a number of at least 0")
+    return dict(item)
 
 
 def write_tickets(path: Path, tickets: Sequence[Ticket]) -> None:

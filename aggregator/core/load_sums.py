@@ -7,6 +7,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from aggregator.calibration.sensitivity import tuber_g_per_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -20,7 +21,8 @@ HISTOGRAM_CLASSES = 64
 class LoadSums:
     """Sums over committed tubers; the order of `add` changes nothing but the last digits.
 
-    `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams.
+    `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
+    `per_mm_g` that sum grows with each millimetre that all of them lie lower.
     """
 
     histogram_step_g: float
@@ -29,6 +31,7 @@ class LoadSums:
     low_variance_g2: float = 0.0
     high_variance_g2: float = 0.0
     squares_g2: float = 0.0
+    per_mm_g: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
     merged: int = 0
     late: int = 0
@@ -43,6 +46,7 @@ class LoadSums:
         self.low_variance_g2 += ((tuber.weight_g - tuber.low_g) / NORMAL_90) ** 2
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.squares_g2 += tuber.weight_g**2
+        self.per_mm_g += tuber_g_per_mm(tuber)
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -99,6 +103,7 @@ class LoadSums:
             "low_variance_g2": self.low_variance_g2,
             "high_variance_g2": self.high_variance_g2,
             "squares_g2": self.squares_g2,
+            "per_mm_g": self.per_mm_g,
             "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
             "merged": self.merged,
             "late": self.late,

@@ -1,6 +1,6 @@
 """Totals of a load: weight with its interval, count, size classes, rate, and what the unseen belt adds.
 
-Where load tickets are at hand the load's weight is calibrated by them; the tubers in the ledger stay as weighed.
+Where tickets are at hand the load's weight is calibrated by them; the tubers in the ledger stay as weighed.
 """
 
 from __future__ import annotations
@@ -8,16 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from aggregator.calibration.tickets import LoadFactor, Ticket, load_factor
+from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
+from aggregator.calibration.correction import Prior
+from aggregator.calibration.tickets import Ticket
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
 from conveyor.messages import Totals
 from conveyor.statistics import NORMAL_90
-
-SHARED_BIAS = {"pointraft": 0.05, "volume": 0.10}
-"""Half of the 90 % interval of what all tubers of a load have in common (belt height, density, drift between seasons),
-as a share of the weight; it does not shrink with the count. 5 % is what a load total can be without a calibration load;
-blind between seasons published models drifted by 9 to 10 % (docs/ledger.md)."""
 
 UNSEEN_SPREAD = 0.5
 """Half of the 90 % interval of the weight on belt that was not looked at, as a share of it: the belt is not loaded
@@ -37,50 +34,52 @@ MEAN_TUBER_G, MEAN_SQUARE_G2 = 172.0, 4.0e4
 class LoadTotals:
     """What the sums of a load come to. `tickets` of earlier loads calibrate its weight."""
 
-    def __init__(self, sums: LoadSums, tickets: Sequence[Ticket] = ()) -> None:
+    def __init__(
+        self,
+        sums: LoadSums,
+        tickets: Sequence[Ticket] = (),
+        *,
+        prior: Prior | None = None,
+        cultivar: str = "",
+    ) -> None:
         self.sums = sums
         self._tickets = tickets
-        self._factors: dict[str, LoadFactor | None] = {}
+        self._prior = prior or Prior()
+        self._cultivar = cultivar
+        self._calibrated: tuple[int, Calibrated] | None = None
+
+    def calibrated(self) -> Calibrated:
+        """What was seen by the tickets of its weights; without any, as weighed and as wide as what is not known."""
+        if self._calibrated is None or self._calibrated[0] != self.sums.count:
+            found = calibrated(
+                {key: grams for key, (_, grams) in self.sums.weighed.items()},
+                per_mm_g=self.sums.per_mm_g,
+                own_variance_g2=(self.sums.low_variance_g2, self.sums.high_variance_g2),
+                tickets=self._tickets,
+                prior=self._prior,
+                cultivar=self._cultivar,
+            )
+            self._calibrated = self.sums.count, found
+        return self._calibrated[1]
 
     @property
     def weight_g(self) -> float:
         """What was seen, calibrated where there are tickets."""
-        return sum(self._factor(model) * weight for (_, model), (_, weight) in self.sums.weighed.items())
+        return self.calibrated().weight_g
 
     @property
     def tickets_used(self) -> int:
         """Tickets of the weights that weighed this load; 0: it is not calibrated."""
-        models = {model for _, model in self.sums.weighed}
-        return sum(found.tickets for model in models if (found := self._known(model)))
+        return self.calibrated().tickets
 
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
         return NORMAL_90 * math.sqrt(self.sums.low_variance_g2), NORMAL_90 * math.sqrt(self.sums.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
-        """The 90 % interval of the weight seen: each tuber's own error, and the bias that all of them share."""
-        bias_g = sum(
-            self._shared(method, model) * self._factor(model) * weight
-            for (method, model), (_, weight) in self.sums.weighed.items()
-        )
-        raw_g = self.sums.as_weighed_g
-        scale = self.weight_g / raw_g if raw_g > 0 else 1.0
-        below_g, above_g = self.own_error_g()
-        low_g, high_g = math.hypot(scale * below_g, bias_g), math.hypot(scale * above_g, bias_g)
-        return max(0.0, self.weight_g - low_g), self.weight_g + high_g
-
-    def _known(self, model: str) -> LoadFactor | None:
-        if model not in self._factors:
-            self._factors[model] = load_factor(self._tickets, model)
-        return self._factors[model]
-
-    def _factor(self, model: str) -> float:
-        known = self._known(model)
-        return known.factor if known else 1.0
-
-    def _shared(self, method: str, model: str) -> float:
-        known = self._known(model)
-        return known.half_width if known else SHARED_BIAS.get(method, 0.10)
+        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share."""
+        seen = self.calibrated()
+        return max(0.0, seen.weight_g - NORMAL_90 * seen.low_sd_g), seen.weight_g + NORMAL_90 * seen.high_sd_g
 
     def estimated(self, coverage: float | None, *, belt_m: float | None = None) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at.
@@ -126,10 +125,11 @@ class LoadTotals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
         estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m)
+        seen = self.calibrated()
         return Totals(
             run=run,
             count=self.sums.count,
-            weight_g=self.weight_g,
+            weight_g=seen.weight_g,
             low_g=low_g,
             high_g=high_g,
             coverage=coverage,
@@ -142,9 +142,17 @@ class LoadTotals:
             cameras=dict(cameras),
             final=final,
             as_weighed_g=self.sums.as_weighed_g,
-            tickets=self.tickets_used,
+            tickets=seen.tickets,
             state=state.value,
             reason=reason,
             belt_m=belt_m,
             unseen_m=dict(unseen_m or {}),
+            calibrated_by=seen.told,
+            parts_percent=parts_percent(
+                seen,
+                estimated_g=estimated_g,
+                low_g=estimated_low_g,
+                high_g=estimated_high_g,
+                coverage=min(coverage, 1.0) if coverage else 1.0,
+            ),
         )

@@ -58,7 +58,8 @@ class Totals(Message):
 
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
     weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
-    of the tubers; `weight_g` differs from it where `tickets` of earlier loads calibrate the load.
+    of the tubers; `weight_g` differs from it where `tickets` calibrate the load, and `calibrated_by` says which, and
+    how. `parts_percent` are the 90 % half-widths of the estimate by cause, in percent of it; their squares add up.
 
     `state` is 'starting' (not counting yet), 'counting', 'nothing seen' (then the weights are no numbers; `reason` says
     why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of
@@ -85,6 +86,8 @@ class Totals(Message):
     reason: Line = ""
     belt_m: BeltPlace | None = None
     unseen_m: Annotated[dict[Word, BeltPlace], Items(64)] = field(default_factory=dict)
+    calibrated_by: Line = ""
+    parts_percent: Annotated[dict[Word, Annotated[float, Range(0, 1e6, "%")]], Items(16)] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

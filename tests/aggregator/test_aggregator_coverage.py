@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from aggregator.core.coverage import Moment, coverage
-from aggregator.core.fusion import Z90
 from aggregator.core.lanes import share_seen
 from aggregator.core.load_state import load_state
 from aggregator.core.load_sums import LoadSums
@@ -16,6 +15,7 @@ from aggregator.core.reasons import LoadState, Unseen
 from aggregator.core.sight import PIECES, CameraSight
 from aggregator.core.totals import LoadTotals
 from conveyor.messages import Mark, Tuber
+from conveyor.statistics import NORMAL_90
 from tests.aggregator.looking_story import FPS, START_NS, Outage, look, positions_m, share_of, some_outages
 
 OVER = Moment(over=True)
@@ -92,10 +92,10 @@ def test_the_interval_of_the_estimate_holds_the_true_load(rng: np.random.Generat
         found = coverage({"a": own.sight}, seen_by={frozenset({"a"}): int(np.sum(seen))}, moment=OVER)
         if not found.share or not len(places):
             continue
-        bias, sums = rng.normal(1.0, 0.05 / Z90), LoadSums(50.0)
+        bias, sums = rng.normal(1.0, 0.05 / NORMAL_90), LoadSums(50.0)
         for grams in true_g[seen]:
             weighed = float(grams * bias * rng.normal(1.0, 0.08))
-            half_g = 0.08 * Z90 * weighed
+            half_g = 0.08 * NORMAL_90 * weighed
             sums.add(replace(TUBER, weight_g=weighed, low_g=weighed - half_g, high_g=weighed + half_g))
         _, low_g, high_g = LoadTotals(sums).estimated(found.share, belt_m=found.belt_m)
         inside += low_g <= true_g.sum() <= high_g

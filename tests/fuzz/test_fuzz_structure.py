@@ -12,6 +12,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from aggregator.core.load_sums import LoadSums
 from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.totals import LoadTotals
 from aggregator.core.tubers import make_tuber
@@ -99,11 +100,13 @@ def test_any_tracks_that_are_taken_make_a_tuber_and_totals_that_can_be_sent() ->
         built = build(m.TrackEntry, rng.choice)
         if not built.wrong and (track := m.TrackEntry.decode(built.data).track) is not None:
             tracks.append(track)
-    load = LoadTotals(50.0)
+    sums = LoadSums(50.0)
     for n, track in enumerate(tracks, start=1):
         others = [track, *rng.sample(tracks, rng.choice((0, 1, 2, 5)))]
         members = [PlacedTrack(f"c{k % 2}", n, seen, seen.place_x_m, seen.y_m) for k, seen in enumerate(others)]
         tuber = make_tuber(Group(members), run="r", tuber_id=n)
         tuber.check()
-        load.add(tuber)
-        load.message("r", coverage=rng.choice((None, 0.0, 5e-324, 1e-9, 0.5, 1.0)), cameras={}, final=False).check()
+        sums.add(tuber)
+        LoadTotals(sums).message(
+            "r", coverage=rng.choice((None, 0.0, 5e-324, 1e-9, 0.5, 1.0)), cameras={}, final=False
+        ).check()

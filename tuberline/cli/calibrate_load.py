@@ -16,12 +16,14 @@ def calibrate_load(
     scale_error_kg: float | None = None,
     run: str | None = None,
     again: bool = False,
+    cultivar: str = "",
+    resting_offset_mm: float = 0.0,
     json: bool = False,
 ) -> None:
     """Add the ticket of a counted load to a file of tickets, which then calibrates the totals of later loads.
 
-    The ledger's tubers stay as weighed; totals and summaries are multiplied by the factor that the tickets give, and
-    their interval shrinks from 5 % towards what loads differ by. Tickets hold for the weights that weighed the load.
+    The ledger's tubers stay as weighed; totals and summaries are corrected by what all tickets say, and their interval
+    shrinks towards what loads differ by. Tickets hold for the weights that weighed the load.
 
     Parameters
     ----------
@@ -37,28 +39,27 @@ def calibrate_load(
         Which run, where the ledger holds several.
     again
         Replace the ticket that this run has already.
+    cultivar
+        Name of the cultivar; each gets a factor of its own. Name it as aggregator.cultivar for runs to come.
+    resting_offset_mm
+        Resting offset that the run was weighed with.
     json
         Print tickets and factor as JSON on stdout.
     """
-    from dataclasses import asdict
-
     from aggregator.calibration.load import ticket_of
-    from aggregator.calibration.tickets import load_factor, read_tickets, with_ticket, write_tickets
+    from tuberline.cli.calibration_told import add_ticket, after_ticket, as_json
 
     sd_g = 1000 * scale_error_kg if scale_error_kg is not None else 5.0 * abs(ticket_kg)
-    ticket = ticket_of(run_dir, run=run, ticket_g=1000 * ticket_kg, ticket_sd_g=sd_g)
-    known = with_ticket(read_tickets(tickets) if tickets.exists() else (), ticket, again=again)
-    write_tickets(tickets, known)
-    found = load_factor(known, ticket.model)
+    ticket = ticket_of(
+        run_dir,
+        run=run,
+        ticket_g=1000 * ticket_kg,
+        ticket_sd_g=sd_g,
+        cultivar=cultivar,
+        stated_offset_mm=resting_offset_mm,
+    )
+    known = add_ticket(tickets, ticket, again=again)
     if json:
-        told = {"ticket": asdict(ticket), "load_factor": asdict(found) if found else None}
-        sys.stdout.write(json_module.dumps(told, indent=2) + "\n")
-    elif found:
-        number = f"{found.tickets} ticket{'s' * (found.tickets > 1)}"
-        sys.stdout.write(
-            f"run {ticket.run}: {ticket.estimated_g / 1000:.3f} kg estimated, {ticket.ticket_g / 1000:.3f} kg on the "
-            f"scale (ratio {ticket.ticket_g / ticket.estimated_g:.3f})\n"
-            f"{number} of {found.model}: totals are multiplied by {found.factor:.3f}, a load is then known to "
-            f"{100 * found.half_width:.1f} %\n"
-            f'put tickets = "{tickets}" under [aggregator] of the line\'s file\n'
-        )
+        sys.stdout.write(json_module.dumps(as_json(known, ticket), indent=2) + "\n")
+    else:
+        sys.stdout.write(after_ticket(known, ticket, tickets))

@@ -15,7 +15,7 @@ from tuberline.cli.address import NO_ADDRESS, LineAddress
 def health(
     *, address: LineAddress = NO_ADDRESS, node: str | None = None, timeout_s: float = 5.0, json: bool = False
 ) -> None:
-    """Say whether the router answers and, if named, one node is alive and makes progress; exit code 0 if so, 75 (try again) if not.
+    """Say whether the router answers and, if named, one node is alive and makes progress; 75 (try again) if not.
 
     Parameters
     ----------

@@ -45,12 +45,26 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )
+    for name, text in _calibration(totals):
+        table.add_row(name, text)
     table.add_row(
         "balance sheet", "[green]balanced[/]" if summary["balanced"] else "[red]DOES NOT BALANCE[/] (tuberline audit)"
     )
     console.print(table)
     for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
         console.print(line, highlight=False)
+
+
+def _calibration(totals: dict[str, Any]) -> list[tuple[str, str]]:
+    """By what the load is calibrated, and what its interval is made of; a summary of version 0.1 does not say."""
+    rows = []
+    if totals.get("calibrated_by"):
+        rows.append(("calibrated by", totals["calibrated_by"]))
+        rows.append(("as weighed", f"{totals['as_weighed_g'] / 1000:.3f} kg"))
+    parts = totals.get("parts_percent") or {}
+    if parts:
+        rows.append(("its 90 % interval", ", ".join(f"{name} {part:.1f} %" for name, part in parts.items())))
+    return rows
 
 
 def _range(totals: dict[str, Any], prefix: str) -> str:

@@ -1,0 +1,208 @@
+"""The commands of `tuberline calibrate` on a ledger: bucket, single weights with gaps, loads, the table, set aside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aggregator.calibration.align import align
+from aggregator.calibration.load import Part
+from aggregator.calibration.tickets import read_tickets
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.writer import Ledger
+from conveyor.errors import InputError
+from conveyor.messages import Tuber
+from tests.aggregator.belt_story import tell
+from tests.aggregator.virtual_line import undisturbed
+from tuberline.cli.calibrate_bucket import calibrate_bucket
+from tuberline.cli.calibrate_load import calibrate_load
+from tuberline.cli.calibrate_show import set_aside, show
+from tuberline.cli.calibrate_tubers import calibrate_tubers
+
+Line = tuple[Path, list[Tuber]]
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory: pytest.TempPathFactory) -> Line:
+    """Folder of a counted run, and its tubers in belt order."""
+    folder = tmp_path_factory.mktemp("run")
+    with Ledger(folder / "ledger.db") as ledger:
+        run = undisturbed(ledger, tell(11, n=40)).story.run
+        tubers = list(ledger.tubers(run))
+    assert len(tubers) >= 30
+    return folder, sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id))
+
+
+def weights_file(path: Path, grams: list[float]) -> Path:
+    path.write_text("tuber,weight_g\n" + "".join(f"{n},{g:.1f}\n" for n, g in enumerate(grams)), encoding="utf-8")
+    return path
+
+
+def printed(capsys: pytest.CaptureFixture[str]) -> Any:
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_bucket_is_a_ticket_and_later_loads_are_calibrated_by_it(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, tubers = line
+    weighed_g = sum(tuber.weight_g for tuber in tubers)
+    path = tmp_path / "tickets.json"
+    calibrate_bucket(folder, kg=1.1 * weighed_g / 1000, count=len(tubers), tickets=path, json=True)
+    told = printed(capsys)
+    assert told["ticket"]["kind"] == "bucket"
+    assert told["ticket"]["estimated_g"] == pytest.approx(weighed_g)
+    assert 1.05 < told["load_factor"]["factor"] < 1.1
+    sums = LoadSums(50.0)
+    for tuber in tubers:
+        sums.add(tuber)
+    load = LoadTotals(sums, read_tickets(path))
+    message = load.message("r", coverage=1.0, cameras={}, final=True)
+    assert message.weight_g == pytest.approx(told["load_factor"]["factor"] * weighed_g, rel=0.005)
+    assert message.as_weighed_g == pytest.approx(weighed_g)
+    assert message.calibrated_by.startswith("1 bucket: offset +")
+    with pytest.raises(InputError, match="--again"):
+        calibrate_bucket(folder, kg=weighed_g / 1000, tickets=path)
+
+
+def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, tubers = line
+    some = [tuber for tuber in tubers if 5 <= tuber.tuber_id <= 24]
+    kg = sum(tuber.weight_g for tuber in some) / 1000
+    path = tmp_path / "tickets.json"
+    calibrate_bucket(folder, kg=kg, count=20, first=5, last=24, tickets=path, json=True)
+    assert printed(capsys)["ticket"]["part"] == "tubers 5 to 24"
+    places = [tuber.place_x_m for tuber in some]
+    calibrate_bucket(folder, kg=kg, tickets=path, from_x=max(places), to_x=min(places), json=True)
+    assert printed(capsys)["ticket"]["tubers"] >= 20  # a second ticket of the same run, of another part
+    with pytest.raises(InputError, match=r"held 40 tubers, .* counted 20"):
+        calibrate_bucket(folder, kg=kg, count=40, first=5, last=24, tickets=path)
+    with pytest.raises(InputError, match="none of them among tubers 900 to the last"):
+        calibrate_bucket(folder, kg=kg, first=900, tickets=path)
+
+
+def test_a_count_by_hand_that_differs_by_one_scales_the_sum_and_widens_the_ticket(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, tubers = line
+    tickets = []
+    for n, count in enumerate((len(tubers), len(tubers) + 1)):
+        kg = sum(tuber.weight_g for tuber in tubers) / 1000
+        calibrate_bucket(folder, kg=kg, count=count, tickets=tmp_path / f"{n}.json", json=True)
+        tickets.append(printed(capsys)["ticket"])
+    assert tickets[1]["estimated_g"] == pytest.approx(tickets[0]["estimated_g"] * (1 + 1 / len(tubers)))
+    assert tickets[1]["estimated_sd_g"] > 1.3 * tickets[0]["estimated_sd_g"]
+
+
+def test_single_weights_find_their_tubers_though_one_is_missing_and_one_is_extra(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, tubers = line
+    grams = [1.08 * tuber.weight_g for tuber in tubers]
+    lost = grams[:7] + grams[8:]  # the eighth tuber fell off before it was weighed
+    lost.insert(20, 613.0)  # and a stranger came into the bucket
+    path = weights_file(tmp_path / "weights.csv", lost)
+    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json", json=True)
+    told = printed(capsys)
+    assert told["left_out"] == {"rows": [22], "tubers": [tubers[7].tuber_id]}
+    assert told["ticket"]["tubers"] == len(tubers) - 1
+    # All tubers of this story have one outline whatever they weigh, so a part of the 8 % is taken for an offset.
+    assert told["load_factor"]["factor"] == pytest.approx(1.08, abs=0.02)
+    assert 0 < told["single_tuber_half_width"] < 0.3
+
+
+def test_a_weight_left_empty_is_a_tuber_that_was_not_weighed(line: Line, tmp_path: Path) -> None:
+    folder, tubers = line
+    path = tmp_path / "weights.csv"
+    rows = [f"{tuber.weight_g:.1f}" for tuber in tubers]
+    path.write_text("\n".join([*rows[:3], "-", *rows[4:]]) + "\n", encoding="utf-8")
+    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json")
+    (ticket,) = read_tickets(tmp_path / "tickets.json")
+    assert tubers[3].tuber_id not in {one.tuber_id for one in ticket.singles}
+    assert len(ticket.singles) == len(tubers) - 1
+
+
+def test_weights_of_other_tubers_are_refused(line: Line, tmp_path: Path) -> None:
+    folder, tubers = line
+    backwards = weights_file(tmp_path / "weights.csv", [tuber.weight_g for tuber in reversed(tubers)])
+    with pytest.raises(InputError, match="in the order of the belt"):
+        calibrate_tubers(folder, backwards, tickets=tmp_path / "tickets.json")
+    assert not (tmp_path / "tickets.json").exists()
+    wrong = tmp_path / "kilograms.csv"
+    wrong.write_text("0.172\n0.211\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"row 1: '0\.172' is no weight in grams"):
+        calibrate_tubers(folder, wrong, tickets=tmp_path / "tickets.json")
+
+
+def test_weights_of_a_part_need_the_part_named(line: Line, tmp_path: Path) -> None:
+    folder, tubers = line
+    some = sorted((t for t in tubers if 10 <= t.tuber_id <= 30), key=lambda t: (t.crossed_ns, t.tuber_id))
+    path = weights_file(tmp_path / "weights.csv", [tuber.weight_g for tuber in some])
+    with pytest.raises(InputError, match="Name the part of the run"):
+        calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json")
+    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json", first=10, last=30)
+    (ticket,) = read_tickets(tmp_path / "tickets.json")
+    assert [one.tuber_id for one in ticket.singles] == [tuber.tuber_id for tuber in some]
+
+
+def test_rows_are_laid_beside_each_other_by_their_weights_alone() -> None:
+    weighed = [100.0, 250.0, 60.0, 310.0, 140.0, 90.0, 200.0]
+    laid = align([1.1 * g for g in weighed if g != 310.0], weighed)
+    assert laid.tubers_left_out == (3,)
+    assert laid.pairs == ((0, 0), (1, 1), (2, 2), (3, 4), (4, 5), (5, 6))
+    assert align(weighed, weighed).weights_left_out == ()
+
+
+def test_the_three_kinds_share_a_file_and_the_table_names_who_contradicts(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, tubers = line
+    weighed_kg = sum(tuber.weight_g for tuber in tubers) / 1000
+    path = tmp_path / "tickets.json"
+    calibrate_load(folder, ticket_kg=1.25 * weighed_kg, tickets=path)
+    calibrate_bucket(folder, kg=weighed_kg, tickets=path)
+    calibrate_bucket(folder, kg=sum(t.weight_g for t in tubers if t.tuber_id <= 20) / 1000, last=20, tickets=path)
+    calibrate_tubers(folder, weights_file(tmp_path / "w.csv", [t.weight_g for t in tubers]), tickets=path)
+    assert "contradicts all else that is known: load of run" in capsys.readouterr().out
+    show(path, json=True)
+    (table,) = printed(capsys)
+    verdicts = {(row["kind"], row["part"]): row["contradicts"] for row in table["tickets"]}
+    assert verdicts == {
+        ("load", ""): True,
+        ("bucket", ""): False,
+        ("bucket", "tubers 1 to 20"): False,
+        ("tubers", ""): False,
+    }
+    run = table["tickets"][0]["run"]
+    set_aside(path, run=run, kind="load", reason="wrong trailer")
+    show(path)
+    text = capsys.readouterr().out
+    assert "set aside: wrong trailer" in text
+    assert "CONTRADICTS" not in text
+    show(path, json=True)
+    (without,) = printed(capsys)
+    assert abs(without["factor"] - 1.0) < abs(table["factor"] - 1.0)
+    assert without["half_width_after_more"]["10"] < without["half_width_after_more"]["0"]
+    with pytest.raises(InputError, match="either --reason"):
+        set_aside(path, run=run, kind="load")
+
+
+def test_a_part_says_what_it_holds(line: Line) -> None:
+    _, tubers = line
+    assert Part().name == ""
+    assert Part(first=3).name == "tubers 3 to the last"
+    assert Part(from_x_m=-1.0, to_x_m=-2.5).name == "places -1 m to -2.5 m"
+    inside = [tuber for tuber in tubers if Part(from_x_m=-1.0, to_x_m=-2.5).holds(tuber)]
+    assert all(-2.5 <= tuber.place_x_m <= -1.0 for tuber in inside)
+    # One place alone divides what passed before it from what passed after.
+    middle_x_m = tubers[len(tubers) // 2].place_x_m
+    after = {tuber.tuber_id for tuber in tubers if Part(from_x_m=middle_x_m).holds(tuber)}
+    before = {tuber.tuber_id for tuber in tubers if Part(to_x_m=middle_x_m).holds(tuber)}
+    assert len(after & before) == 1
+    assert len(after | before) == len(tubers)
+    assert tubers[-1].tuber_id in after
+    assert tubers[0].tuber_id in before

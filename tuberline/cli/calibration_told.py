@@ -1,0 +1,101 @@
+"""What the commands of `tuberline calibrate` say after a ticket: the correction, its worth, and who contradicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from aggregator.calibration.correction import Correction
+    from aggregator.calibration.leave_one_out import LeftOut
+    from aggregator.calibration.tickets import Ticket
+
+
+def add_ticket(path: Path, ticket: Ticket, *, again: bool) -> tuple[Ticket, ...]:
+    """All tickets in the file at `path`, which is made where it does not exist, with one more.
+
+    Raises:
+        InputError: the file cannot be read, or has this ticket already.
+    """
+    from aggregator.calibration.tickets import read_tickets, with_ticket, write_tickets
+
+    known = with_ticket(read_tickets(path) if path.exists() else (), ticket, again=again)
+    write_tickets(path, known)
+    return known
+
+
+def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
+    """The ticket, the factor for a typical load, and the correction."""
+    from aggregator.calibration.apply import load_factor
+    from aggregator.calibration.correction import Prior
+    from aggregator.calibration.robust import correction_of
+
+    prior = Prior(stated_offset_mm=ticket.stated_offset_mm)
+    found = load_factor(known, ticket.model, prior, cultivar=ticket.cultivar)
+    correction = correction_of(known, ticket.model, prior, cultivar=ticket.cultivar)
+    return {
+        "ticket": asdict(ticket),
+        "load_factor": asdict(found) if found else None,
+        "correction": correction_values(correction),
+        "contradicting": [entry.ticket.name for entry in contradicting(known, ticket.model)],
+    }
+
+
+def correction_values(correction: Correction) -> dict[str, Any]:
+    """A correction as plain values: means and 90 % half-widths."""
+    from conveyor.statistics import NORMAL_90
+
+    values: dict[str, tuple[float, float]] = {"offset_mm": correction.offset_mm, "factor": correction.factor}
+    plain: dict[str, Any] = {
+        name: {"mean": mean, "half_width_90": NORMAL_90 * sd} for name, (mean, sd) in values.items()
+    }
+    cultivars = {name: correction.cultivar_factor(name) for name in correction.cultivars if name}
+    plain["cultivars"] = {
+        name: {"mean": mean, "half_width_90": NORMAL_90 * sd} for name, (mean, sd) in cultivars.items()
+    }
+    return {**plain, "loads_differ_by": correction.load_sd, "tickets": dict(correction.used)}
+
+
+def contradicting(known: Sequence[Ticket], model: str) -> list[LeftOut]:
+    """Tickets of `model` that the others contradict."""
+    from aggregator.calibration.correction import Prior
+    from aggregator.calibration.leave_one_out import leave_one_out
+
+    return [entry for entry in leave_one_out(known, model, Prior()) if entry.contradicts]
+
+
+def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
+    """Lines for the terminal after a ticket was added."""
+    from aggregator.calibration.apply import load_factor, told
+    from aggregator.calibration.correction import Prior
+    from aggregator.calibration.robust import correction_of
+
+    prior = Prior(stated_offset_mm=ticket.stated_offset_mm)
+    found = load_factor(known, ticket.model, prior, cultivar=ticket.cultivar)
+    correction = correction_of(known, ticket.model, prior, cultivar=ticket.cultivar)
+    lines = [
+        f"{ticket.name}: {ticket.estimated_g / 1000:.3f} kg estimated, {ticket.ticket_g / 1000:.3f} kg on the scale "
+        f"(ratio {ticket.ticket_g / ticket.estimated_g:.3f})"
+    ]
+    if found:
+        number = f"{found.tickets} ticket{'s' * (found.tickets > 1)}"
+        lines += [
+            f"{number} of {found.model}: {told(correction)}",
+            f"totals of such loads are multiplied by {found.factor:.3f}, a load is then known to "
+            f"{100 * found.half_width:.1f} %",
+        ]
+    lines += [warning(entry, path) for entry in contradicting(known, ticket.model)]
+    lines.append(f'put tickets = "{path}" under [aggregator] of the line\'s file')
+    return "\n".join(lines) + "\n"
+
+
+def warning(entry: LeftOut, path: Path) -> str:
+    """A ticket that contradicts, and what to do about it."""
+    return (
+        f"contradicts all else that is known: {entry.ticket.name} says {entry.ticket.ticket_g / 1000:.3f} kg, "
+        f"expected are {entry.expected_g / 1000:.3f} kg, {abs(entry.z):.1f} standard deviations apart; it counts for "
+        f"little. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
+        f'--kind {entry.ticket.kind} --reason "..."'
+    )
