@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from conveyor.errors import MessageError
 from conveyor.geometry import TYPICAL_BELT_SD_M, Intrinsics, belt_distance_m, deproject, transform_points
 from conveyor.messages.base import ArraySpec, Message
+from conveyor.resting import RestingLevel
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +24,8 @@ class View(Message):
         u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
         belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
         belt_sd_m: how well the belt's height is known, standard deviation.
+        resting_offset_m: how far under that belt this tuber's underside lies; negative above it.
+        resting_sd_m: how well that is known, standard deviation.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
         reply_to: camera whose `weight/<camera>` topic takes the answer.
     """
@@ -41,6 +44,8 @@ class View(Message):
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
     belt_sd_m: float = TYPICAL_BELT_SD_M
+    resting_offset_m: float = 0.0
+    resting_sd_m: float = 0.0
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", 2),
@@ -52,6 +57,10 @@ class View(Message):
             raise MessageError(f"View.belt_from_camera is {self.belt_from_camera.shape}, not (4, 4)")
         if not 0 <= self.belt_sd_m <= 0.1:
             raise MessageError(f"View.belt_sd_m is {self.belt_sd_m}; allowed are 0 to 0.1 metres")
+        if not -0.05 <= self.resting_offset_m <= 0.1:
+            raise MessageError(f"View.resting_offset_m is {self.resting_offset_m}; allowed are -0.05 to 0.1 metres")
+        if not 0 <= self.resting_sd_m <= 0.1:
+            raise MessageError(f"View.resting_sd_m is {self.resting_sd_m}; allowed are 0 to 0.1 metres")
 
     @property
     def belt_distance_m(self) -> float:
@@ -67,6 +76,18 @@ class View(Message):
     def points_in_belt_m(self) -> NDArray[np.float64]:
         """(N, 3) float64, belt frame, metres, raster order."""
         return transform_points(self.belt_from_camera, self.points_in_camera_m())
+
+    def resting_on(self, level: RestingLevel) -> Self:
+        """This view with the resting level of its own tuber: on rods it follows from the tuber's outline."""
+        if level.surface != "rods":
+            return replace(self, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m)
+        points = self.points_in_belt_m()
+        if not len(points):
+            return replace(self, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m)
+        # Single flying pixels are left out of extent and height.
+        along_m = float(np.diff(np.quantile(points[:, 0], [0.005, 0.995]))[0])
+        offset_m, sd_m = level.under(along_m=along_m, top_m=float(np.quantile(points[:, 2], 0.99)))
+        return replace(self, resting_offset_m=offset_m, resting_sd_m=sd_m)
 
 
 @dataclass(frozen=True, slots=True)
