@@ -17,7 +17,8 @@ from regressor.studies.baselines import cross_validated, fit_linear, fit_product
 from regressor.studies.metrics import scores
 from regressor.training.labelled import LabelledView, read_labelled
 from regressor.weigh.prepare import RefusedCloud
-from regressor.weigh.volume import NAMES, TYPICAL_RULE
+from regressor.weigh.surface import NAMES
+from regressor.weigh.volume import TYPICAL_RULE
 from regressor.weigh.weigher import Weighed
 
 NETWORK = "PointRAFT"
@@ -102,7 +103,7 @@ def evaluate_views(
             continue
         length, width, _ = oriented_box_m(cloud.points)
         views.append(view)
-        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m))
+        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m))
         features.append([*cloud.surface.as_array(), 1e3 * length, 1e3 * width, 1e3 * cloud.height_m])
         if progress is not None:
             progress(done)

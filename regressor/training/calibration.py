@@ -52,7 +52,7 @@ def calibration(
 ) -> Calibration:
     """From (n,) grams of the network and of the volume rule on `data`, blended by `volume_share`."""
     weight_g = blend(network_g, volume_g, volume_share)
-    terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.belt_sd_m)
+    terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
     rule = calibrate(weight_g, data.weight_g, terms)
     low_g, high_g = rule.bounds_g(weight_g, terms)
     return Calibration(

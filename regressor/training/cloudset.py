@@ -23,10 +23,15 @@ from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
 from regressor.training.labelled import LabelledView, labelled_files, read_labelled
-from regressor.weigh import prepare, volume
+from regressor.weigh import outline, prepare, surface
 from regressor.weigh.prepare import RefusedCloud
 
 KEEP = 384
+
+LABELS = (
+    *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m"),
+    *("tuber", "cultivar", "season", "recording", "preset", "surface", "pose", "rim", "calibrated"),
+)
 
 Target = Literal["weight_g", "volume_ml", "length_mm"]
 TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
@@ -40,9 +45,11 @@ class CloudSet:
     Attributes:
         points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
             repeat their points.
-        height_m: (n,) float64, above the belt, not clamped. features: (n, 5) as in `volume.NAMES`.
+        height_m: (n,) float64, above the belt, not clamped. features: (n, 17) as in `surface.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
-        tuber, cultivar, season: (n,) str. points_in_cloud: (n,) how many points the whole cloud had.
+        resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
+        tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
+        points_in_cloud: (n,) how many points the whole cloud had.
         refused: how many views could not be prepared, by reason.
     """
 
@@ -55,14 +62,26 @@ class CloudSet:
     belt_distance_m: NDArray[np.float64]
     belt_sd_m: NDArray[np.float64]
     row_share: NDArray[np.float64]
+    resting_sd_m: NDArray[np.float64]
     tuber: NDArray[np.str_]
     cultivar: NDArray[np.str_]
     season: NDArray[np.str_]
+    recording: NDArray[np.str_]
+    preset: NDArray[np.str_]
+    surface: NDArray[np.str_]
+    pose: NDArray[np.str_]
+    rim: NDArray[np.str_]
+    calibrated: NDArray[np.str_]
     points_in_cloud: NDArray[np.int64]
     refused: dict[str, int]
 
     def __len__(self) -> int:
         return len(self.weight_g)
+
+    @property
+    def level_sd_m(self) -> NDArray[np.float64]:
+        """(n,) how well the resting level is known: the belt's height and the offset below it."""
+        return np.hypot(self.belt_sd_m, self.resting_sd_m)
 
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
         """The chosen rows."""
@@ -125,7 +144,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     for path in labelled_files(folder):
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
-    for module in (labelled, prepare, sampling, volume):
+    for module in (labelled, prepare, sampling, outline, surface):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()[:16]
 
@@ -155,20 +174,7 @@ def _prepare_all(
         features=np.stack([features for *_, features, _ in kept]),
         points_in_cloud=np.array([count for *_, count in kept]),
         refused=dict(refused),
-        **{
-            name: np.array([getattr(view, name) for view in labels])
-            for name in (
-                "weight_g",
-                "volume_ml",
-                "length_mm",
-                "belt_distance_m",
-                "belt_sd_m",
-                "row_share",
-                "tuber",
-                "cultivar",
-                "season",
-            )
-        },
+        **{name: np.array([getattr(view, name) for view in labels]) for name in LABELS},
     )
 
 

@@ -7,9 +7,11 @@ layouts apart and yields `LabelledView`s of either.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +34,25 @@ PACK_KEYS = (
 )
 
 
+Resting = Literal["calibrated", "stated"]
+"""Which resting level a simulated view is read with: 'stated', as its user would state it, known or not; 'calibrated':
+where it was not calibrated, as it would have been. What nobody can know is no part of a training."""
+CALIBRATED_SD_M = 0.001
+OWN_ERROR = ("easy", "field")
+"""Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
+UNKNOWN = "unknown"
+WORDS = ("preset", "surface", "pose", "rim", "calibrated")
+"""What a pack of the simulator tells of a view's world, by key and as it stands there."""
+
+
 @dataclass(frozen=True, slots=True)
 class LabelledView:
     """One view with its truth. `depth` is a crop (uint16, zero outside the tuber); cx, cy count from its first pixel.
 
     `belt_sd_m` is how well the belt distance is known, standard deviation; a typical value where nothing says it.
+    `resting_offset_m` is how far its underside lies below the belt, as far as the line knows, to `resting_sd_m`.
+    `recording` is what it shares camera, belt and offset with; `preset`, `pose`, `rim` and `calibrated` (whether the
+    resting level was) are the simulator's, 'unknown' elsewhere.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
     ((N, 3), camera frame, metres) is given.
     """
@@ -57,6 +73,19 @@ class LabelledView:
     cultivar: str
     season: str
     row_share: float
+    resting_offset_m: float = 0.0
+    resting_sd_m: float = 0.0
+    recording: str = UNKNOWN
+    preset: str = UNKNOWN
+    surface: str = UNKNOWN
+    pose: str = UNKNOWN
+    rim: str = UNKNOWN
+    calibrated: str = UNKNOWN
+
+    @property
+    def level_sd_m(self) -> float:
+        """How well the resting level is known, the belt's height and the offset taken together."""
+        return math.hypot(self.belt_sd_m, self.resting_sd_m)
 
     def prepare(self) -> PreparedCloud:
         """The cleaned, level, centred cloud.
@@ -65,7 +94,9 @@ class LabelledView:
             RefusedCloud: the view cannot be weighed.
         """
         if self.cloud is not None:
-            return prepare_cloud(self.cloud, belt_distance_m=self.belt_distance_m)
+            return prepare_cloud(
+                self.cloud, belt_distance_m=self.belt_distance_m, resting_offset_m=self.resting_offset_m
+            )
         if self.depth is None:
             raise ValueError("a labelled view needs a depth crop or a cloud")
         return prepare_depth(
@@ -76,6 +107,7 @@ class LabelledView:
             cx=self.cx,
             cy=self.cy,
             belt_from_camera=straight_down_belt_from_camera(self.belt_distance_m),
+            resting_offset_m=self.resting_offset_m,
         )
 
 
@@ -96,7 +128,7 @@ def labelled_files(folder: Path) -> list[Path]:
     )
 
 
-def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[LabelledView]:
+def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = "calibrated") -> Iterator[LabelledView]:
     """All labelled views of `folder`, in a fixed order. `split` selects by splits.csv (3DPotatoTwin only).
 
     Raises:
@@ -105,13 +137,28 @@ def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[Labelle
     files = labelled_files(folder)
     if files[0].suffix == ".npz":
         for shard in files:
-            yield from _read_shard(shard)
+            yield from _read_shard(shard, resting)
     else:
         for view in read_twin(folder, split=split):
             yield _from_twin(view)
 
 
-def _read_shard(path: Path) -> Iterator[LabelledView]:
+def _stated_resting(data: dict[str, Any], count: int, resting: Resting) -> tuple[NDArray[np.float64], ...]:
+    """(offset, standard deviation), each (n,) metres, of n views of a pack; 0 where the pack knows no such thing."""
+    if "stated_resting_mm" not in data:
+        return np.zeros(count), np.zeros(count)
+    offset_m, sd_m = data["stated_resting_mm"] / 1e3, data["stated_resting_sd_mm"] / 1e3
+    if resting == "stated":
+        return offset_m, sd_m
+    error = np.array([np.random.default_rng([17, n]).standard_normal() for n in data["recording"].tolist()])
+    calibrated = data["calibrated"].astype(bool)
+    offset_m = np.where(calibrated, offset_m, data["resting_recording_mm"] / 1e3 + CALIBRATED_SD_M * error)
+    sd_m = np.where(calibrated, sd_m, CALIBRATED_SD_M)
+    own = np.isin(data["preset"], OWN_ERROR)
+    return np.where(own, 0.0, offset_m), np.where(own, 0.0, sd_m)
+
+
+def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
     try:
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
@@ -123,10 +170,13 @@ def _read_shard(path: Path) -> Iterator[LabelledView]:
     count = len(data["weight_g"])
     nothing = np.full(count, np.nan)
     belt_sd_m = data.get("belt_sd_m", np.full(count, TYPICAL_BELT_SD_M))
-    names = np.full(count, "unknown")
+    names = np.full(count, UNKNOWN)
     volume, length = data.get("volume_ml", nothing), data.get("length_mm", nothing)
     cultivar, season = data.get("cultivar", names), data.get("season", names)
     centre = data.get("v_centre", nothing)
+    resting_m, resting_sd_m = _stated_resting(data, count, resting)
+    recording = data.get("recording", names)
+    words = {key: data.get(key, names) for key in WORDS}
     for i in range(count):
         u0, v0, height, width = (int(value) for value in data["crop"][i])
         fx, fy, cx, cy = (float(value) for value in data["intrinsics"][i])
@@ -151,6 +201,10 @@ def _read_shard(path: Path) -> Iterator[LabelledView]:
             cultivar=str(cultivar[i]),
             season=str(season[i]),
             row_share=float(centre[i]) / rows,
+            resting_offset_m=float(resting_m[i]),
+            resting_sd_m=float(resting_sd_m[i]),
+            recording=f"{path.parent.name}/{recording[i]}",
+            **{key: str(values[i]) for key, values in words.items()},
         )
 
 

@@ -35,6 +35,8 @@ def weigh(
     *,
     belt_distance_m: float,
     belt_sd_mm: float = 2.0,
+    resting_offset_mm: float = 0.0,
+    resting_sd_mm: float = 0.0,
     weights: Path | None = None,
     depth_scale_m: float | None = None,
     intrinsics: Path | None = None,
@@ -52,6 +54,10 @@ def weigh(
         Camera to belt along the optical axis, metres.
     belt_sd_mm
         How well that distance is known, standard deviation in millimetres: it widens the intervals.
+    resting_offset_mm
+        How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags.
+    resting_sd_mm
+        How well that offset is known, standard deviation in millimetres.
     weights
         A .safetensors or an upstream .pth file; default: the shipped ones.
     depth_scale_m
@@ -73,8 +79,21 @@ def weigh(
         raise InputError(
             f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
         )
+    if not -20 <= resting_offset_mm <= 40:
+        raise InputError(
+            f"--resting-offset-mm is {resting_offset_mm}; allowed are -20 to 40 millimetres, positive below the belt"
+        )
+    if not 0 <= resting_sd_mm <= 20:
+        raise InputError(f"--resting-sd-mm is {resting_sd_mm}; allowed are 0 to 20 millimetres")
     torch.set_num_threads(1)
-    options = FileOptions(belt_distance_m, belt_sd_mm / 1000, depth_scale_m, intrinsics)
+    options = FileOptions(
+        belt_distance_m=belt_distance_m,
+        belt_sd_m=belt_sd_mm / 1000,
+        depth_scale_m=depth_scale_m,
+        intrinsics=intrinsics,
+        resting_offset_m=resting_offset_mm / 1000,
+        resting_sd_m=resting_sd_mm / 1000,
+    )
     results = weigh_files(paths, options, Weigher.load(weights))
     if json:
         sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
