@@ -1,4 +1,4 @@
-"""The belt's own relief: slats or cleats across it and soil that sticks to it."""
+"""The belt as a camera sees it: a relief of cleats and soil on a plane, or a web of rods."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from camera_sim.sim.rods import Rods, rods_depth
 from conveyor.geometry import Intrinsics
 
 TILE_MM = 1024
+CLEAT_WIDTH_MM = 12
 
 
 @dataclass(frozen=True, slots=True)
 class Belt:
     """A relief over the belt plane that repeats every 1.024 m along and across.
 
-    `relief_m`: (1024, 1024) float32 metres, rows along the travel, 1 mm apart.
+    Attributes:
+        relief_m: (1024, 1024) float32 metres, rows along the travel, 1 mm apart.
+        rods: instead of a solid belt; the relief is then that of the ground below them.
     """
 
     relief_m: NDArray[np.float32]
+    rods: Rods | None = None
 
 
 def draw_belt(rng: Generator, *, soil_m: float = 0.0012, cleat_m: float = 0.006, pitch_mm: int = 64) -> Belt:
@@ -33,25 +38,14 @@ def draw_belt(rng: Generator, *, soil_m: float = 0.0012, cleat_m: float = 0.006,
     soil = np.fft.ifft2(white * spectrum).real
     soil = np.maximum(soil / soil.std(), -0.8)
     soil = (soil - soil.mean()) * soil_m
-    along = np.arange(TILE_MM) % pitch_mm
-    cleats = np.where(along < 12, cleat_m * np.sin(np.pi * along / 12), 0.0)
+    cleats = cleat_heights_m(cleat_m, pitch_mm, np.arange(TILE_MM))
     return Belt((soil + cleats[:, None]).astype(np.float32))
 
 
-def draw_rods(
-    rng: Generator, *, soil_m: float = 0.0012, rod_m: float = 0.012, below_m: float = 0.040, pitch_mm: int = 32
-) -> Belt:
-    """A web of rods across the belt, their tops at z = 0; between them one sees what lies `below_m` under them.
-
-    Seen through a web the relief is not small: what is below is drawn where its ray meets the belt plane, so it shifts
-    with the belt and not against it, and the rods' flanks are not seen.
-    """
-    soil = draw_belt(rng, soil_m=soil_m, cleat_m=0.0).relief_m
-    radius_m = rod_m / 2
-    across = (np.arange(TILE_MM) % pitch_mm - pitch_mm / 2 + 0.5) / 1000
-    inside = np.abs(across) < radius_m
-    rod = np.where(inside, np.sqrt(np.maximum(radius_m**2 - across**2, 0.0)) - radius_m, 0.0)
-    return Belt(np.where(inside[:, None], rod[:, None] + 0.2 * soil, soil - below_m).astype(np.float32))
+def cleat_heights_m(cleat_m: float, pitch_mm: int, x_mm: NDArray[np.floating | np.integer]) -> NDArray[np.float64]:
+    """Height of cleats over the belt at `x_mm` along it; the first begins at 0."""
+    along = x_mm % pitch_mm
+    return np.where(along < CLEAT_WIDTH_MM, cleat_m * np.sin(np.pi * along / CLEAT_WIDTH_MM), 0.0)
 
 
 def belt_depth(
@@ -73,6 +67,12 @@ def belt_depth(
         u0, v0, height, width: the window.
     """
     pinhole = (intrinsics.fx, intrinsics.fy, intrinsics.cx - u0, intrinsics.cy - v0)
+    if belt.rods is not None:
+        web = (belt.rods.radius_m, belt.rods.pitch_m, belt.rods.below_m)
+        seen: NDArray[np.float32] = rods_depth(
+            belt.relief_m, web, belt_from_camera, float(travel_m), pinhole, height, width
+        )
+        return seen
     depth: NDArray[np.float32] = _depth(belt.relief_m, belt_from_camera, float(travel_m), pinhole, height, width)
     return depth
 

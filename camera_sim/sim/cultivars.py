@@ -9,6 +9,7 @@ are public: a gamma distribution on the Kitahime shape of 2023.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -41,6 +42,11 @@ class Stock:
     knobby: float = 0.05
     knobs_by_k: bool = False
     weight_gamma: tuple[float, float] | None = None
+
+    @property
+    def typical_axes_mm(self) -> tuple[float, float, float]:
+        """Medians of the sorted axes."""
+        return math.exp(self.mean[0]), math.exp(self.mean[1]), math.exp(self.mean[2])
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +129,15 @@ def _root(covariance: tuple[float, ...]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.cholesky(full), np.float64)
 
 
-def draw_recipe(rng: Generator) -> Recipe:
-    """One tuber from the mixture of all stocks, 16 to 624 g."""
+def draw_stock(rng: Generator) -> Stock:
+    """One of all stocks, as often as in the paper's set."""
     counts = np.array([stock.count for stock in STOCKS], float)
-    stock = STOCKS[int(rng.choice(len(STOCKS), p=counts / counts.sum()))]
+    return STOCKS[int(rng.choice(len(STOCKS), p=counts / counts.sum()))]
+
+
+def draw_recipe(rng: Generator, *, stock: Stock | None = None) -> Recipe:
+    """One tuber of `stock`, or from the mixture of all stocks, 16 to 624 g."""
+    stock = stock or draw_stock(rng)
     while True:
         log_lwd_k = np.asarray(stock.mean) + _root(stock.covariance) @ rng.standard_normal(4)
         axes = np.sort(np.exp(log_lwd_k[:3]))[::-1]

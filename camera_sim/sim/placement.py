@@ -7,6 +7,7 @@ not overlap there do not meet in space either.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,8 +55,13 @@ class Lane:
         """How far back the lane is taken."""
         return float(self._front.min())
 
-    def add(self, points: NDArray[np.float64], rng: Generator) -> tuple[float, float] | None:
-        """(x, y) to move a body by, whose vertices are `points` (V, 3) in metres; None where it is too wide."""
+    def add(
+        self, points: NDArray[np.float64], rng: Generator, *, settle: Callable[[float], float] | None = None
+    ) -> tuple[float, float] | None:
+        """(x, y) to move a body by, whose vertices are `points` (V, 3) in metres; None where it is too wide.
+
+        `settle`: from the foremost x that is free to where the body comes to rest, there or further back.
+        """
         packing = self._packing
         touches = rng.random() < packing.touching
         gap = CONTACT_M if touches else CONTACT_M + float(rng.exponential(packing.gap_m))
@@ -71,6 +77,8 @@ class Lane:
             x = self._slide(ahead, at, aside) - gap
             if x > best_x:
                 best_x, best_at = x, at
+        if settle is not None:
+            best_x = settle(best_x)
         self._front[best_at : best_at + len(ahead)] = best_x + behind
         y_low = float(np.floor(points[:, 1].min() / STRIP_M)) * STRIP_M
         return best_x, self._low + best_at * STRIP_M - y_low

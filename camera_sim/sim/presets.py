@@ -1,4 +1,4 @@
-"""How hard the simulated world is: 'easy', 'field' or a mix of both.
+"""How hard the simulated world is: 'easy', 'field', a mix of both, or 'harsh', drawn anew for each recording.
 
 The linear baseline of PointRAFT (box length, width, height) errs by 23.0 g on its 859 real tubers. On tubers of the
 same seasons and refitted 20 times by tuber, it errs by 24-26 g on 'easy' and 30-33 g on 'field' (true axes: 22.5 g):
@@ -31,6 +31,7 @@ class Preset:
         lift_sd_m: soil under the tuber and the belt's vibration.
         ragged_px: how far a mask's edge wanders from the tuber's.
         touched: share of views with a neighbour that touches.
+        mask_px: by how many pixels masks are too large (below 0: too small); each is as likely.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Preset:
     lift_sd_m: float
     ragged_px: float
     touched: float
+    mask_px: tuple[int, ...] = (-2, -1, 0, 0, 0, 1)
 
     @property
     def belt_sd_m(self) -> float:
@@ -52,7 +54,9 @@ class Preset:
 
 EASY_PRESET = Preset("easy", EASY, 0.0, 0.002, 3.0, 0.0005, 0.0003, 0.0005, 0.7, 0.15)
 FIELD_PRESET = Preset("field", FIELD, 0.25, 0.006, 30.0, 0.0020, 0.0015, 0.0010, 1.2, 0.30)
-PRESETS = {"easy": EASY_PRESET, "field": FIELD_PRESET}
+HARSH_PRESET = Preset("harsh", FIELD, 0.35, 0.006, 30.0, 0.0020, 0.0015, 0.0, 1.2, 0.30)
+"""Poses, masks and belt errors of harsh recordings; camera, belt and cultivar come from `conditions`."""
+PRESETS = {"easy": EASY_PRESET, "field": FIELD_PRESET, "harsh": HARSH_PRESET}
 
 
 def preset_named(name: str, rng: Generator) -> Preset:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from camera_sim.sim.scenes import Layout, SceneSettings, build_world, layout_named
+from camera_sim.sim.conditions import Conditions, StatedRest
+from camera_sim.sim.scenes import Layout, SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
 from camera_sim.sim.worse import worsened
 from conveyor.formats.folder.writer import FolderWriter, line_file
@@ -36,7 +38,7 @@ def record_scene(
     The truth goes to `<out>/truth.json`, or beside an MCAP file to `<name>.truth.json`.
     """
     layout = layout or layout_named(settings.scene)
-    settings = worsened(settings, faults)
+    settings = worsened(in_its_world(settings, layout), faults)
     world = build_world(settings, layout)
     sources = simulated_sources(world, settings, layout, masks=masks, color=color, faults=faults)
     truth = truth_of(world, sources) | {
@@ -45,11 +47,50 @@ def record_scene(
         "preset": settings.preset.name,
         "faults": list(faults),
     }
+    truth |= world_truth(settings, layout)
     cameras = [camera.name for camera in world.cameras]
     texts = {"truth.json": as_text(truth), "line.json": as_text(line_file(cameras, belt_speed_mps=settings.speed_mps))}
     write = {"folder": _write_folder, "mcap": _write_mcap, "ros2": _write_ros2}[target_format(out, form)]
     write(out, sources, texts, on_frame)
+    if settings.stated is not None:
+        _state_resting(out, cameras, settings.stated)
     return truth
+
+
+def world_truth(settings: SceneSettings, layout: Layout) -> dict[str, Any]:
+    """What truth.json says of the recording's world beside its load; nothing where tubers lie on a flat belt."""
+    if settings.stated is None:
+        return {}
+    truth: dict[str, Any] = {
+        "resting_offset_mm": round(1000 * settings.resting_m(layout), 3),
+        "stated_resting_offset_mm": round(1000 * settings.stated.offset_m, 3),
+        "resting_sd_mm": round(1000 * settings.stated.sd_m, 3),
+        "surface": settings.surface_of(layout).kind,
+    }
+    if settings.conditions is not None:
+        truth["world"] = _world_row(settings.conditions)
+    return truth
+
+
+def _world_row(conditions: Conditions) -> dict[str, Any]:
+    """The recording's own camera, belt and cultivar, in the units of `Conditions`."""
+    row = {name: value for name, value in asdict(conditions).items() if name not in ("preset", "stock", "resting_m")}
+    stock = conditions.stock
+    return row | {
+        "noise": asdict(conditions.preset.noise),
+        "cultivar": None if stock is None else stock.cultivar,
+        "season": None if stock is None else stock.season,
+    }
+
+
+def _state_resting(out: Path, cameras: list[str], stated: StatedRest) -> None:
+    """Add what the recording states of its resting offset to each camera.json; beside an MCAP file the truth has it."""
+    for path in (out / name / "camera.json" for name in cameras):
+        if path.is_file():
+            camera = json.loads(path.read_text(encoding="utf-8"))
+            camera["resting_offset_mm"] = round(1000 * stated.offset_m, 3)
+            camera["resting_sd_mm"] = round(1000 * stated.sd_m, 3)
+            path.write_text(as_text(camera), encoding="utf-8")
 
 
 def truth_path(out: Path) -> Path:

@@ -12,7 +12,8 @@ from camera_sim.sim.faults import plan_faults
 from camera_sim.sim.paint import paint_jpeg
 from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
-from camera_sim.sim.stereo import NoiseBank, measure
+from camera_sim.sim.stereo import Field, NoiseBank, measure
+from camera_sim.sim.stereo_faults import bowed_field
 from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
@@ -49,6 +50,7 @@ class SimulatedSource:
         )
         self._count = count
         self._bank: NoiseBank | None = None
+        self._bow: Field | None = None
 
     @property
     def description(self) -> CameraDescription:
@@ -90,7 +92,8 @@ class SimulatedSource:
             self._bank = NoiseBank(np.random.default_rng([*self._key, 1]), height=k.height, width=k.width)
         picture, time_s = self._faults.picture_of(seq), self.time_s(self._faults.time_of(seq))
         travel = self._world.motion.travel_at(time_s)
-        canvas = render(self._world, self._camera, self._world.motion.travel_at(self.time_s(picture)))
+        seen_s = self.time_s(picture)
+        canvas = render(self._world, self._camera, self._world.motion.travel_at(seen_s), time_s=seen_s)
         rng = np.random.default_rng([*self._key, 2, picture])
         depth = measure(
             (1 / canvas.inverse_depth).astype(np.float32),
@@ -99,6 +102,7 @@ class SimulatedSource:
             noise=settings.preset.noise,
             bank=self._bank,
             rng=rng,
+            bow=self._bowed(),
         )
         d = self.description
         if self._faults.dirt:
@@ -117,6 +121,13 @@ class SimulatedSource:
             mask=self._tuber_labels(canvas) if self._masks else None,
             color_jpeg=paint_jpeg(canvas, self._world, rng) if self._color else None,
         )
+
+    def _bowed(self) -> Field | None:
+        """(H, W) the camera's bowed field, the same in every frame."""
+        if self._bow is None and self._settings.preset.noise.bow_px > 0:
+            k = self._camera.optics.intrinsics
+            self._bow = bowed_field(np.random.default_rng([*self._key, 3]), height=k.height, width=k.width)
+        return self._bow
 
     def _dirty(self, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """(h, w) where dirt on the lens leaves no depth: round spots, the same in every frame."""

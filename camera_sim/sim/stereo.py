@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from camera_sim.sim.optics import BASELINE_M
+from camera_sim.sim.stereo_faults import add_islands, lost_outlines
 
 Field = NDArray[np.float32]
 STEPS_PER_PIXEL = 32
@@ -36,6 +37,11 @@ class StereoNoise:
         steep: disparity change per pixel above which matching tends to fail.
         bare: share of the surface without texture to match.
         steps_per_px: disparity is a multiple of one of so many parts of a pixel.
+        bow_px: standard deviation over the field of view of an error that is the same in every frame.
+        drift_px: what every disparity is too large by; scale: what every depth is too large by, as a factor.
+        islands: false matches per megapixel; island_px: by how much they are off, smallest and largest.
+        rim_px, outline_px: width of the holes at outlines, on the nearer and on the farther surface's side.
+        blob_px: size of the spots without texture, 2 or 5.
     """
 
     fine_px: float = 0.010
@@ -45,6 +51,24 @@ class StereoNoise:
     steep: float = 0.55
     bare: float = 0.0003
     steps_per_px: int = STEPS_PER_PIXEL
+    bow_px: float = 0.0
+    drift_px: float = 0.0
+    scale: float = 1.0
+    islands: float = 0.0
+    island_px: tuple[float, float] = (5.0, 50.0)
+    rim_px: float = 0.0
+    outline_px: float = 0.0
+    blob_px: int = 2
+
+    def seen_m(self, depth_m: float, *, focal_px: float) -> float:
+        """What this camera takes the depth `depth_m` for, without noise, metres."""
+        strength = focal_px * BASELINE_M
+        return self.scale * strength / (strength / depth_m + self.drift_px)
+
+    def true_m(self, seen_m: float, *, focal_px: float) -> float:
+        """The depth that it takes for `seen_m`, metres."""
+        strength = focal_px * BASELINE_M
+        return strength / (self.scale * strength / seen_m - self.drift_px)
 
 
 EASY = StereoNoise()
@@ -82,10 +106,13 @@ def measure(
     bank: NoiseBank,
     rng: Generator,
     left_border: bool = True,
+    bow: Field | None = None,
 ) -> NDArray[np.uint16]:
     """(h, w) uint16 depth in units of `unit_m`, 0 = none, from the true depth (h, w) in metres.
 
-    `left_border`: the image's first column is the sensor's; what lies left of it is missing in the right imager.
+    Args:
+        left_border: the image's first column is the sensor's; what lies left of it is missing in the right imager.
+        bow: (h, w) float32 of unit variance, the part of the camera's bowed field that is looked at.
     """
     height, width = depth_m.shape
     strength = focal_px * BASELINE_M
@@ -98,8 +125,14 @@ def measure(
     d += np.float32(noise.mid_px) * bank.take(bank.mid, rng, height, width) * worse
     d += np.float32(noise.smooth_px) * bank.take(bank.smooth, rng, height, width)
     texture = bank.take(bank.texture, rng, height, width)
-    bare = bank.take(bank.texture, rng, height, width)
-    return _to_units(
+    bare = bank.take(bank.edge if noise.blob_px > 2 else bank.texture, rng, height, width)
+    if bow is not None:
+        d += np.float32(noise.bow_px) * bow
+    if noise.drift_px:
+        d += np.float32(noise.drift_px)
+    if noise.islands > 0:
+        add_islands(d, per_megapixel=noise.islands, offset_px=noise.island_px, rng=rng)
+    out = _to_units(
         d,
         true,
         steepness,
@@ -107,10 +140,14 @@ def measure(
         bare,
         float(noise.steep),
         float(_upper_quantile(noise.bare)),
-        strength / unit_m,
+        noise.scale * strength / unit_m,
         left_border,
         float(noise.steps_per_px),
     )
+    if noise.rim_px > 0 or noise.outline_px > 0:
+        wander = bank.take(bank.edge, rng, height, width)
+        out[lost_outlines(true, wander, near_px=noise.rim_px, far_px=noise.outline_px)] = 0
+    return np.asarray(out, np.uint16)
 
 
 def _wander(true: Field, edge_px: float, bank: NoiseBank, rng: Generator) -> Field:

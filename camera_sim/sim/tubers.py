@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
@@ -46,12 +46,12 @@ class _Form:
     taper: float
 
 
-def draw_tuber(rng: Generator, *, level: int = LEVEL) -> Tuber:
-    """A tuber from the real distributions, its fullness solved so that the mesh has the drawn volume.
+def draw_tuber(rng: Generator, *, level: int = LEVEL, stock: Stock | None = None) -> Tuber:
+    """A tuber of `stock`, or of any, from the real distributions, its fullness solved so that it has the drawn volume.
 
     Where no allowed fullness reaches that volume the nearest one is taken and all axes are scaled alike.
     """
-    return grow(draw_recipe(rng), rng, level=level)
+    return grow(draw_recipe(rng, stock=stock), rng, level=level)
 
 
 def grow(recipe: Recipe, rng: Generator, *, level: int = LEVEL) -> Tuber:
@@ -72,6 +72,14 @@ def grow(recipe: Recipe, rng: Generator, *, level: int = LEVEL) -> Tuber:
     volume_ml = volume(vertices, faces) * 1e6
     length, width, depth = (scale * axis for axis in recipe.axes_mm)
     return Tuber(vertices, faces, (length, width, depth), volume_ml, volume_ml * recipe.density_g_ml, recipe.stock)
+
+
+def with_jacket(tuber: Tuber, rng: Generator, *, mean_m: float) -> Tuber:
+    """The tuber under a patchy layer of soil of about that mean thickness; sizes and weight stay its own."""
+    far = np.linalg.norm(tuber.vertices, axis=1, keepdims=True)
+    patches = smooth_relief(rng, tuber.vertices / far, rms=0.8, finest=9.0)
+    thickness = mean_m * np.maximum(1 + patches, 0.0)
+    return replace(tuber, vertices=tuber.vertices * (1 + thickness[:, None] / far))
 
 
 def smooth_relief(

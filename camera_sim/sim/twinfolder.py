@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camera_sim.sim.optics import Optics
-from camera_sim.sim.views import SimulatedView, ViewPlan, ViewSimulator
+from camera_sim.sim.view_setting import ViewPlan
+from camera_sim.sim.views import SimulatedView, ViewSimulator
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin import BELT_DISTANCES_M
 from conveyor.geometry import deproject

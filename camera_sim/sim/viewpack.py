@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from camera_sim.sim.views import SimulatedView, ViewPlan, ViewSimulator
+from camera_sim.sim.view_setting import ViewPlan
+from camera_sim.sim.views import SimulatedView, ViewSimulator
 from conveyor import __version__
 
 VIEWS_PER_SHARD = 1500
@@ -25,6 +26,12 @@ def write_view_pack(
     `belt_distance_m` and `belt_sd_m` (how well it is known), `weight_g`, `volume_ml`, `length_mm`, `width_mm`,
     `height_mm` (sorted caliper axes), `tuber` (the same number in all views of a tuber), `cultivar`, `season`,
     `v_centre`.
+
+    Of its recording: `recording` (its number), `preset`, `surface`, `resting_recording_mm` (how far ordinary undersides
+    lie below the belt plane that the camera sees), `stated_resting_mm` and `stated_resting_sd_mm` (what a user would
+    state of it), `calibrated` (after a calibration), `local_noise_px` (NaN: as the preset has it). Of the view:
+    `resting_mm` (how far this underside lies below that plane), `pose` with `shortest_deg` and `longest_deg` (of those
+    axes to the vertical), `rim` with `rim_lost` and `skin_lost` (see `view_truth`).
     """
     out.mkdir(parents=True, exist_ok=True)
     simulator = ViewSimulator(plan)
@@ -73,4 +80,27 @@ def pack_views(views: list[SimulatedView]) -> dict[str, Any]:
         "cultivar": np.array([view.tuber.stock.cultivar for view in views]),
         "season": np.array([view.tuber.stock.season for view in views]),
         "v_centre": np.array([view.v_centre for view in views]),
+        **_world_arrays(views),
+    }
+
+
+def _world_arrays(views: list[SimulatedView]) -> dict[str, Any]:
+    """What each view shares with its recording, how its tuber lies and how much of its picture was lost."""
+    worlds, stated = [view.conditions for view in views], [view.stated for view in views]
+    return {
+        "recording": np.array([view.recording for view in views], np.int64),
+        "preset": np.array([world.preset.name for world in worlds]),
+        "surface": np.array([world.surface.kind for world in worlds]),
+        "local_noise_px": np.array([np.nan if world.local_px is None else world.local_px for world in worlds]),
+        "resting_mm": 1000 * np.array([view.resting_m for view in views]),
+        "resting_recording_mm": 1000 * np.array([world.resting_m for world in worlds]),
+        "stated_resting_mm": 1000 * np.array([rest.offset_m for rest in stated]),
+        "stated_resting_sd_mm": 1000 * np.array([rest.sd_m for rest in stated]),
+        "calibrated": np.array([rest.calibrated for rest in stated]),
+        "pose": np.array([view.pose.kind for view in views]),
+        "shortest_deg": np.array([view.pose.shortest_deg for view in views]),
+        "longest_deg": np.array([view.pose.longest_deg for view in views]),
+        "rim": np.array([view.rim.kind for view in views]),
+        "rim_lost": np.array([view.rim.lost for view in views]),
+        "skin_lost": np.array([view.rim.skin_lost for view in views]),
     }

@@ -10,34 +10,32 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from camera_sim.sim.belt import Belt, belt_depth, draw_belt
+from camera_sim.sim.belt import belt_depth, draw_belt
+from camera_sim.sim.conditions import Conditions, StatedRest, draw_tuber_of
+from camera_sim.sim.lowering import settled, underside_of
 from camera_sim.sim.meshes import Vertices, inverse_rigid, rotation_about
-from camera_sim.sim.optics import BASELINE_M, D405_848, D405_1280, Optics
+from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.poses import free_rotation, rest_on_belt
-from camera_sim.sim.presets import Preset, initial_rotation, preset_named
+from camera_sim.sim.presets import initial_rotation
 from camera_sim.sim.raster import Canvas, Window, canvas_over, draw
 from camera_sim.sim.stereo import NoiseBank, measure
 from camera_sim.sim.tubers import Tuber, draw_tuber
+from camera_sim.sim.view_setting import (
+    TUBERS_PER_RECORDING,
+    Recording,
+    Setting,
+    ViewPlan,
+    draw_recording,
+    draw_setting,
+)
+from camera_sim.sim.view_truth import Pose, Rim, pose_of, rim_of
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera, transform_points
 
-SEASON_DISTANCES_M = (0.345, 0.460, 0.465)
-TUBERS_PER_SESSION = 25
+__all__ = ["SimulatedView", "ViewPlan", "ViewSimulator"]
+
 MARGIN_PX = 14
 MAX_CROP_PX = 460
-
-
-@dataclass(frozen=True, slots=True)
-class ViewPlan:
-    """What a pack of views shall hold. `camera` 'mixed' is either D405 resolution, `preset` may be 'mixed'."""
-
-    seed: int
-    views_per_tuber: int
-    preset: str
-    optics: Optics | None = None
-    distances_m: tuple[float, ...] = SEASON_DISTANCES_M
-    distance_range_m: tuple[float, float] | None = None
-    fine_unit_share: float = 0.0
-    clipped_share: float = 0.03
+FEWEST_PX = 150
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +45,9 @@ class SimulatedView:
     Attributes:
         depth: (h, w) uint16 in units of `depth_scale_m`, zero outside the mask; u0, v0 its place in the image.
         belt_distance_m: as the system believes it; the truth differs by the preset's error, of sd `belt_sd_m`.
+        resting_m: how far its underside truly lies below the belt plane that the camera sees, here and now.
+        pose, rim: how it lies and how much of its silhouette was lost.
+        recording, conditions, stated: what it shares with the other tubers of its recording.
     """
 
     depth: NDArray[np.uint16]
@@ -59,19 +60,26 @@ class SimulatedView:
     v_centre: float
     tuber_id: int
     tuber: Tuber
+    resting_m: float
+    pose: Pose
+    rim: Rim
+    recording: int
+    conditions: Conditions
+    stated: StatedRest
 
 
 @dataclass(frozen=True, slots=True)
-class _Setting:
-    """The camera over the belt during one tuber's ride."""
+class _Lying:
+    """A tuber as it lies for one view.
 
-    preset: Preset
-    optics: Optics
-    unit_m: float
-    true_distance_m: float
-    believed_distance_m: float
-    belt: Belt
-    bank: NoiseBank
+    Attributes:
+        body: (V, 3) metres in belt coordinates, its box centred on x = y = 0; faces as the tuber's.
+        settled_x_m: where along the belt's own period it lies; None where that does not matter.
+    """
+
+    body: Vertices
+    pose: Pose
+    settled_x_m: float | None
 
 
 class ViewSimulator:
@@ -81,77 +89,125 @@ class ViewSimulator:
         self._plan = plan
         rng = np.random.default_rng([plan.seed, 0])
         self._bank = NoiseBank(rng, height=MAX_CROP_PX, width=MAX_CROP_PX)
+        self._recording: Recording | None = None
         self._belts = [draw_belt(rng, soil_m=soil, cleat_m=cleat) for soil, cleat in ((8e-4, 0.0), (2e-3, 0.007))]
 
     def views(self, tuber_id: int) -> Iterator[SimulatedView]:
         """The views of tuber `tuber_id`; views in which nothing is left of it are not made, so there may be fewer."""
         plan = self._plan
         rng = np.random.default_rng([plan.seed, 1, tuber_id])
-        session = np.random.default_rng([plan.seed, 2, tuber_id // TUBERS_PER_SESSION])
-        tuber = draw_tuber(rng)
-        setting = self._setting(rng, float(session.standard_normal()))
+        recording = self._recording_of(tuber_id)
+        tuber = draw_tuber_of(recording.conditions, rng) if recording.conditions else draw_tuber(rng)
+        setting = draw_setting(plan, recording, self._belts, rng)
         preset = setting.preset
         start = initial_rotation(tuber.vertices, preset, rng)
         roll_axis = rotation_about(np.array([0.0, 0.0, 1.0]), rng.uniform(0, 2 * np.pi))[:, 0]
         roll_rad = np.radians(preset.roll_sd_deg) * float(np.clip(rng.standard_normal(), -2, 2))
         lift_m = abs(preset.lift_sd_m * rng.standard_normal())
+        if setting.conditions.scatter_m > 0:
+            lift_m += setting.conditions.scatter_m * float(rng.standard_normal())
         across = rng.uniform(-0.8, 0.8)
         shares = np.sort(_ride(rng, plan.views_per_tuber))
         for share in shares:
             rotation = rotation_about(roll_axis, roll_rad * share) @ start
-            body = rest_on_belt(tuber.vertices, rotation) + np.array([0.0, 0.0, lift_m])
-            view = self._view(tuber, tuber_id, body, setting, share, across, rng)
+            lying = _lie(tuber, rotation, setting, rng, lift_m=lift_m)
+            view = self._view(tuber, tuber_id, lying, setting, share, across, rng)
             if view is not None:
                 yield view
 
-    def _setting(self, rng: Generator, session_error: float) -> _Setting:
-        plan = self._plan
-        preset = preset_named(plan.preset, rng)
-        optics = plan.optics or (D405_1280 if rng.random() < 0.6 else D405_848)
-        distance = float(rng.choice(np.asarray(plan.distances_m)))
-        if plan.distance_range_m is not None and rng.random() < 0.4:
-            distance = float(rng.uniform(*plan.distance_range_m))
-        error = preset.belt_error_session_m * session_error + preset.belt_error_tuber_m * float(rng.standard_normal())
-        unit_m = 1e-4 if rng.random() < plan.fine_unit_share else 1e-3
-        belt = self._belts[int(rng.random() < 0.6)]
-        return _Setting(preset, optics, unit_m, distance - error, distance, belt, self._bank)
+    def _recording_of(self, tuber_id: int) -> Recording:
+        number = tuber_id // TUBERS_PER_RECORDING
+        if self._recording is None or self._recording.number != number:
+            self._recording = draw_recording(self._plan, number)
+        return self._recording
 
     def _view(
         self,
         tuber: Tuber,
         tuber_id: int,
-        body: Vertices,
-        setting: _Setting,
+        lying: _Lying,
+        setting: Setting,
         share: float,
         across: float,
         rng: Generator,
     ) -> SimulatedView | None:
-        intrinsics = setting.optics.intrinsics
-        belt_from_camera = straight_down_belt_from_camera(setting.true_distance_m)
+        intrinsics, conditions = setting.optics.intrinsics, setting.conditions
+        heave_m = conditions.heave_m * np.sin(rng.uniform(0, 2 * np.pi)) if conditions.heave_m > 0 else 0.0
+        belt_from_camera = straight_down_belt_from_camera(setting.true_distance_m - heave_m)
         camera_from_belt = inverse_rigid(belt_from_camera)
-        place = _place(body, setting, share, across, clipped=rng.random() < self._plan.clipped_share)
-        points = transform_points(camera_from_belt, body + place)
+        place = _place(lying.body, setting, share, across, clipped=rng.random() < self._plan.clipped_share)
+        place[2] = _ground_m(setting, lying, place)
+        points = transform_points(camera_from_belt, lying.body + place)
         window = _window_around(points, intrinsics)
         if window is None:
             return None
-        canvas = _background(setting, window, belt_from_camera, float(rng.uniform(0, 1)))
+        travel_m = float(rng.uniform(0, 1))
+        if lying.settled_x_m is not None:
+            travel_m = float(place[0]) - lying.settled_x_m
+        canvas = _background(setting, window, belt_from_camera, travel_m)
         draw(canvas, points, tuber.faces, intrinsics=intrinsics, instance=1)
         if rng.random() < setting.preset.touched:
-            _draw_neighbour(canvas, body + place, camera_from_belt, intrinsics, rng)
-        depth = measure(
-            (1 / canvas.inverse_depth).astype(np.float32),
-            focal_px=intrinsics.fx,
-            unit_m=setting.unit_m,
-            noise=setting.preset.noise,
-            bank=setting.bank,
-            rng=rng,
-            left_border=window.u0 == 0,
-        )
+            _draw_neighbour(canvas, lying.body + place, camera_from_belt, intrinsics, rng)
+        depth = _measured(canvas, setting, self._bank, rng)
         floor_m = rng.uniform(0.004, 0.009) if rng.random() < 0.7 else -1.0
-        mask = _ragged_mask(canvas.ids == 1, setting, rng)
+        silhouette = canvas.ids == 1
+        mask = _ragged_mask(silhouette, setting, self._bank, rng)
         mask &= depth > 0
-        mask &= depth < (setting.true_distance_m - floor_m) / setting.unit_m
-        return _cropped(np.where(mask, depth, 0).astype(np.uint16), window, setting, tuber, tuber_id, points)
+        mask &= depth < (setting.seen_distance_m - floor_m) / setting.unit_m
+        if np.count_nonzero(mask) < FEWEST_PX:
+            return None
+        crop, u0, v0 = _cropped(np.where(mask, depth, 0).astype(np.uint16), window)
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
+        return SimulatedView(
+            depth=crop,
+            u0=u0,
+            v0=v0,
+            depth_scale_m=setting.unit_m,
+            intrinsics=intrinsics,
+            belt_distance_m=setting.believed_distance_m,
+            belt_sd_m=setting.preset.belt_sd_m,
+            v_centre=float(intrinsics.fy * middle[1] / middle[2] + intrinsics.cy),
+            tuber_id=tuber_id,
+            tuber=tuber,
+            resting_m=-float(lying.body[:, 2].min() + place[2]),
+            pose=lying.pose,
+            rim=rim_of(mask, silhouette),
+            recording=setting.recording.number,
+            conditions=conditions,
+            stated=setting.recording.stated,
+        )
+
+
+def _lie(tuber: Tuber, rotation: Vertices, setting: Setting, rng: Generator, *, lift_m: float) -> _Lying:
+    """The tuber put down in its pose where it settles, `lift_m` above that."""
+    body = rest_on_belt(tuber.vertices, rotation) + np.array([0.0, 0.0, lift_m])
+    support, settled_x = setting.conditions.surface.support, None
+    if support is not None:
+        settled_x, z = settled(underside_of(body, tuber.faces), support, rng.uniform(0, support.period_m))
+        body[:, 2] += z + lift_m
+    body[:, 2] -= setting.conditions.beyond_m
+    return _Lying(body, pose_of(rotation), settled_x)
+
+
+def _ground_m(setting: Setting, lying: _Lying, place: NDArray[np.float64]) -> float:
+    """Height of the belt under the tuber over its plane, where the belt sags."""
+    return float(setting.conditions.surface.height_m(place[1])) if setting.conditions.surface.sag_m > 0 else 0.0
+
+
+def _measured(canvas: Canvas, setting: Setting, bank: NoiseBank, rng: Generator) -> NDArray[np.uint16]:
+    window, bow = canvas.window, setting.bow
+    if bow is not None:
+        bow = bow[window.v0 : window.v0 + window.height, window.u0 : window.u0 + window.width]
+    return measure(
+        (1 / canvas.inverse_depth).astype(np.float32),
+        focal_px=setting.optics.intrinsics.fx,
+        unit_m=setting.unit_m,
+        noise=setting.preset.noise,
+        bank=bank,
+        rng=rng,
+        left_border=window.u0 == 0,
+        bow=bow,
+    )
 
 
 def _ride(rng: Generator, views: int) -> NDArray[np.float64]:
@@ -159,7 +215,7 @@ def _ride(rng: Generator, views: int) -> NDArray[np.float64]:
     return np.linspace(-1, 1, views) if views >= 31 else rng.uniform(-1, 1, views)
 
 
-def _place(body: Vertices, setting: _Setting, share: float, across: float, *, clipped: bool) -> NDArray[np.float64]:
+def _place(body: Vertices, setting: Setting, share: float, across: float, *, clipped: bool) -> NDArray[np.float64]:
     """Where on the belt the tuber lies so that it is whole in the image at its row; or reaches over the border."""
     k = setting.optics.intrinsics
     top = float(body[:, 2].max())
@@ -183,7 +239,7 @@ def _window_around(points: Vertices, k: Intrinsics) -> Window | None:
     return Window(u0, v0, height, width) if height > 8 and width > 8 else None
 
 
-def _background(setting: _Setting, window: Window, belt_from_camera: NDArray[np.float64], travel_m: float) -> Canvas:
+def _background(setting: Setting, window: Window, belt_from_camera: NDArray[np.float64], travel_m: float) -> Canvas:
     depth = belt_depth(
         setting.belt,
         intrinsics=setting.optics.intrinsics,
@@ -212,15 +268,15 @@ def _draw_neighbour(
     draw(canvas, transform_points(camera_from_belt, shifted), other.faces, intrinsics=k, instance=2)
 
 
-def _ragged_mask(mask: NDArray[np.bool_], setting: _Setting, rng: Generator) -> NDArray[np.bool_]:
+def _ragged_mask(mask: NDArray[np.bool_], setting: Setting, bank: NoiseBank, rng: Generator) -> NDArray[np.bool_]:
     """The mask as a segmenter gives it: its edge wanders, and it is a little too large or too small."""
     height, width = mask.shape
     columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     ragged = np.float32(setting.preset.ragged_px)
-    du = columns + ragged * setting.bank.take(setting.bank.edge, rng, height, width)
-    dv = rows + ragged * setting.bank.take(setting.bank.edge, rng, height, width)
+    du = columns + ragged * bank.take(bank.edge, rng, height, width)
+    dv = rows + ragged * bank.take(bank.edge, rng, height, width)
     out = cv2.remap(mask.astype(np.uint8), du, dv, cv2.INTER_NEAREST)
-    change = int(rng.choice(np.array([-2, -1, 0, 0, 0, 1])))
+    change = int(rng.choice(np.array(setting.preset.mask_px)))
     if change:
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(change) + 1,) * 2)
         out = cv2.erode(out, kernel) if change < 0 else cv2.dilate(out, kernel)
@@ -234,24 +290,8 @@ def _largest_part(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
 
 
-def _cropped(
-    depth: NDArray[np.uint16], window: Window, setting: _Setting, tuber: Tuber, tuber_id: int, points: Vertices
-) -> SimulatedView | None:
+def _cropped(depth: NDArray[np.uint16], window: Window) -> tuple[NDArray[np.uint16], int, int]:
+    """What is not zero, and its first column and row in the image."""
     rows, columns = np.nonzero(depth.any(axis=1))[0], np.nonzero(depth.any(axis=0))[0]
-    if np.count_nonzero(depth) < 150:
-        return None
     v0, u0 = int(rows[0]), int(columns[0])
-    k = setting.optics.intrinsics
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    return SimulatedView(
-        depth=np.ascontiguousarray(depth[v0 : rows[-1] + 1, u0 : columns[-1] + 1]),
-        u0=window.u0 + u0,
-        v0=window.v0 + v0,
-        depth_scale_m=setting.unit_m,
-        intrinsics=k,
-        belt_distance_m=setting.believed_distance_m,
-        belt_sd_m=setting.preset.belt_sd_m,
-        v_centre=float(k.fy * middle[1] / middle[2] + k.cy),
-        tuber_id=tuber_id,
-        tuber=tuber,
-    )
+    return np.ascontiguousarray(depth[v0 : rows[-1] + 1, u0 : columns[-1] + 1]), window.u0 + u0, window.v0 + v0

@@ -77,13 +77,26 @@ class CameraPose:
 
 
 @dataclass(frozen=True, slots=True)
+class Heave:
+    """Belt and load that move up and down together under the cameras."""
+
+    amplitude_m: float
+    frequency_hz: float
+
+    def height_m(self, time_s: float) -> float:
+        """How far they are above their mean at `time_s`."""
+        return self.amplitude_m * float(np.sin(2 * np.pi * self.frequency_hz * time_s))
+
+
+@dataclass(frozen=True, slots=True)
 class World:
-    """All that is needed to render any frame."""
+    """All that is needed to render any frame; `heave` None: the belt runs level."""
 
     bodies: tuple[Body, ...]
     belt: Belt
     motion: BeltMotion
     cameras: tuple[CameraPose, ...]
+    heave: Heave | None = None
 
 
 def mount(
@@ -98,14 +111,18 @@ def mount(
     return belt_from_camera
 
 
-def render(world: World, camera: CameraPose, travel_m: float) -> Canvas:
-    """What `camera` truly sees when the belt has moved `travel_m`; ids are the bodies'."""
+def render(world: World, camera: CameraPose, travel_m: float, *, time_s: float = 0.0) -> Canvas:
+    """What `camera` truly sees when the belt has moved `travel_m`; ids are the bodies'. `time_s`: of the heave."""
     k = camera.optics.intrinsics
-    camera_from_belt = inverse_rigid(camera.belt_from_camera)
+    belt_from_camera = camera.belt_from_camera
+    if world.heave is not None:
+        belt_from_camera = belt_from_camera.copy()
+        belt_from_camera[2, 3] -= world.heave.height_m(time_s)
+    camera_from_belt = inverse_rigid(belt_from_camera)
     depth = belt_depth(
         world.belt,
         intrinsics=k,
-        belt_from_camera=camera.belt_from_camera,
+        belt_from_camera=belt_from_camera,
         travel_m=travel_m,
         u0=0,
         v0=0,

@@ -9,7 +9,7 @@ from typing import Literal
 
 from conveyor.errors import InputError
 
-Preset = Literal["field", "easy", "mixed"]
+Preset = Literal["field", "easy", "harsh", "mixed", "worlds"]
 TargetFormat = Literal["auto", "folder", "mcap", "ros2"]
 ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
 
@@ -39,7 +39,8 @@ def simulate_views(
     seed
         The same seed gives the same views.
     preset
-        How hard: tubers at rest (easy), in any pose with belt height errors (field), or half and half.
+        How hard: tubers at rest (easy), in any pose with belt height errors (field), cameras and belts as bad as real
+        ones get, drawn by recording (harsh), easy and field by tuber (mixed) or all three by recording (worlds).
     camera
         Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
     distances
@@ -111,7 +112,10 @@ def simulate(
     fps: float = 30.0,
     speed_mps: float = 0.31,
     belt_distance_m: float = 0.46,
-    preset: Literal["easy", "field"] = "easy",
+    preset: Literal["easy", "field", "harsh"] = "easy",
+    resting_offset_mm: float = 0.0,
+    heave_mm: float = 0.0,
+    heave_hz: float = 4.0,
     depth_unit_mm: Literal["1", "0.1"] = "1",
     travel: bool = True,
     masks: bool = False,
@@ -143,7 +147,14 @@ def simulate(
     belt_distance_m
         Camera to belt along the optical axis, metres.
     preset
-        Tubers at rest and a good camera (easy), or odd poses, belt height errors and a worse one (field).
+        Tubers at rest and a good camera (easy), odd poses, belt height errors and a worse one (field), or a camera, a
+        belt and a cultivar drawn from all that real ones showed (harsh).
+    resting_offset_mm
+        How far the whole load lies below the belt plane that the camera sees, beside what rods and cleats do.
+    heave_mm
+        How far belt and load swing up and down about their mean.
+    heave_hz
+        How often a second they do.
     depth_unit_mm
         Unit of the depth images.
     travel
@@ -174,6 +185,7 @@ def simulate(
 
     layout, faults = layout_named(scene), check_faults(inject)
     _check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
+    _check_level(resting_offset_mm=resting_offset_mm, heave_mm=heave_mm, heave_hz=heave_hz)
     _make_room(out, force=force)
     settings = SceneSettings(
         scene=scene,
@@ -186,6 +198,9 @@ def simulate(
         belt_distance_m=belt_distance_m,
         unit_m=float(depth_unit_mm) / 1000,
         given_travel=travel,
+        resting_offset_mm=resting_offset_mm,
+        heave_mm=heave_mm,
+        heave_hz=heave_hz,
     )
     with Progress(console=console()) as progress:
         task = progress.add_task("frames", total=None)
@@ -207,12 +222,24 @@ def simulate(
 
 
 def _check_ranges(*, tubers: int, fps: float, speed_mps: float, belt_distance_m: float) -> None:
-    for name, value, low, high in (
+    _refuse_beyond(
         ("--tubers", tubers, 1, 100_000),
         ("--fps", fps, 1, 120),
         ("--speed-mps", speed_mps, 0.01, 5),
         ("--belt-distance-m", belt_distance_m, 0.25, 1.5),
-    ):
+    )
+
+
+def _check_level(*, resting_offset_mm: float, heave_mm: float, heave_hz: float) -> None:
+    _refuse_beyond(
+        ("--resting-offset-mm", resting_offset_mm, -20, 30),
+        ("--heave-mm", heave_mm, 0, 30),
+        ("--heave-hz", heave_hz, 0.1, 20),
+    )
+
+
+def _refuse_beyond(*limits: tuple[str, float, float, float]) -> None:
+    for name, value, low, high in limits:
         if not low <= value <= high:
             raise InputError(f"{name} {value:g}: allowed is {low:g} to {high:g}")
 
