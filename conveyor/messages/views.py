@@ -85,7 +85,7 @@ class View(Message):
         if not len(points):
             return replace(self, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m)
         # Single flying pixels are left out of extent and height.
-        along_m = float(np.diff(np.quantile(points[:, 0], [0.005, 0.995]))[0])
+        along_m = float(np.diff(np.quantile(points[:, 0], [0.001, 0.999]))[0])
         offset_m, sd_m = level.under(along_m=along_m, top_m=float(np.quantile(points[:, 2], 0.99)))
         return replace(self, resting_offset_m=offset_m, resting_sd_m=sd_m)
 

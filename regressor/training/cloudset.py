@@ -125,17 +125,38 @@ def load_cloudset(
     Raises:
         InputError: nothing usable in the folder.
     """
-    key = _fingerprint(folder, split, keep)
-    file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
-    if file is not None and file.is_file():
-        data = _read_cache(file)
-    else:
-        data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
-        if file is not None:
-            _write_cache(file, data)
+    # Each pack has a cache of its own: one more pack prepares only itself.
+    packs = sorted({path.parent for path in labelled_files(folder)}) if split is None else [folder]
+    packs = packs if all(any(pack.glob("views-*.npz")) for pack in packs) else [folder]
+    data = joined([_load_pack(pack, split, cache, keep, progress) for pack in packs])
     if max_views is not None and max_views < len(data):
         data = data.subset(np.linspace(0, len(data) - 1, max_views).astype(np.int64))
     return data
+
+
+def _load_pack(
+    folder: Path, split: str | None, cache: Path | None, keep: int, progress: Callable[[int], None] | None
+) -> CloudSet:
+    key = _fingerprint(folder, split, keep)
+    file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
+    if file is not None and file.is_file():
+        return _read_cache(file)
+    data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
+    if file is not None:
+        _write_cache(file, data)
+    return data
+
+
+def joined(sets: list[CloudSet]) -> CloudSet:
+    """One set after the other; there must be one."""
+    if len(sets) == 1:
+        return sets[0]
+    names = [f.name for f in fields(CloudSet) if f.name != "refused"]
+    refused: Counter[str] = Counter()
+    for part in sets:
+        refused.update(part.refused)
+    columns = {name: np.concatenate([getattr(part, name) for part in sets]) for name in names}
+    return CloudSet(**columns, refused=dict(refused))
 
 
 def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
