@@ -82,3 +82,8 @@ def ellipse_sink_m(half_along_m: float, half_height_m: float, *, rod_radius_m: f
 
 def _normal(a: float, c: float, t: float) -> float:
     return math.hypot(c * math.sin(t), a * math.cos(t))
+
+
+POTATOTWIN = RestingLevel(offset_m=0.0055, sd_m=0.0015)
+"""Of the recordings of 3DPotatoTwin, measured on its tuber R9-9: 5.4 mm with an sd of 0.95 mm over the optima of 150
+starts (regressor/studies/resting.py, seed 0). The sd here says a little more: it is one tuber of one season."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.twin import TwinView, is_twin, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
+from conveyor.resting import POTATOTWIN, RestingLevel
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 
 PACK_KEYS = (
@@ -139,8 +140,9 @@ def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = 
         for shard in files:
             yield from _read_shard(shard, resting)
     else:
+        level = twin_resting(folder)
         for view in read_twin(folder, split=split):
-            yield _from_twin(view)
+            yield _from_twin(view, level)
 
 
 def _stated_resting(data: dict[str, Any], count: int, resting: Resting) -> tuple[NDArray[np.float64], ...]:
@@ -208,7 +210,18 @@ def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
         )
 
 
-def _from_twin(view: TwinView) -> LabelledView:
+def twin_resting(folder: Path) -> RestingLevel:
+    """The resting level of a folder in the layout of 3DPotatoTwin: measured for that data set, on the belt elsewhere.
+
+    A simulated folder, and a crop whose table says where its camera hung, are not that data set.
+    """
+    simulated = folder / "1_rgbd" / "0_camera_intrinsics" / "simulated_camera_intrinsic.json"
+    with (folder / "ground_truth.csv").open(encoding="utf-8-sig") as table:
+        columns = table.readline()
+    return RestingLevel() if simulated.is_file() or "belt_distance_m" in columns else POTATOTWIN
+
+
+def _from_twin(view: TwinView, level: RestingLevel) -> LabelledView:
     return LabelledView(
         depth=view.depth,
         cloud=view.cloud,
@@ -226,4 +239,6 @@ def _from_twin(view: TwinView) -> LabelledView:
         cultivar=view.cultivar,
         season=view.season,
         row_share=view.row_share,
+        resting_offset_m=level.offset_m,
+        resting_sd_m=level.sd_m,
     )
