@@ -87,7 +87,8 @@ def _register(
     rms_m = np.inf
     for _ in range(ROUNDS):
         placed = seen @ rotation.T + shift
-        distance, nearest = tree.query(placed)
+        found = tree.query(placed)
+        distance, nearest = np.asarray(found[0]), np.asarray(found[1])
         kept = distance <= np.quantile(distance, TRIM)
         point, normal = placed[kept], normals[nearest[kept]]
         off = ((body[nearest[kept]] - point) * normal).sum(1)

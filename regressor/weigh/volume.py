@@ -138,23 +138,5 @@ def fit_volume_rule(
     )
 
 
-SHARES = np.round(np.arange(0.0, 0.51, 0.05), 2)
-"""The network keeps at least half: the rule leans on one simulator's shapes more than the network does."""
-
-
-def blend(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """Weighted geometric mean of the network's and the volume rule's grams; share 0 is the network alone."""
-    if share == 0.0:
-        return network_g
-    weight: NDArray[np.float64] = np.maximum(network_g, 1e-3) ** (1 - share) * volume_g**share
-    return weight
-
-
-def best_share(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], weight_g: NDArray[np.float64]) -> float:
-    """The share of the volume rule with the least mean absolute error on views neither was fitted on."""
-    errors = [float(np.abs(blend(network_g, volume_g, float(share)) - weight_g).mean()) for share in SHARES]
-    return float(SHARES[int(np.argmin(errors))])
-
-
 TYPICAL_RULE = VolumeRule(np.log(0.85), (1.0, 0.0, 0.0, 0.0, 0.0), 0.2)
 """Before anything is fitted: weight is 0.85 g per ml of V_top."""

@@ -19,7 +19,7 @@ from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefi
 from regressor.network.pointraft import PointRaft
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
 from regressor.weigh.viewscale import view_terms
-from regressor.weigh.volume import TYPICAL_RULE, blend
+from regressor.weigh.volume import TYPICAL_RULE
 
 VOLUME_MODEL = "volume"
 INTERVAL_Z = 1.645
@@ -57,6 +57,7 @@ class Weigher:
         self._network = FastPointRaft(model, form) if model is not None else None
         self._interval = sidecar.interval_rule
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+        self._blend = sidecar.blend_rule
         self._group = _grouping(sidecar)
 
     @classmethod
@@ -88,7 +89,8 @@ class Weigher:
         network_g = self._network.weigh(self._group(cloud.points), height_m)
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
-        weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
+        parts = np.array([network_g]), np.array([by_volume_g])
+        weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
         low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, math.hypot(belt_sd_m, resting_sd_m))
         return Weighed(
             weight_g=round(weight_g, 3),

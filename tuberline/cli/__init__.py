@@ -78,6 +78,7 @@ _GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "search": ("tuberline.cli.studies:search", "Search for a recipe with Optuna."),
         "split": ("tuberline.cli.studies:split", "Share tubers out over training, validation and test."),
         "drift": ("tuberline.cli.studies:drift", "Evaluate weights on views that drift from their training."),
+        "calibrate-blend": ("tuberline.cli.studies:calibrate_blend", "Fit volume rule and blend of saved weights."),
         "calibrate-interval": ("tuberline.cli.studies:calibrate_interval", "Calibrate saved weights' intervals."),
         "evaluation-page": ("tuberline.cli.studies:evaluation_page", "Make the page of results from saved ones."),
         "export": ("tuberline.cli.model:export", "Export the network to ONNX."),

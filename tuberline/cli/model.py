@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_module
 import shlex
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -270,6 +271,8 @@ def evaluate(
     split: str | None = None,
     season: str | None = None,
     max_views: int | None = None,
+    by: tuple[str, ...] = (),
+    resting: Literal["calibrated", "stated"] = "calibrated",
     plots: bool = True,
     json: bool = False,
 ) -> None:
@@ -289,6 +292,11 @@ def evaluate(
         Only tubers of this season; the baselines are fitted to them alone.
     max_views
         Only the first so many.
+    by
+        Classes for a table of bias by class and preset, with its 90 % interval over recordings (worlds.md): of pose,
+        rim, weight, season, "belt distance", surface, calibrated; `all` for all of them.
+    resting
+        Of simulated views: the resting level as a calibration finds it, or as their user states it, known or not.
     plots
         Draw errors.png (needs the extra 'train').
     json
@@ -304,8 +312,13 @@ def evaluate(
     from conveyor.errors import InputError
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
+    from regressor.studies.worlds import BY, by_class, by_preset
+    from regressor.studies.worlds import markdown as worlds_table
     from regressor.weigh.weigher import Weigher
 
+    unknown = sorted(set(by) - {*BY, "calibrated", "all"})
+    if unknown:
+        raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
     if plots and importlib.util.find_spec("matplotlib") is None:
         raise InputError("plots need matplotlib: install the extra 'train', or give --no-plots")
     torch.set_num_threads(1)
@@ -318,16 +331,24 @@ def evaluate(
             split=split,
             season=season,
             max_views=max_views,
+            resting=resting,
             progress=lambda done: bar.update(task, description=f"{done} views weighed"),
         )
     title = f"Evaluation on {data.name}" + (f", season {season}" if season else "")
     measured = write_report(result, out, title=title)
     if plots:
         write_plots(result, out)
+    worlds = ""
+    if by:
+        rows = by_preset(result), by_class(result, BY if "all" in by else by)
+        worlds = worlds_table(*rows)
+        measured = {**measured, "presets": [asdict(r) for r in rows[0]], "classes": [asdict(r) for r in rows[1]]}
+        (out / "worlds.md").write_text(worlds, encoding="utf-8")
+        (out / "metrics.json").write_text(json_module.dumps(measured, indent=1) + "\n", encoding="utf-8")
     if json:
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
-        Console().print(Markdown(markdown(measured, title=title)))
+        Console().print(Markdown(markdown(measured, title=title) + ("\n## By world\n\n" + worlds if by else "")))
 
 
 def export(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:

@@ -44,6 +44,35 @@ def calibrate_interval(
     )
 
 
+def calibrate_blend(weights: Path, /, *, data: Path, unseen: Path, cache: Path | None = None) -> None:
+    """Fit the volume rule of saved weights and its blend with the network anew; rewrites the sidecar, not the tensors.
+
+    Calibrate the intervals after it, on other views again (`tuberline calibrate-interval`).
+
+    Parameters
+    ----------
+    weights
+        The .safetensors file; its .json sidecar lies beside it.
+    data
+        Views for the rule alone: a folder of view packs, those that the network was trained on say.
+    unseen
+        Views of recordings that the network has not seen, for the rule and the blend.
+    cache
+        Folder of prepared clouds, to save the preparing; default: none.
+    """
+    import torch
+
+    from regressor.training.stacking import restack
+
+    torch.set_num_threads(1)
+    sidecar = restack(weights, data, unseen, cache=cache)
+    figures = sidecar.metrics["blend"]
+    sys.stderr.write(
+        f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "
+        f"{100 * sidecar.volume_share:.0f} % volume rule; MAE {figures['mae_g']:.2f} g on the unseen views\n"
+    )
+
+
 def split(folder: Path, /, *, seed: int = 20, force: bool = False) -> None:
     """Share the tubers of a 3DPotatoTwin folder out 60/20/20 over training, validation and test; writes splits.csv.
 
