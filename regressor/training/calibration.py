@@ -10,18 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from conveyor.errors import InputError
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
-from regressor.network.grouping import stage_counts
-from regressor.network.pointraft import NEIGHBOURS
-from regressor.network.reduced import Resolution
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN
-from regressor.training.train import predict
+from regressor.training.train import SWIFT, predict
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate
 from regressor.weigh.viewscale import view_terms
@@ -139,7 +137,9 @@ def _stocks(data: CloudSet) -> NDArray[np.str_]:
     return np.array(["/".join(map(str, name)) for name in zip(data.cultivar, data.season, distance, site, strict=True)])
 
 
-def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int | None) -> Sidecar:
+def recalibrate(
+    weights: Path, data: Path, *, cache: Path | None, max_views: int | None, compute: torch.dtype | None = None
+) -> Sidecar:
     """Calibrate saved weights anew on the views of `data` and write their sidecar; the tensors stay as they are.
 
     Raises:
@@ -149,8 +149,7 @@ def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
     views = load_cloudset(data, cache=cache, max_views=max_views).with_target(sidecar.target)
-    resolution = Resolution(NEIGHBOURS, stage_counts(sidecar.input.points)[1])
-    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=resolution)
+    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule)

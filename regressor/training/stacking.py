@@ -9,16 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
-from regressor.network.grouping import stage_counts
-from regressor.network.pointraft import NEIGHBOURS
-from regressor.network.reduced import Resolution
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
-from regressor.training.train import predict
+from regressor.training.train import SWIFT, predict
 from regressor.weigh.blend import fit_blend
 from regressor.weigh.volume import fit_volume_rule
 
@@ -26,12 +24,14 @@ FOLDS = 5
 MIN_RECORDINGS = 20
 
 
-def restack(weights: Path, data: Path, unseen: Path, *, cache: Path | None) -> Sidecar:
+def restack(
+    weights: Path, data: Path, unseen: Path, *, cache: Path | None, compute: torch.dtype | None = None
+) -> Sidecar:
     """Fit volume rule and blend of saved weights anew and write their sidecar; the tensors stay as they are.
 
     Args:
         data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for
-            the rule and the blend.
+            the rule and the blend. compute: dtype of the network's wide products; None is its own.
 
     Raises:
         InputError: weights without a sidecar of their own, too few recordings, or views that cannot be used.
@@ -46,8 +46,7 @@ def restack(weights: Path, data: Path, unseen: Path, *, cache: Path | None) -> S
             f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
             "blend is fitted over recordings, each of which shares one belt and one camera"
         )
-    resolution = Resolution(NEIGHBOURS, stage_counts(sidecar.input.points)[1])
-    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=resolution)
+    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
     volume_g = cross_fitted(seen, views)
     rule = fit_blend(network_g, volume_g, views.features, views.weight_g)
     everything = joined([seen, views])

@@ -6,13 +6,28 @@ import json as json_module
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+if TYPE_CHECKING:
+    import torch
+
+
+def _wide(compute: str) -> torch.dtype | None:
+    import torch
+
+    return torch.bfloat16 if compute == "bfloat16" else None
+
 
 def calibrate_interval(
-    weights: Path, /, *, data: Path, cache: Path | None = None, max_views: int | None = None
+    weights: Path,
+    /,
+    *,
+    data: Path,
+    cache: Path | None = None,
+    max_views: int | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
 ) -> None:
     """Calibrate the intervals of saved weights on views with known weights; rewrites the sidecar, not the tensors.
 
@@ -29,13 +44,15 @@ def calibrate_interval(
         Folder of prepared clouds, to save the preparing; default: none.
     max_views
         Taken evenly over the set.
+    compute
+        As for `train`.
     """
     import torch
 
     from regressor.training.calibration import recalibrate
 
     torch.set_num_threads(1)
-    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views)
+    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=_wide(compute))
     figures = sidecar.metrics["calibration"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "
@@ -44,7 +61,15 @@ def calibrate_interval(
     )
 
 
-def calibrate_blend(weights: Path, /, *, data: Path, unseen: Path, cache: Path | None = None) -> None:
+def calibrate_blend(
+    weights: Path,
+    /,
+    *,
+    data: Path,
+    unseen: Path,
+    cache: Path | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
+) -> None:
     """Fit the volume rule of saved weights and its blend with the network anew; rewrites the sidecar, not the tensors.
 
     Calibrate the intervals after it, on other views again (`tuberline calibrate-interval`).
@@ -59,13 +84,15 @@ def calibrate_blend(weights: Path, /, *, data: Path, unseen: Path, cache: Path |
         Views of recordings that the network has not seen, for the rule and the blend.
     cache
         Folder of prepared clouds, to save the preparing; default: none.
+    compute
+        As for `train`.
     """
     import torch
 
     from regressor.training.stacking import restack
 
     torch.set_num_threads(1)
-    sidecar = restack(weights, data, unseen, cache=cache)
+    sidecar = restack(weights, data, unseen, cache=cache, compute=_wide(compute))
     figures = sidecar.metrics["blend"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "
