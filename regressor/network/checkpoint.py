@@ -103,7 +103,7 @@ class Sidecar(_Part):
     @property
     def blend_rule(self) -> BlendRule:
         """How network and volume rule become one weight; by the share alone where nothing more was fitted."""
-        return BlendRule.from_json(self.blend) if self.blend else BlendRule.of_share(self.volume_share)
+        return BlendRule.from_json(self.blend) if self.blend else BlendRule(self.volume_share)
 
     @property
     def model_id(self) -> str:

@@ -22,14 +22,14 @@ from conveyor.errors import InputError
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
-from regressor.training.labelled import LabelledView, labelled_files, read_labelled
+from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
 from regressor.weigh import outline, prepare, surface
 from regressor.weigh.prepare import RefusedCloud
 
 KEEP = 384
 
 LABELS = (
-    *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m"),
+    *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m", *NUMBERS),
     *("tuber", "cultivar", "season", "recording", "preset", "surface", "pose", "rim", "calibrated"),
 )
 
@@ -47,6 +47,7 @@ class CloudSet:
             repeat their points.
         height_m: (n,) float64, above the belt, not clamped. features: (n, 17) as in `surface.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
+        rim_lost, shortest_deg, longest_deg: (n,) as in `LabelledView`, NaN where unknown.
         resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
         tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
         points_in_cloud: (n,) how many points the whole cloud had.
@@ -63,6 +64,9 @@ class CloudSet:
     belt_sd_m: NDArray[np.float64]
     row_share: NDArray[np.float64]
     resting_sd_m: NDArray[np.float64]
+    rim_lost: NDArray[np.float64]
+    shortest_deg: NDArray[np.float64]
+    longest_deg: NDArray[np.float64]
     tuber: NDArray[np.str_]
     cultivar: NDArray[np.str_]
     season: NDArray[np.str_]

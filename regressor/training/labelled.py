@@ -36,8 +36,9 @@ PACK_KEYS = (
 
 
 Resting = Literal["calibrated", "stated"]
-"""Which resting level a simulated view is read with: 'stated', as its user would state it, known or not; 'calibrated':
-where it was not calibrated, as it would have been. What nobody can know is no part of a training."""
+"""Which resting level a simulated view is read with. 'stated': as its user would state it, known or not. 'calibrated':
+as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
+with that calibration's error. What nobody can know is no part of a training."""
 CALIBRATED_SD_M = 0.001
 OWN_ERROR = ("easy", "field")
 """Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
@@ -46,14 +47,18 @@ WORDS = ("preset", "surface", "pose", "rim", "calibrated")
 """What a pack of the simulator tells of a view's world, by key and as it stands there."""
 
 
+NUMBERS = ("rim_lost", "shortest_deg", "longest_deg")
+
+
 @dataclass(frozen=True, slots=True)
 class LabelledView:
     """One view with its truth. `depth` is a crop (uint16, zero outside the tuber); cx, cy count from its first pixel.
 
     `belt_sd_m` is how well the belt distance is known, standard deviation; a typical value where nothing says it.
     `resting_offset_m` is how far its underside lies below the belt, as far as the line knows, to `resting_sd_m`.
-    `recording` is what it shares camera, belt and offset with; `preset`, `pose`, `rim` and `calibrated` (whether the
-    resting level was) are the simulator's, 'unknown' elsewhere.
+    `recording` is what it shares camera, belt and offset with. Only the simulator knows `preset`, `surface`, `pose`,
+    `rim` and `calibrated` (whether the resting level was), 'unknown' elsewhere, and `rim_lost`, the share of the
+    silhouette without depth, and the angles of the shortest and longest axis to the vertical, NaN elsewhere.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
     ((N, 3), camera frame, metres) is given.
     """
@@ -82,6 +87,9 @@ class LabelledView:
     pose: str = UNKNOWN
     rim: str = UNKNOWN
     calibrated: str = UNKNOWN
+    rim_lost: float = math.nan
+    shortest_deg: float = math.nan
+    longest_deg: float = math.nan
 
     @property
     def level_sd_m(self) -> float:
@@ -154,10 +162,13 @@ def _stated_resting(data: dict[str, Any], count: int, resting: Resting) -> tuple
         return offset_m, sd_m
     error = np.array([np.random.default_rng([17, n]).standard_normal() for n in data["recording"].tolist()])
     calibrated = data["calibrated"].astype(bool)
-    offset_m = np.where(calibrated, offset_m, data["resting_recording_mm"] / 1e3 + CALIBRATED_SD_M * error)
+    level_m = data["resting_recording_mm"] / 1e3
+    error_m = np.where(calibrated, offset_m - level_m, CALIBRATED_SD_M * error)
     sd_m = np.where(calibrated, sd_m, CALIBRATED_SD_M)
     own = np.isin(data["preset"], OWN_ERROR)
-    return np.where(own, 0.0, offset_m), np.where(own, 0.0, sd_m)
+    _, recording = np.unique(data["recording"], return_inverse=True)
+    mean_m = (np.bincount(recording, data["resting_mm"]) / np.bincount(recording) / 1e3)[recording]
+    return mean_m + np.where(own, 0.0, error_m), np.where(own, 0.0, sd_m)
 
 
 def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
@@ -178,7 +189,8 @@ def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
     centre = data.get("v_centre", nothing)
     resting_m, resting_sd_m = _stated_resting(data, count, resting)
     recording = data.get("recording", names)
-    words = {key: data.get(key, names) for key in WORDS}
+    words: dict[str, Any] = {key: data.get(key, names) for key in WORDS}
+    numbers: dict[str, Any] = {key: data.get(key, nothing) for key in NUMBERS}
     for i in range(count):
         u0, v0, height, width = (int(value) for value in data["crop"][i])
         fx, fy, cx, cy = (float(value) for value in data["intrinsics"][i])
@@ -206,7 +218,7 @@ def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
             resting_offset_m=float(resting_m[i]),
             resting_sd_m=float(resting_sd_m[i]),
             recording=f"{path.parent.name}/{recording[i]}",
-            **{key: str(values[i]) for key, values in words.items()},
+            **_at(i, words, numbers),
         )
 
 
@@ -219,6 +231,12 @@ def twin_resting(folder: Path) -> RestingLevel:
     with (folder / "ground_truth.csv").open(encoding="utf-8-sig") as table:
         columns = table.readline()
     return RestingLevel() if simulated.is_file() or "belt_distance_m" in columns else POTATOTWIN
+
+
+def _at(i: int, words: dict[str, Any], numbers: dict[str, Any]) -> dict[str, Any]:
+    return {key: str(values[i]) for key, values in words.items()} | {
+        key: float(values[i]) for key, values in numbers.items()
+    }
 
 
 def _from_twin(view: TwinView, level: RestingLevel) -> LabelledView:

@@ -162,7 +162,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
         volume_share=share,
-        **calibration(predicted, by_volume, validation, rule=BlendRule.of_share(share)).sidecar_keys(),
+        **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,

@@ -17,7 +17,8 @@ from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoi
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
 from regressor.training.train import SWIFT, predict
-from regressor.weigh.blend import fit_blend
+from regressor.weigh.blend import SEEN, fit_blend
+from regressor.weigh.quadratic import fit_quadratic
 from regressor.weigh.volume import fit_volume_rule
 
 FOLDS = 5
@@ -47,9 +48,17 @@ def restack(
             "blend is fitted over recordings, each of which shares one belt and one camera"
         )
     network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
-    volume_g = cross_fitted(seen, views)
-    rule = fit_blend(network_g, volume_g, views.features, views.weight_g)
+    known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
+    volume_g, found = cross_fitted(seen, views, with_seen=known)
     everything = joined([seen, views])
+    rule = fit_blend(
+        network_g,
+        volume_g,
+        views.weight_g,
+        found=found,
+        truth=_truth(views) if known else None,
+        seen=tuple(fit_quadratic(everything.features, column) for column in _truth(everything).T) if known else (),
+    )
     volume_rule = fit_volume_rule(everything.features, everything.weight_g)
     weight_g = rule.weights_g(network_g, volume_g, views.features)
     changes = {
@@ -61,13 +70,24 @@ def restack(
     return save_checkpoint(weights, model.state_dict(), sidecar.model_copy(update=changes))
 
 
-def cross_fitted(seen: CloudSet, views: CloudSet) -> NDArray[np.float64]:
-    """(n,) grams of the volume rule on `views`, each by a fit on `seen` and on the other recordings of `views`."""
+def cross_fitted(
+    seen: CloudSet, views: CloudSet, *, with_seen: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """((n,) grams of the volume rule on `views`, (n, 3) what views show of `blend.SEEN`, or None).
+
+    Each by a fit on `seen` and on the other recordings of `views`.
+    """
     names, owner = np.unique(views.recording, return_inverse=True)
     fold = np.random.default_rng(0).permutation(len(names))[owner] % FOLDS
-    out = np.empty(len(views))
+    grams, found = np.empty(len(views)), np.empty((len(views), len(SEEN)))
     for which in range(FOLDS):
-        rest = joined([seen, views.subset(fold != which)])
-        rule = fit_volume_rule(rest.features, rest.weight_g)
-        out[fold == which] = rule.weights_g(views.features[fold == which])
-    return out
+        rest, rows = joined([seen, views.subset(fold != which)]), fold == which
+        grams[rows] = fit_volume_rule(rest.features, rest.weight_g).weights_g(views.features[rows])
+        if with_seen:
+            fits = [fit_quadratic(rest.features, column) for column in _truth(rest).T]
+            found[rows] = np.column_stack([fit.values(views.features[rows]) for fit in fits])
+    return grams, found if with_seen else None
+
+
+def _truth(data: CloudSet) -> NDArray[np.float64]:
+    return np.column_stack([getattr(data, name) for name in SEEN])

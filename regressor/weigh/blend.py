@@ -1,53 +1,47 @@
-"""Network and volume rule become one weight: by a share, and by what the view shows of pose, rim and size.
+"""Network and volume rule become one weight: by a share, and corrected for how the tuber lies and what rim is lost.
 
-Both read the same surface and err differently: the network knows shapes, the rule knows how much of the rim is lost and
-how the tuber lies. What bias is left in a class of pose or rim after the share is taken is linear in a few features.
+Whatever is fitted to noisy views leans towards the ordinary: it reads large tubers a little light and small ones heavy,
+and those with much of the rim lost light. A load of large tubers, or a camera that loses rims, is then off as a whole.
+So the correction is not the one that makes views most exact, but the one that leaves no bias over the *true* size, rim
+and pose: their true values are the instruments, what the view shows of them is what is corrected by.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.surface import NAMES
+from regressor.weigh.quadratic import QuadraticRule
 
 SHARES = np.round(np.arange(0.0, 0.51, 0.05), 2)
 """The network keeps at least half: the rule leans on one simulator's shapes more than the network does."""
-TERMS = ("ln_weight", "ln_weight_squared", "steepness", "rim", "rim_low", "tilt", "holes", "bites", "flatness")
-TYPICAL_G = 150.0
-RIDGE = 0.02
-ROUNDS = 30
-MOST_CORRECTION = 0.15
+SEEN = ("rim_lost", "shortest_deg", "longest_deg")
+"""What is corrected for besides the weight: share of the silhouette that the camera lost, and the angles of the
+tuber's shortest and longest axis to the vertical."""
+ROUNDS = 8
+MOST_CORRECTION = 0.2
 """Of ln weight: a view so strange that it asks for more is weighed as this much off and no more."""
 
 
 @dataclass(frozen=True, slots=True)
 class BlendRule:
-    """ln weight = (1 - share) ln network + share ln rule + a correction linear in `TERMS`, stretched about `middle`.
+    """ln weight = (1 - share) ln network + share ln rule + intercept + slope (that - middle) + slopes * what is seen.
 
     Attributes:
         share: of the volume rule.
-        intercept, slopes: of the correction; low, high: terms are clipped to what the fit saw.
-        stretch: factor of the distance of ln weight from `middle`. What is fitted to noisy views reads large tubers a
-            little light and small ones a little heavy; loads of large or of small tubers would then be off.
+        slope: over the blended ln weight less `middle`.
+        slopes: over what `seen` finds, one each; `seen` has a rule for each of `SEEN`, or none.
     """
 
     share: float
-    intercept: float
-    slopes: tuple[float, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    middle: float
-    stretch: float
-
-    @classmethod
-    def of_share(cls, share: float) -> BlendRule:
-        """The share alone, without correction."""
-        none = (0.0,) * len(TERMS)
-        return cls(share=share, intercept=0.0, slopes=none, low=none, high=none, middle=0.0, stretch=1.0)
+    intercept: float = 0.0
+    middle: float = 0.0
+    slope: float = 0.0
+    slopes: tuple[float, ...] = ()
+    seen: tuple[QuadraticRule, ...] = ()
 
     def weights_g(
         self,
@@ -57,31 +51,41 @@ class BlendRule:
     ) -> NDArray[np.float64]:
         """(n,) grams of n views: (n,) grams of both parts, (n, 17) features in the order of `surface.NAMES`."""
         mixed = blend(network_g, volume_g, self.share)
-        if self == BlendRule.of_share(self.share):  # the same bits as before there was a correction
+        if self == BlendRule(self.share):  # the same bits as before there was a correction
             return mixed
-        terms = np.clip(blend_terms(mixed, features), self.low, self.high)
-        ln_g = np.log(mixed) + np.clip(
-            self.intercept + terms @ np.array(self.slopes), -MOST_CORRECTION, MOST_CORRECTION
-        )
-        weights: NDArray[np.float64] = np.exp(self.middle + self.stretch * (ln_g - self.middle))
+        ln_g = np.log(np.maximum(mixed, 1e-3))
+        correction = self.intercept + self.slope * (ln_g - self.middle)
+        for slope, rule in zip(self.slopes, self.seen, strict=True):
+            correction = correction + slope * rule.values(features)
+        weights: NDArray[np.float64] = np.exp(ln_g + np.clip(correction, -MOST_CORRECTION, MOST_CORRECTION))
         return weights
 
     def to_json(self) -> dict[str, Any]:
         """For the sidecar of a checkpoint."""
-        return {"terms": TERMS, **asdict(self)}
+        return {
+            "share": self.share,
+            "intercept": self.intercept,
+            "middle": self.middle,
+            "slope": self.slope,
+            "slopes": list(self.slopes),
+            "seen": {name: rule.to_json() for name, rule in zip(SEEN, self.seen, strict=False)},
+        }
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> BlendRule:
         """From the sidecar of a checkpoint.
 
         Raises:
-            ValueError: made from other terms than this code knows.
+            ValueError: it corrects for what this code does not know.
         """
-        if tuple(data["terms"]) != TERMS:
-            raise ValueError(f"a blend is made from {data['terms']}; known: {TERMS}")
-        slopes, low, high = (tuple(float(value) for value in data[name]) for name in ("slopes", "low", "high"))
-        share, intercept, middle, stretch = (float(data[n]) for n in ("share", "intercept", "middle", "stretch"))
-        return cls(share, intercept, slopes, low, high, middle, stretch)
+        if tuple(data["seen"]) not in (SEEN, ()) or len(data["slopes"]) != len(data["seen"]):
+            raise ValueError(f"a blend corrects for {list(data['seen'])}; known: {', '.join(SEEN)}")
+        numbers = {name: float(data[name]) for name in ("share", "intercept", "middle", "slope")}
+        return cls(
+            **numbers,
+            slopes=tuple(float(value) for value in data["slopes"]),
+            seen=tuple(QuadraticRule.from_json(rule) for rule in data["seen"].values()),
+        )
 
 
 def blend(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], share: float) -> NDArray[np.float64]:
@@ -98,70 +102,41 @@ def best_share(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], we
     return float(SHARES[int(np.argmin(errors))])
 
 
-def blend_terms(weight_g: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 9) in the order of `TERMS`: of (n,) grams and (n, 17) features as in `surface.NAMES`."""
-    values = {name: features[:, at] for at, name in enumerate(NAMES)}
-    ln_weight = np.log(np.maximum(weight_g, 1.0) / TYPICAL_G)
-    area, hull = np.maximum(values["area_cm2"], 0.1), np.maximum(values["hull_cm2"], 0.1)
-    return np.column_stack(
-        [
-            ln_weight,
-            ln_weight**2,
-            np.log(np.maximum(values["height_mm"], 5.0) / np.maximum(values["width_mm"], 5.0)),
-            values["rim"],
-            values["rim_low"],
-            values["tilt"],
-            values["hole_share"],
-            np.log(hull / area),
-            np.log(np.maximum(values["curvature_cm2"], 0.1) / area),
-        ]
-    )
-
-
 def fit_blend(
     network_g: NDArray[np.float64],
     volume_g: NDArray[np.float64],
-    features: NDArray[np.float64],
     weight_g: NDArray[np.float64],
+    *,
+    found: NDArray[np.float64] | None = None,
+    truth: NDArray[np.float64] | None = None,
+    seen: tuple[QuadraticRule, ...] = (),
 ) -> BlendRule:
-    """Share, correction and stretch from views that neither the network nor the rule was fitted on.
-
-    The correction is a ridge gamma regression of truth over blend; then the stretch lets ln weight follow the truth's
-    logarithm with slope 1, and the total stays what it is.
+    """Share and correction from views that neither the network, nor the rule, nor what `found` is from was fitted on.
 
     Args:
-        network_g, volume_g, weight_g: (n,). features: (n, 17).
+        network_g, volume_g, weight_g: (n,) grams.
+        found: (n, 3) of `SEEN` as views show it; truth: (n, 3) as it is; seen: the rules that show it from now on.
+            None corrects for the weight alone.
     """
     share = best_share(network_g, volume_g, weight_g)
-    mixed = blend(network_g, volume_g, share)
-    terms = blend_terms(mixed, features)
-    low, high = np.quantile(terms, [0.005, 0.995], axis=0)
-    terms = np.clip(terms, low, high)
-    centre, spread = terms.mean(0), np.maximum(terms.std(0), 1e-9)
-    design = np.column_stack([np.ones(len(terms)), (terms - centre) / spread])
-    penalty = RIDGE * len(terms) * np.diag([0.0] + [1.0] * len(TERMS))
-    normal = design.T @ design + penalty
-    beta = np.zeros(design.shape[1])
+    ln_g, ln_truth = np.log(np.maximum(blend(network_g, volume_g, share), 1e-3)), np.log(weight_g)
+    middle = float(ln_truth.mean())
+    ones = np.ones((len(ln_g), 1))
+    x, z = np.hstack([ones, (ln_g - middle)[:, None]]), np.hstack([ones, (ln_truth - middle)[:, None]])
+    if found is not None and truth is not None:
+        x, z = np.hstack([x, found]), np.hstack([z, truth])
+    scale = np.maximum(np.abs(z).max(0), 1e-9)
+    beta = np.zeros(x.shape[1])
     for _ in range(ROUNDS):
-        ratio = np.minimum(weight_g / (mixed * np.exp(design @ beta)), 3.0)
-        step = np.linalg.solve(normal, design.T @ (ratio - 1) - penalty @ beta)
-        beta = beta + step
-        if float(np.abs(step).max()) < 1e-10:
-            break
-    slopes = beta[1:] / spread
-    intercept = float(beta[0] - centre @ slopes)
-    ln_g, truth = np.log(mixed) + design @ beta, np.log(weight_g)
-    middle = float(truth.mean())
-    stretch = float(1 / np.polyfit(truth, ln_g, 1)[0])
-    stretched = np.exp(middle + stretch * (ln_g - middle))
-    # The total stays right: the stretch alone would raise the large more than it lowers the small.
-    intercept += float(np.log(weight_g.sum() / stretched.sum())) / stretch
+        # Newton on: the errors in grams are uncorrelated with each true value, so totals are right in every class.
+        grams = np.exp(ln_g + x @ beta)
+        moments = (z / scale).T @ (grams - weight_g)
+        beta = beta - np.linalg.solve((z / scale).T @ (grams[:, None] * x), moments)
     return BlendRule(
         share=share,
-        intercept=intercept,
-        slopes=tuple(slopes.tolist()),
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
+        intercept=float(beta[0]),
         middle=middle,
-        stretch=stretch,
+        slope=float(beta[1]),
+        slopes=tuple(beta[2:].tolist()),
+        seen=seen if len(beta) > 2 else (),
     )

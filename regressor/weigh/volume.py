@@ -13,15 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from regressor.weigh.quadratic import RIDGE, pairs_of, ranges_of, terms_of
 from regressor.weigh.surface import NAMES, SurfaceFeatures
 
-UNITS = ("_ml", "_cm2", "_mm")
 FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
 """What a rule from before the other features reads."""
-RIDGE = 3e-3
 ROUNDS = 30
 MOST_OFF = 3.0
-CLIP_SHARE = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +49,10 @@ class VolumeRule:
 
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) grams of (n, 17) features in the order of `NAMES`."""
-        terms = _terms(features, self.names)
+        terms = terms_of(features, self.names)
         ln_g = self.intercept + terms @ np.array(self.coefficients)
         if self.products:
-            ln_g = ln_g + _pairs(terms, np.array(self.low), np.array(self.high)) @ np.array(self.products)
+            ln_g = ln_g + pairs_of(terms, np.array(self.low), np.array(self.high)) @ np.array(self.products)
         weights: NDArray[np.float64] = np.exp(np.clip(ln_g, -5.0, 12.0))
         return weights
 
@@ -85,18 +83,6 @@ class VolumeRule:
         )
 
 
-def _terms(features: NDArray[np.float64], names: tuple[str, ...]) -> NDArray[np.float64]:
-    columns = [features[:, NAMES.index(name)] for name in names]
-    logs = [np.log(np.maximum(c, 1e-3)) if n.endswith(UNITS) else c for n, c in zip(names, columns, strict=True)]
-    return np.column_stack(logs)
-
-
-def _pairs(terms: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    scaled = 2 * (np.clip(terms, low, high) - low) / np.maximum(high - low, 1e-9) - 1
-    first, second = np.triu_indices(terms.shape[1])
-    return scaled[:, first] * scaled[:, second]
-
-
 def fit_volume_rule(
     features: NDArray[np.float64],
     weight_g: NDArray[np.float64],
@@ -111,9 +97,9 @@ def fit_volume_rule(
     Args:
         features: (n, 17) in the order of `NAMES`. weight_g: (n,). squares: with products of terms.
     """
-    terms = _terms(features, names)
-    low, high = np.quantile(terms, [CLIP_SHARE, 1 - CLIP_SHARE], axis=0)
-    columns = np.column_stack([terms, _pairs(terms, low, high)]) if squares else terms
+    terms = terms_of(features, names)
+    low, high = ranges_of(terms)
+    columns = np.column_stack([terms, pairs_of(terms, low, high)]) if squares else terms
     centre, spread = columns.mean(0), np.maximum(columns.std(0), 1e-9)
     design = np.column_stack([np.ones(len(columns)), (columns - centre) / spread])
     penalty = RIDGE * len(columns) * np.diag([0.0] + [1.0] * columns.shape[1])
