@@ -29,7 +29,8 @@ def write_view_pack(
 
     Of its recording: `recording` (its number), `preset`, `surface`, `resting_recording_mm` (how far ordinary undersides
     lie below the belt plane that the camera sees), `stated_resting_mm` and `stated_resting_sd_mm` (what a user would
-    state of it), `calibrated` (after a calibration), `local_noise_px` (NaN: as the preset has it). Of the view:
+    state of it), `calibrated` (after a calibration), `soil_mm` (mean thickness of what sticks to its tubers),
+    `local_noise_px` (NaN: as the preset has it). Of the view:
     `resting_mm` (how far this underside lies below that plane), `pose` with `shortest_deg` and `longest_deg` (of those
     axes to the vertical), `rim` with `rim_lost` and `skin_lost` (see `view_truth`).
     """
@@ -91,6 +92,7 @@ def _world_arrays(views: list[SimulatedView]) -> dict[str, Any]:
         "recording": np.array([view.recording for view in views], np.int64),
         "preset": np.array([world.preset.name for world in worlds]),
         "surface": np.array([world.surface.kind for world in worlds]),
+        "soil_mm": 1000 * np.array([world.jacket_m for world in worlds]),
         "local_noise_px": np.array([np.nan if world.local_px is None else world.local_px for world in worlds]),
         "resting_mm": 1000 * np.array([view.resting_m for view in views]),
         "resting_recording_mm": 1000 * np.array([world.resting_m for world in worlds]),
