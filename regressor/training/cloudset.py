@@ -47,7 +47,7 @@ class CloudSet:
             repeat their points.
         height_m: (n,) float64, above the belt, not clamped. features: (n, 17) as in `surface.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
-        rim_lost, shortest_deg, longest_deg: (n,) as in `LabelledView`, NaN where unknown.
+        rim_lost, shortest_deg, longest_deg, soil_mm: (n,) as in `LabelledView`, NaN where unknown.
         resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
         tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
         points_in_cloud: (n,) how many points the whole cloud had.
@@ -67,6 +67,7 @@ class CloudSet:
     rim_lost: NDArray[np.float64]
     shortest_deg: NDArray[np.float64]
     longest_deg: NDArray[np.float64]
+    soil_mm: NDArray[np.float64]
     tuber: NDArray[np.str_]
     cultivar: NDArray[np.str_]
     season: NDArray[np.str_]
@@ -86,6 +87,11 @@ class CloudSet:
     def level_sd_m(self) -> NDArray[np.float64]:
         """(n,) how well the resting level is known: the belt's height and the offset below it."""
         return np.hypot(self.belt_sd_m, self.resting_sd_m)
+
+    @property
+    def clean(self) -> NDArray[np.bool_]:
+        """(n,) whether no soil is known to stick to the tuber: what soil adds to a volume no view shows."""
+        return ~(self.soil_mm > 0)
 
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
         """The chosen rows."""

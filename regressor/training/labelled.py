@@ -47,7 +47,7 @@ WORDS = ("preset", "surface", "pose", "rim", "calibrated")
 """What a pack of the simulator tells of a view's world, by key and as it stands there."""
 
 
-NUMBERS = ("rim_lost", "shortest_deg", "longest_deg")
+NUMBERS = ("rim_lost", "shortest_deg", "longest_deg", "soil_mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,8 @@ class LabelledView:
     `resting_offset_m` is how far its underside lies below the belt, as far as the line knows, to `resting_sd_m`.
     `recording` is what it shares camera, belt and offset with. Only the simulator knows `preset`, `surface`, `pose`,
     `rim` and `calibrated` (whether the resting level was), 'unknown' elsewhere, and `rim_lost`, the share of the
-    silhouette without depth, and the angles of the shortest and longest axis to the vertical, NaN elsewhere.
+    silhouette without depth, the angles of the shortest and longest axis to the vertical, and `soil_mm`, how thick
+    soil sticks to tubers that weigh without it, NaN elsewhere.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
     ((N, 3), camera frame, metres) is given.
     """
@@ -90,6 +91,7 @@ class LabelledView:
     rim_lost: float = math.nan
     shortest_deg: float = math.nan
     longest_deg: float = math.nan
+    soil_mm: float = math.nan
 
     @property
     def level_sd_m(self) -> float:

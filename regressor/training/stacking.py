@@ -1,7 +1,8 @@
 """The volume rule and its blend with a trained network, fitted on worlds that the network has not seen.
 
 A network answers its own training views too well: a blend fitted there would trust it too much. So it is fitted on
-other recordings, and the rule's answers there come from fits that left their recording out.
+other recordings, and the rule's answers there come from fits that left their recording out. Tubers under soil are left
+out: their truth is their weight without it, nothing in a view tells it, and clean tubers would read light for it.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def restack(
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to write to: `tuberline import-checkpoint` makes one")
-    seen = load_cloudset(data, cache=cache).with_target(sidecar.target)
-    views = load_cloudset(unseen, cache=cache).with_target(sidecar.target)
+    seen, views = (load_cloudset(folder, cache=cache).with_target(sidecar.target) for folder in (data, unseen))
+    seen, views = seen.subset(seen.clean), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
         raise InputError(
             f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
@@ -55,6 +56,7 @@ def restack(
         network_g,
         volume_g,
         views.weight_g,
+        world=views.preset,
         found=found,
         truth=_truth(views) if known else None,
         seen=tuple(fit_quadratic(everything.features, column) for column in _truth(everything).T) if known else (),
