@@ -8,12 +8,13 @@ from __future__ import annotations
 import difflib
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from conveyor.errors import ConfigError, TuberlineError
+from conveyor.resting import RestingLevel
 from conveyor.topics import check_name
 
 Metres = Annotated[float, Field(gt=0, le=10)]
@@ -65,6 +66,42 @@ class CameraConfig(Section):
     @classmethod
     def _absolute(cls, path: Path | None) -> Path | None:
         return path.expanduser() if path else None
+
+
+class BeltConfig(Section):
+    """What tubers lie on, and how far under the belt plane that the cameras see they lie there."""
+
+    surface: Literal["flat", "rods", "cleats"] = Field(
+        "flat", description="rods: a web, between whose rods each tuber sinks by what its outline says"
+    )
+    rod_pitch_mm: float = Field(40.0, ge=20, le=120, description="rods: centre to centre")
+    rod_diameter_mm: float = Field(11.0, ge=4, le=40, description="rods: of one, with its coat")
+    resting_offset_mm: float = Field(
+        0.0, ge=-20, le=40, description="undersides lie this far below the plane the cameras see (rods: the rods' tops)"
+    )
+    resting_sd_mm: float = Field(
+        0.0, ge=0, le=20, description="how well that offset is known (standard deviation): widens intervals"
+    )
+
+    @model_validator(mode="after")
+    def _rods_apart(self) -> Self:
+        if self.rod_diameter_mm >= self.rod_pitch_mm:
+            raise ValueError(
+                f"rod_diameter_mm is {self.rod_diameter_mm} and rod_pitch_mm {self.rod_pitch_mm}: rods of a web lie "
+                "farther apart than they are thick"
+            )
+        return self
+
+    @property
+    def resting_level(self) -> RestingLevel:
+        """In metres."""
+        return RestingLevel(
+            surface=self.surface,
+            offset_m=self.resting_offset_mm / 1000,
+            sd_m=self.resting_sd_mm / 1000,
+            rod_pitch_m=self.rod_pitch_mm / 1000,
+            rod_diameter_m=self.rod_diameter_mm / 1000,
+        )
 
 
 class SegmenterConfig(Section):
@@ -185,6 +222,7 @@ class LineConfig(Section):
     link: LinkConfig = LinkConfig()
     access: AccessConfig = AccessConfig()
     cameras: dict[str, CameraConfig] = Field(default_factory=dict)
+    belt: BeltConfig = BeltConfig()
     segmenter: SegmenterConfig = SegmenterConfig()
     regressor: RegressorConfig = RegressorConfig()
     aggregator: AggregatorConfig = AggregatorConfig()

@@ -59,16 +59,18 @@ def _world(view: SimulatedView) -> dict[str, Any]:
     """What a view shares with its recording, how its tuber lies and how much of its picture was lost.
 
     `recording` (its number), `preset`, `surface`, `resting_recording_mm` (how far ordinary undersides lie below the
-    belt plane that the camera sees), `stated_resting_mm` and `stated_resting_sd_mm` (what a user would state of it),
-    `calibrated` (after a calibration), `local_noise_px` (NaN: as the preset has it). Of the view: `resting_mm` (how
-    far this underside lies below that plane), `pose` with `shortest_deg` and `longest_deg` (of those axes to the
-    vertical), `rim` with `rim_lost` and `skin_lost` (see `view_truth`).
+    belt plane that the camera sees), `stated_resting_mm` and `stated_resting_sd_mm` (what a user would state of
+    it), `calibrated` (after a calibration), `soil_mm` (mean thickness of what sticks to its tubers),
+    `local_noise_px` (NaN: as the preset has it). Of the view: `resting_mm` (how far this underside lies below that
+    plane), `pose` with `shortest_deg` and `longest_deg` (of those axes to the vertical), `rim` with `rim_lost` and
+    `skin_lost` (see `view_truth`).
     """
     world, stated = view.conditions, view.stated
     return {
         "recording": view.recording,
         "preset": world.preset.name,
         "surface": world.surface.kind,
+        "soil_mm": 1000 * world.jacket_m,
         "local_noise_px": math.nan if world.local_px is None else world.local_px,
         "resting_mm": 1000 * view.resting_m,
         "resting_recording_mm": 1000 * world.resting_m,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from conveyor.geometry import (
 from conveyor.messages.base import ArraySpec, Message
 from conveyor.messages.frames import POSE
 from conveyor.ranges import DepthScale, Id, Model, Name, Nanoseconds, Range, Seq, ViewGrams, Word, Words
+from conveyor.resting import RestingLevel
 
 CROP_SIDES = ((0, MAX_SIDE_PIXELS), (0, MAX_SIDE_PIXELS))
 Pixel = Annotated[int, Range(0, MAX_SIDE_PIXELS, "px")]
@@ -36,6 +37,8 @@ class View(Message):
         u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
         belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
         belt_sd_m: how well the belt's height is known, standard deviation.
+        resting_offset_m: how far under that belt this tuber's underside lies; negative above it.
+        resting_sd_m: how well that is known, standard deviation.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
     """
 
@@ -53,6 +56,8 @@ class View(Message):
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
     belt_sd_m: Annotated[float, Range(0, 0.1, "m")] = TYPICAL_BELT_SD_M
+    resting_offset_m: Annotated[float, Range(-0.05, 0.1, "m")] = 0.0
+    resting_sd_m: Annotated[float, Range(0, 0.1, "m")] = 0.0
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", CROP_SIDES),
@@ -86,6 +91,18 @@ class View(Message):
     def points_in_belt_m(self) -> NDArray[np.float64]:
         """(N, 3) float64, belt frame, metres, raster order."""
         return transform_points(self.belt_from_camera, self.points_in_camera_m())
+
+    def resting_on(self, level: RestingLevel) -> Self:
+        """This view with the resting level of its own tuber: on rods it follows from the tuber's outline."""
+        if level.surface != "rods":
+            return replace(self, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m)
+        points = self.points_in_belt_m()
+        if not len(points):
+            return replace(self, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m)
+        # Single flying pixels are left out of extent and height.
+        along_m = float(np.diff(np.quantile(points[:, 0], [0.001, 0.999]))[0])
+        offset_m, sd_m = level.under(along_m=along_m, top_m=float(np.quantile(points[:, 2], 0.99)))
+        return replace(self, resting_offset_m=offset_m, resting_sd_m=sd_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from conveyor.errors import InputError
 from regressor.network.pointraft import PointRaft
+from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule
 from regressor.weigh.volume import VolumeRule
 
@@ -84,6 +85,8 @@ class Sidecar(_Part):
     shared_bias_share: float = Field(0.05, ge=0, le=1)
     interval: dict[str, Any] | None = None
     volume_rule: dict[str, Any] | None = None
+    blend: dict[str, Any] | None = None
+    shared_level_share_per_mm: float = Field(0.0, ge=0, le=0.2)
     training: dict[str, Any] = Field(default_factory=dict)
     metrics: dict[str, Any] = Field(default_factory=dict)
 
@@ -96,6 +99,11 @@ class Sidecar(_Part):
     def fitted_volume_rule(self) -> VolumeRule | None:
         """The volume rule fitted with these weights, if there is one."""
         return VolumeRule.from_json(self.volume_rule) if self.volume_rule else None
+
+    @property
+    def blend_rule(self) -> BlendRule:
+        """How network and volume rule become one weight; by the share alone where nothing more was fitted."""
+        return BlendRule.from_json(self.blend) if self.blend else BlendRule(self.volume_share)
 
     @property
     def model_id(self) -> str:

@@ -25,7 +25,9 @@ class Scale(Protocol):
     def sidecar(self) -> Sidecar:
         """Of the weights."""
 
-    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+    def weigh(
+        self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
+    ) -> Weighed:
         """The weight of one prepared cloud."""
 
 
@@ -42,8 +44,10 @@ class PointNetScale:
         """Of the weights."""
         return self._sidecar
 
-    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
-        """The network's grams for the cloud's first 1024 farthest points; `belt_sd_m` changes nothing."""
+    def weigh(
+        self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
+    ) -> Weighed:
+        """The network's grams for the cloud's first 1024 farthest points; neither sd changes anything."""
         points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
         with torch.inference_mode():
             weight_g = float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])

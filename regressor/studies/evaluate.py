@@ -15,9 +15,10 @@ from conveyor.errors import InputError
 from regressor.studies.alone import Scale
 from regressor.studies.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.studies.metrics import scores
-from regressor.training.labelled import LabelledView, read_labelled
+from regressor.training.labelled import UNKNOWN, LabelledView, Resting, read_labelled
 from regressor.weigh.prepare import RefusedCloud
-from regressor.weigh.volume import NAMES, TYPICAL_RULE
+from regressor.weigh.surface import NAMES
+from regressor.weigh.volume import TYPICAL_RULE
 from regressor.weigh.weigher import Weighed
 
 NETWORK = "PointRAFT"
@@ -40,9 +41,11 @@ class Evaluation:
 
     Attributes:
         predicted: method to (n,) grams. low_g, high_g: (n,) the 90 % interval as weighed.
-        weight_g: (n,) truth. tuber, and `groups` (name of a grouping to (n,) labels): (n,) str.
+        weight_g: (n,) truth. tuber, recording, and `groups` (name of a grouping to (n,) labels): (n,) str.
+        level_sd_m: (n,) how well the resting level is known, standard deviation.
         flags: how many views carried each. refused: views that could not be weighed, by reason.
-        shared_sd_share, shared_bias_share: of the weights' sidecar, for the intervals of fused tubers and of loads.
+        shared_sd_share, shared_bias_share, shared_level_share_per_mm: of the weights' sidecar, for the intervals of
+            fused tubers and of loads.
     """
 
     predicted: dict[str, NDArray[np.float64]]
@@ -50,11 +53,14 @@ class Evaluation:
     high_g: NDArray[np.float64]
     weight_g: NDArray[np.float64]
     tuber: NDArray[np.str_]
+    recording: NDArray[np.str_]
+    level_sd_m: NDArray[np.float64]
     groups: dict[str, NDArray[np.str_]]
     flags: dict[str, int]
     refused: dict[str, int]
     shared_sd_share: float
     shared_bias_share: float
+    shared_level_share_per_mm: float
     model: str
     target: str = "weight_g"
 
@@ -66,14 +72,19 @@ def evaluate(
     split: str | None = None,
     season: str | None = None,
     max_views: int | None = None,
+    resting: Resting = "calibrated",
     progress: Callable[[int], None] | None = None,
 ) -> Evaluation:
     """Weigh all labelled views of `folder`, of one `season` alone where it is given (or the first `max_views`).
 
+    `resting`: with which resting level, see `labelled.Resting`.
+
     Raises:
         InputError: unreadable, or nothing to weigh.
     """
-    views = (view for view in read_labelled(folder, split=split) if season is None or view.season == season)
+    views = (
+        view for view in read_labelled(folder, split=split, resting=resting) if season is None or view.season == season
+    )
     where = f"{folder}, season {season}" if season else str(folder)
     return evaluate_views(islice(views, max_views), weigher, where=where, progress=progress)
 
@@ -102,7 +113,7 @@ def evaluate_views(
             continue
         length, width, _ = oriented_box_m(cloud.points)
         views.append(view)
-        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m))
+        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m))
         features.append([*cloud.surface.as_array(), 1e3 * length, 1e3 * width, 1e3 * cloud.height_m])
         if progress is not None:
             progress(done)
@@ -136,11 +147,14 @@ def _collect(
         high_g=np.array([answer.high_g for answer in answers]),
         weight_g=weight_g,
         tuber=tuber,
+        recording=np.array([view.recording for view in views]),
+        level_sd_m=np.array([view.level_sd_m for view in views]),
         groups=_groups(views),
         flags=dict(Counter(flag for answer in answers for flag in answer.flags)),
         refused=refused,
         shared_sd_share=weigher.sidecar.shared_sd_share,
         shared_bias_share=weigher.sidecar.shared_bias_share,
+        shared_level_share_per_mm=weigher.sidecar.shared_level_share_per_mm,
         model=weigher.sidecar.model_id,
         target=weigher.sidecar.target,
     )
@@ -156,7 +170,13 @@ def _groups(views: list[LabelledView]) -> dict[str, NDArray[np.str_]]:
             return "unknown"
         return ("upstream third", "middle third", "downstream third")[min(2, max(0, int(3 * view.row_share)))]
 
+    world = {
+        name: labels
+        for name in ("preset", "pose", "rim", "surface", "calibrated")
+        if not ((labels := np.array([getattr(view, name) for view in views])) == UNKNOWN).all()
+    }
     return {
+        **world,
         "weight class": np.array([weight_class(view) for view in views]),
         "cultivar": np.array([view.cultivar for view in views]),
         "season": np.array([view.season for view in views]),
@@ -196,7 +216,7 @@ def coverage(result: Evaluation) -> dict[str, float]:
     # A load's own errors shrink with the count; what its tubers have in common does not.
     drawn = np.random.default_rng(0).integers(0, len(truth), (LOADS, LOAD_TUBERS))
     total = middle[drawn].sum(1)
-    shared = result.shared_bias_share * total
+    shared = load_half_share(result, np.ones(len(result.tuber), np.bool_)) * total
     low = total - np.hypot(np.sqrt((below[drawn] ** 2).sum(1)), shared)
     high = total + np.hypot(np.sqrt((above[drawn] ** 2).sum(1)), shared)
     of_loads = truth[drawn].sum(1)
@@ -207,6 +227,12 @@ def coverage(result: Evaluation) -> dict[str, float]:
         "mean_width_g": round(float((result.high_g - result.low_g).mean()), 2),
         "load_half_width_percent": round(100 * float(((high - low) / (2 * total)).mean()), 3),
     }
+
+
+def load_half_share(result: Evaluation, rows: NDArray[np.bool_]) -> float:
+    """Half of the 90 % interval of what all tubers of a load of these `rows` have in common, as a share of it."""
+    level_mm = 1e3 * float(np.sqrt(np.mean(result.level_sd_m[rows] ** 2)))
+    return float(np.hypot(result.shared_bias_share, result.shared_level_share_per_mm * level_mm))
 
 
 def fused_tubers(

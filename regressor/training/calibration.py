@@ -10,33 +10,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
-from regressor.network.grouping import stage_counts
-from regressor.network.pointraft import NEIGHBOURS
-from regressor.network.reduced import Resolution
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, load_cloudset
-from regressor.training.train import predict
+from regressor.training.labelled import UNKNOWN
+from regressor.training.train import SWIFT, predict
+from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate
 from regressor.weigh.viewscale import view_terms
-from regressor.weigh.volume import TYPICAL_RULE, blend
+from regressor.weigh.volume import TYPICAL_RULE
 
 MIN_TUBERS = 20
+MIN_RECORDINGS = 20
 LEAST_BIAS = 0.01
 DISTANCE_STEP_M, SITE_STEP_M = 0.05, 0.0005
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How far weights are off: `interval` of one view; see `fused_share` and `load_share` for the other two."""
+    """How far weights are off: `interval` of one view; see `fused_share` and `load_shares` for the others."""
 
     interval: IntervalRule
     shared_sd_share: float
     shared_bias_share: float
+    shared_level_share_per_mm: float
 
     def sidecar_keys(self) -> dict[str, Any]:
         """As they stand in a sidecar."""
@@ -44,21 +47,26 @@ class Calibration:
             "interval": self.interval.to_json(),
             "shared_sd_share": self.shared_sd_share,
             "shared_bias_share": self.shared_bias_share,
+            "shared_level_share_per_mm": self.shared_level_share_per_mm,
         }
 
 
 def calibration(
-    network_g: NDArray[np.float64], volume_g: NDArray[np.float64], data: CloudSet, *, volume_share: float
+    network_g: NDArray[np.float64], volume_g: NDArray[np.float64], data: CloudSet, *, rule: BlendRule
 ) -> Calibration:
-    """From (n,) grams of the network and of the volume rule on `data`, blended by `volume_share`."""
-    weight_g = blend(network_g, volume_g, volume_share)
-    terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.belt_sd_m)
-    rule = calibrate(weight_g, data.weight_g, terms)
-    low_g, high_g = rule.bounds_g(weight_g, terms)
+    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`."""
+    weight_g = rule.weights_g(network_g, volume_g, data.features)
+    terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
+    recordings = len(np.unique(data.recording))
+    independent = recordings if recordings >= MIN_RECORDINGS else None
+    interval = calibrate(weight_g, data.weight_g, terms, independent=independent)
+    low_g, high_g = interval.bounds_g(weight_g, terms)
+    own, per_mm = load_shares(weight_g, data)
     return Calibration(
-        interval=rule,
-        shared_sd_share=fused_share(weight_g, low_g, high_g, data.weight_g, data.tuber, level=rule.level),
-        shared_bias_share=load_share(weight_g, data),
+        interval=interval,
+        shared_sd_share=fused_share(weight_g, low_g, high_g, data.weight_g, data.tuber, level=interval.level),
+        shared_bias_share=own,
+        shared_level_share_per_mm=per_mm,
     )
 
 
@@ -88,19 +96,19 @@ def fused_share(
     return round(float(np.sqrt(np.clip(np.quantile(needed, position), 0.0, 1.0))), 4)
 
 
-def load_share(weight_g: NDArray[np.float64], data: CloudSet) -> float:
-    """Half of the 90 % interval of what all tubers of a load have in common, as a share of its weight; at least 1 %.
+def load_shares(weight_g: NDArray[np.float64], data: CloudSet) -> tuple[float, float]:
+    """(own, per mm): half of the 90 % interval of what all tubers of a load have in common, as shares of its weight.
 
-    The bias of the total differs between stocks (cultivar, season, belt distance) and sites (how well the belt is
-    known, and what goes with it) by more than their numbers explain: that part does not shrink with the count.
+    The bias of the total differs between recordings by more than their tubers' number explains: that part does not
+    shrink with the count. Its square is own^2 plus (per mm times the standard deviation of the resting level)^2; own,
+    camera and cultivar, is at least 1 %. Where recordings are unknown, stock, distance and site stand for them and all
+    of it is the load's own.
     """
-    distance = np.round(data.belt_distance_m / DISTANCE_STEP_M).astype(np.int64)
-    site = np.round(data.belt_sd_m / SITE_STEP_M).astype(np.int64)
-    names = zip(data.cultivar, data.season, distance, site, strict=True)
-    stock = np.array(["/".join(map(str, name)) for name in names])
-    bias, chance, weight = [], [], []
-    for name in np.unique(stock):
-        rows = stock == name
+    known = not (data.recording == UNKNOWN).all() and len(np.unique(data.recording)) >= MIN_RECORDINGS
+    load = data.recording if known else _stocks(data)
+    bias, chance, weight, level_mm = [], [], [], []
+    for name in np.unique(load):
+        rows = load == name
         _, owner = np.unique(data.tuber[rows], return_inverse=True)
         count = np.bincount(owner)
         if len(count) < MIN_TUBERS:
@@ -110,13 +118,28 @@ def load_share(weight_g: NDArray[np.float64], data: CloudSet) -> float:
         bias.append(float(error.sum()) / total)
         chance.append(len(count) * float(error.var(ddof=1)) / total**2)
         weight.append(len(count))
+        level_mm.append(1e3 * float(np.sqrt(np.mean(data.level_sd_m[rows] ** 2))))
     if not bias:
-        return 0.05
-    shared = float(np.average(np.square(bias) - np.array(chance), weights=weight))
-    return round(max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(max(shared, 0.0)))), 4)
+        return 0.05, 0.0
+    excess = np.square(bias) - np.array(chance)
+    if not known:
+        shared = float(np.average(excess, weights=weight))
+        return round(max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(max(shared, 0.0)))), 4), 0.0
+    design = np.column_stack([np.ones(len(excess)), np.square(level_mm)])
+    parts, _ = nnls(design, excess)
+    own, per_mm = max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(parts[0]))), NORMAL_90 * float(np.sqrt(parts[1]))
+    return round(own, 4), round(per_mm, 5)
 
 
-def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int | None) -> Sidecar:
+def _stocks(data: CloudSet) -> NDArray[np.str_]:
+    distance = np.round(data.belt_distance_m / DISTANCE_STEP_M).astype(np.int64)
+    site = np.round(data.level_sd_m / SITE_STEP_M).astype(np.int64)
+    return np.array(["/".join(map(str, name)) for name in zip(data.cultivar, data.season, distance, site, strict=True)])
+
+
+def recalibrate(
+    weights: Path, data: Path, *, cache: Path | None, max_views: int | None, compute: torch.dtype | None = None
+) -> Sidecar:
     """Calibrate saved weights anew on the views of `data` and write their sidecar; the tensors stay as they are.
 
     Raises:
@@ -126,11 +149,11 @@ def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
     views = load_cloudset(data, cache=cache, max_views=max_views).with_target(sidecar.target)
-    resolution = Resolution(NEIGHBOURS, stage_counts(sidecar.input.points)[1])
-    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=resolution)
+    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
-    found = calibration(network_g, volume_g, views, volume_share=sidecar.volume_share)
-    weight_g = blend(network_g, volume_g, sidecar.volume_share)
+    rule = sidecar.blend_rule
+    found = calibration(network_g, volume_g, views, rule=rule)
+    weight_g = rule.weights_g(network_g, volume_g, views.features)
     metrics = {**sidecar.metrics, "calibration": scores(weight_g, views.weight_g, views.tuber)}
     return save_checkpoint(
         weights, model.state_dict(), sidecar.model_copy(update={**found.sidecar_keys(), "metrics": metrics})

@@ -22,11 +22,16 @@ from conveyor.errors import InputError
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
-from regressor.training.labelled import LabelledView, labelled_files, read_labelled
-from regressor.weigh import prepare, volume
+from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
+from regressor.weigh import outline, prepare, surface
 from regressor.weigh.prepare import RefusedCloud
 
 KEEP = 384
+
+LABELS = (
+    *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m", *NUMBERS),
+    *("tuber", "cultivar", "season", "recording", "preset", "surface", "pose", "rim", "calibrated"),
+)
 
 Target = Literal["weight_g", "volume_ml", "length_mm"]
 TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
@@ -40,9 +45,12 @@ class CloudSet:
     Attributes:
         points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
             repeat their points.
-        height_m: (n,) float64, above the belt, not clamped. features: (n, 5) as in `volume.NAMES`.
+        height_m: (n,) float64, above the belt, not clamped. features: (n, 17) as in `surface.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
-        tuber, cultivar, season: (n,) str. points_in_cloud: (n,) how many points the whole cloud had.
+        rim_lost, shortest_deg, longest_deg, soil_mm: (n,) as in `LabelledView`, NaN where unknown.
+        resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
+        tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
+        points_in_cloud: (n,) how many points the whole cloud had.
         refused: how many views could not be prepared, by reason.
     """
 
@@ -55,14 +63,35 @@ class CloudSet:
     belt_distance_m: NDArray[np.float64]
     belt_sd_m: NDArray[np.float64]
     row_share: NDArray[np.float64]
+    resting_sd_m: NDArray[np.float64]
+    rim_lost: NDArray[np.float64]
+    shortest_deg: NDArray[np.float64]
+    longest_deg: NDArray[np.float64]
+    soil_mm: NDArray[np.float64]
     tuber: NDArray[np.str_]
     cultivar: NDArray[np.str_]
     season: NDArray[np.str_]
+    recording: NDArray[np.str_]
+    preset: NDArray[np.str_]
+    surface: NDArray[np.str_]
+    pose: NDArray[np.str_]
+    rim: NDArray[np.str_]
+    calibrated: NDArray[np.str_]
     points_in_cloud: NDArray[np.int64]
     refused: dict[str, int]
 
     def __len__(self) -> int:
         return len(self.weight_g)
+
+    @property
+    def level_sd_m(self) -> NDArray[np.float64]:
+        """(n,) how well the resting level is known: the belt's height and the offset below it."""
+        return np.hypot(self.belt_sd_m, self.resting_sd_m)
+
+    @property
+    def clean(self) -> NDArray[np.bool_]:
+        """(n,) whether no soil is known to stick to the tuber: what soil adds to a volume no view shows."""
+        return ~(self.soil_mm > 0)
 
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
         """The chosen rows."""
@@ -106,17 +135,38 @@ def load_cloudset(
     Raises:
         InputError: nothing usable in the folder.
     """
-    key = _fingerprint(folder, split, keep)
-    file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
-    if file is not None and file.is_file():
-        data = _read_cache(file)
-    else:
-        data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
-        if file is not None:
-            _write_cache(file, data)
+    # Each pack has a cache of its own: one more pack prepares only itself.
+    packs = sorted({path.parent for path in labelled_files(folder)}) if split is None else [folder]
+    packs = packs if all(any(pack.glob("views-*.npz")) for pack in packs) else [folder]
+    data = joined([_load_pack(pack, split, cache, keep, progress) for pack in packs])
     if max_views is not None and max_views < len(data):
         data = data.subset(np.linspace(0, len(data) - 1, max_views).astype(np.int64))
     return data
+
+
+def _load_pack(
+    folder: Path, split: str | None, cache: Path | None, keep: int, progress: Callable[[int], None] | None
+) -> CloudSet:
+    key = _fingerprint(folder, split, keep)
+    file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
+    if file is not None and file.is_file():
+        return _read_cache(file)
+    data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
+    if file is not None:
+        _write_cache(file, data)
+    return data
+
+
+def joined(sets: list[CloudSet]) -> CloudSet:
+    """One set after the other; there must be one."""
+    if len(sets) == 1:
+        return sets[0]
+    names = [f.name for f in fields(CloudSet) if f.name != "refused"]
+    refused: Counter[str] = Counter()
+    for part in sets:
+        refused.update(part.refused)
+    columns = {name: np.concatenate([getattr(part, name) for part in sets]) for name in names}
+    return CloudSet(**columns, refused=dict(refused))
 
 
 def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
@@ -125,7 +175,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     for path in labelled_files(folder):
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
-    for module in (labelled, prepare, sampling, volume):
+    for module in (labelled, prepare, sampling, outline, surface):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()[:16]
 
@@ -155,20 +205,7 @@ def _prepare_all(
         features=np.stack([features for *_, features, _ in kept]),
         points_in_cloud=np.array([count for *_, count in kept]),
         refused=dict(refused),
-        **{
-            name: np.array([getattr(view, name) for view in labels])
-            for name in (
-                "weight_g",
-                "volume_ml",
-                "length_mm",
-                "belt_distance_m",
-                "belt_sd_m",
-                "row_share",
-                "tuber",
-                "cultivar",
-                "season",
-            )
-        },
+        **{name: np.array([getattr(view, name) for view in labels]) for name in LABELS},
     )
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,19 @@ from conveyor.formats.packs.views import PackedView, read_views, view_shards
 from conveyor.formats.potatotwin.layout import is_potatotwin
 from conveyor.formats.potatotwin.views import TwinView, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
+from conveyor.resting import POTATOTWIN, RestingLevel
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
+
+Resting = Literal["calibrated", "stated"]
+"""Which resting level a simulated view is read with. 'stated': as its user would state it, known or not. 'calibrated':
+as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
+with that calibration's error. What nobody can know is no part of a training."""
+CALIBRATED_SD_M = 0.001
+OWN_ERROR = ("easy", "field")
+"""Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
+UNKNOWN = "unknown"
+NUMBERS = ("rim_lost", "shortest_deg", "longest_deg", "soil_mm")
+"""What only the simulator knows of a view, as numbers; the fields of `LabelledView` of these names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +40,11 @@ class LabelledView:
     """One view with its truth. `depth` is a crop (uint16, zero outside the tuber); cx, cy count from its first pixel.
 
     `belt_sd_m` is how well the belt distance is known, standard deviation; a typical value where nothing says it.
+    `resting_offset_m` is how far its underside lies below the belt, as far as the line knows, to `resting_sd_m`.
+    `recording` is what it shares camera, belt and offset with. Only the simulator knows `preset`, `surface`, `pose`,
+    `rim` and `calibrated` (whether the resting level was), 'unknown' elsewhere, and `rim_lost`, the share of the
+    silhouette without depth, the angles of the shortest and longest axis to the vertical, and `soil_mm`, how thick
+    soil sticks to tubers that weigh without it, NaN elsewhere.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
     ((N, 3), camera frame, metres) is given.
     """
@@ -47,6 +65,23 @@ class LabelledView:
     cultivar: str
     season: str
     row_share: float
+    resting_offset_m: float = 0.0
+    resting_sd_m: float = 0.0
+    recording: str = UNKNOWN
+    preset: str = UNKNOWN
+    surface: str = UNKNOWN
+    pose: str = UNKNOWN
+    rim: str = UNKNOWN
+    calibrated: str = UNKNOWN
+    rim_lost: float = math.nan
+    shortest_deg: float = math.nan
+    longest_deg: float = math.nan
+    soil_mm: float = math.nan
+
+    @property
+    def level_sd_m(self) -> float:
+        """How well the resting level is known, the belt's height and the offset taken together."""
+        return math.hypot(self.belt_sd_m, self.resting_sd_m)
 
     def prepare(self) -> PreparedCloud:
         """The cleaned, level, centred cloud.
@@ -55,7 +90,9 @@ class LabelledView:
             RefusedCloud: the view cannot be weighed.
         """
         if self.cloud is not None:
-            return prepare_cloud(self.cloud, belt_distance_m=self.belt_distance_m)
+            return prepare_cloud(
+                self.cloud, belt_distance_m=self.belt_distance_m, resting_offset_m=self.resting_offset_m
+            )
         if self.depth is None:
             raise ValueError("a labelled view needs a depth crop or a cloud")
         return prepare_depth(
@@ -66,6 +103,7 @@ class LabelledView:
             cx=self.cx,
             cy=self.cy,
             belt_from_camera=straight_down_belt_from_camera(self.belt_distance_m),
+            resting_offset_m=self.resting_offset_m,
         )
 
 
@@ -86,7 +124,7 @@ def labelled_files(folder: Path) -> list[Path]:
     )
 
 
-def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[LabelledView]:
+def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = "calibrated") -> Iterator[LabelledView]:
     """All labelled views of `folder`, in a fixed order. `split` selects by splits.csv (3DPotatoTwin only).
 
     Raises:
@@ -95,15 +133,42 @@ def read_labelled(folder: Path, *, split: str | None = None) -> Iterator[Labelle
     files = labelled_files(folder)
     if files[0].suffix == ".npz":
         for shard in files:
-            yield from (_from_pack(shard.parent.name, view) for view in read_views(shard))
+            yield from _read_shard(shard, resting)
     else:
+        level = twin_resting(folder)
         for view in read_twin(folder, split=split):
-            yield _from_twin(view)
+            yield _from_twin(view, level)
 
 
-def _from_pack(pack: str, view: PackedView) -> LabelledView:
+def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
+    views = list(read_views(path))
+    more = {name: np.array([view.more[name] for view in views]) for name in (views[0].more if views else ())}
+    offset_m, sd_m = _stated_resting(more, len(views), resting)
+    for at, view in enumerate(views):
+        yield _from_pack(path.parent.name, view, resting_offset_m=float(offset_m[at]), resting_sd_m=float(sd_m[at]))
+
+
+def _stated_resting(data: dict[str, Any], count: int, resting: Resting) -> tuple[NDArray[np.float64], ...]:
+    """(offset, standard deviation), each (n,) metres, of n views of a pack; 0 where the pack knows no such thing."""
+    if "stated_resting_mm" not in data:
+        return np.zeros(count), np.zeros(count)
+    offset_m, sd_m = data["stated_resting_mm"] / 1e3, data["stated_resting_sd_mm"] / 1e3
+    if resting == "stated":
+        return offset_m, sd_m
+    error = np.array([np.random.default_rng([17, n]).standard_normal() for n in data["recording"].tolist()])
+    calibrated = data["calibrated"].astype(bool)
+    level_m = data["resting_recording_mm"] / 1e3
+    error_m = np.where(calibrated, offset_m - level_m, CALIBRATED_SD_M * error)
+    sd_m = np.where(calibrated, sd_m, CALIBRATED_SD_M)
+    own = np.isin(data["preset"], OWN_ERROR)
+    _, recording = np.unique(data["recording"], return_inverse=True)
+    mean_m = (np.bincount(recording, data["resting_mm"]) / np.bincount(recording) / 1e3)[recording]
+    return mean_m + np.where(own, 0.0, error_m), np.where(own, 0.0, sd_m)
+
+
+def _from_pack(pack: str, view: PackedView, *, resting_offset_m: float, resting_sd_m: float) -> LabelledView:
     """`pack`: its folder's name, for tubers of several packs have the same numbers."""
-    k = view.intrinsics
+    k, more = view.intrinsics, view.more
     return LabelledView(
         depth=view.depth,
         cloud=None,
@@ -121,10 +186,33 @@ def _from_pack(pack: str, view: PackedView) -> LabelledView:
         cultivar=view.cultivar,
         season=view.season,
         row_share=math.nan if view.v_centre is None else view.v_centre / min(k.width, k.height),
+        resting_offset_m=resting_offset_m,
+        resting_sd_m=resting_sd_m,
+        recording=f"{pack}/{more.get('recording', UNKNOWN)}",
+        preset=str(more.get("preset", UNKNOWN)),
+        surface=str(more.get("surface", UNKNOWN)),
+        pose=str(more.get("pose", UNKNOWN)),
+        rim=str(more.get("rim", UNKNOWN)),
+        calibrated=str(more.get("calibrated", UNKNOWN)),
+        rim_lost=float(more.get("rim_lost", math.nan)),
+        shortest_deg=float(more.get("shortest_deg", math.nan)),
+        longest_deg=float(more.get("longest_deg", math.nan)),
+        soil_mm=float(more.get("soil_mm", math.nan)),
     )
 
 
-def _from_twin(view: TwinView) -> LabelledView:
+def twin_resting(folder: Path) -> RestingLevel:
+    """The resting level of a folder in the layout of 3DPotatoTwin: measured for that data set, on the belt elsewhere.
+
+    A simulated folder, and a crop whose table says where its camera hung, are not that data set.
+    """
+    simulated = folder / "1_rgbd" / "0_camera_intrinsics" / "simulated_camera_intrinsic.json"
+    with (folder / "ground_truth.csv").open(encoding="utf-8-sig") as table:
+        columns = table.readline()
+    return RestingLevel() if simulated.is_file() or "belt_distance_m" in columns else POTATOTWIN
+
+
+def _from_twin(view: TwinView, level: RestingLevel) -> LabelledView:
     return LabelledView(
         depth=view.depth,
         cloud=view.cloud,
@@ -142,4 +230,6 @@ def _from_twin(view: TwinView) -> LabelledView:
         cultivar=view.cultivar,
         season=view.season,
         row_share=view.row_share,
+        resting_offset_m=level.offset_m,
+        resting_sd_m=level.sd_m,
     )

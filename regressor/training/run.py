@@ -22,7 +22,8 @@ from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
 from regressor.training.loop import load_state, run_training
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
-from regressor.weigh.volume import VolumeRule, best_share, blend, fit_volume_rule
+from regressor.weigh.blend import BlendRule, best_share, blend
+from regressor.weigh.volume import VolumeRule, fit_volume_rule
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
@@ -161,7 +162,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
         volume_share=share,
-        **calibration(predicted, by_volume, validation, volume_share=share).sidecar_keys(),
+        **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,

@@ -19,12 +19,17 @@ from regressor.weigh.weigher import Weighed, Weigher
 
 @dataclass(frozen=True, slots=True)
 class FileOptions:
-    """How files are read. `depth_scale_m` None takes what the intrinsics file says (1 mm where it says nothing)."""
+    """How files are read. `depth_scale_m` None takes what the intrinsics file says (1 mm where it says nothing).
+
+    `resting_offset_m`: how far the tuber's underside lies below the belt; the sd of each widens intervals.
+    """
 
     belt_distance_m: float
     belt_sd_m: float = TYPICAL_BELT_SD_M
     depth_scale_m: float | None = None
     intrinsics: Path | None = None
+    resting_offset_m: float = 0.0
+    resting_sd_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +81,7 @@ def _weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResul
     fault = distance_fault(path, cloud)
     if fault:
         return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), None, error=fault)
-    weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m)
+    weighed = weigher.weigh(cloud, belt_sd_m=options.belt_sd_m, resting_sd_m=options.resting_sd_m)
     return FileResult(path, len(cloud.points), round(cloud.height_m * 1e3, 2), weighed)
 
 
@@ -87,7 +92,9 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
         InputError: unreadable or unusable.
     """
     if path.suffix.lower() != ".png":
-        return prepare_cloud(read_cloud(path), belt_distance_m=options.belt_distance_m)
+        return prepare_cloud(
+            read_cloud(path), belt_distance_m=options.belt_distance_m, resting_offset_m=options.resting_offset_m
+        )
     intrinsics, stored_scale_m = read_intrinsics(options.intrinsics or find_intrinsics(path))
     scale_m = options.depth_scale_m or stored_scale_m
     far_m = max(MAX_DEPTH_M, options.belt_distance_m + 0.05)
@@ -100,6 +107,7 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
         cx=masked.intrinsics.cx,
         cy=masked.intrinsics.cy,
         belt_from_camera=straight_down_belt_from_camera(options.belt_distance_m),
+        resting_offset_m=options.resting_offset_m,
     )
 
 
@@ -108,7 +116,7 @@ def distance_fault(where: Path | str, cloud: PreparedCloud) -> str:
     wrong scale or distance; empty where nothing is.
     """
     lowest_m = cloud.height_m - float(cloud.points[:, 2].max() - cloud.points[:, 2].min())
-    nearest_m = cloud.belt_distance_m - cloud.height_m
+    nearest_m = cloud.belt_distance_m + cloud.resting_offset_m - cloud.height_m
     if cloud.height_m > 0.003 and lowest_m < 0.12:
         return ""
     return (

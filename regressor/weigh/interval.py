@@ -68,11 +68,14 @@ def calibrate(
     terms: NDArray[np.float64],
     *,
     level: float = LEVEL,
+    independent: int | None = None,
 ) -> IntervalRule:
     """The rule that covers `level` of the calibration views in each class with at least 40 of them.
 
     Args:
         predicted_g, weight_g: (n,) of views of tubers that were not trained on. terms: (n, 6) of `view_terms`.
+        independent: how many recordings they are from: views of one share belt, camera and cultivar, so that the
+            promise for a view of a new recording needs the finite-sample correction of their number.
     """
     scale = fit_scale(terms, weight_g - predicted_g)
     residual = (weight_g - predicted_g) / scale.scale_g(terms)
@@ -81,18 +84,18 @@ def calibrate(
         inside = (predicted_g >= begin) & (predicted_g < end)
         if inside.sum() < MIN_IN_CLASS:
             continue
-        low, high = _quantiles(residual[inside], level)
+        low, high = _quantiles(residual[inside], level, independent)
         at.append(float(np.median(predicted_g[inside])))
         below.append(low)
         above.append(high)
     if not at:
-        low, high = _quantiles(residual, level)
+        low, high = _quantiles(residual, level, independent)
         at, below, above = [float(np.median(predicted_g))], [low], [high]
     return IntervalRule(level, tuple(at), tuple(below), tuple(above), len(residual), scale)
 
 
-def _quantiles(residual: NDArray[np.float64], level: float) -> tuple[float, float]:
-    count = len(residual)
+def _quantiles(residual: NDArray[np.float64], level: float, independent: int | None) -> tuple[float, float]:
+    count = min(len(residual), independent or len(residual))
     # Each tail takes half of what may be missed; the +1 makes the promise hold for a new view, not for these.
     share = min(1.0, np.ceil((count + 1) * (1 + level) / 2) / count)
     return float(-np.quantile(-residual, share)), float(np.quantile(residual, share))

@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from conveyor.errors import InputError
-from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
-from regressor.weigh.volume import SurfaceFeatures, surface_features_of_cloud, surface_features_of_pixels
+from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
+from regressor.weigh.surface import SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
 MIN_POINTS = 30
 NETWORK_POINTS = 1024
 STEP_M = 0.006
 MAX_EXTENT_M = 0.2
+MAX_POINTS = 60_000
+VOXEL_M = 0.0005
 
 
 REASONS = {
@@ -50,10 +52,11 @@ class PreparedCloud:
 
     Attributes:
         points: (N, 3) float32, level frame (z away from the camera along the belt's normal), centred, metres.
-        height_m: of the highest point above the belt, not clamped.
+        height_m: of the highest point above the resting level, not clamped.
         belt_distance_m: height of the optical centre above the belt.
         surface: volume under the visible surface and outline measures.
         flags: what is unusual about this cloud.
+        resting_offset_m: how far the resting level lies below the belt.
     """
 
     points: NDArray[np.float32]
@@ -61,6 +64,7 @@ class PreparedCloud:
     belt_distance_m: float
     surface: SurfaceFeatures
     flags: tuple[str, ...]
+    resting_offset_m: float = 0.0
 
     def clamped_height_m(self, highest_m: float = MAX_HEIGHT_M) -> float:
         """The height the network sees, metres: 0 to 80 mm as in the paper, or what its weights were trained with."""
@@ -68,7 +72,7 @@ class PreparedCloud:
 
 
 def prepare_view(view: View) -> PreparedCloud:
-    """The view's cloud.
+    """The view's cloud, over its own resting level.
 
     Raises:
         RefusedCloud: empty, too few points, not finite.
@@ -81,6 +85,7 @@ def prepare_view(view: View) -> PreparedCloud:
         cx=view.intrinsics.cx - view.u0,
         cy=view.intrinsics.cy - view.v0,
         belt_from_camera=view.belt_from_camera,
+        resting_offset_m=view.resting_offset_m,
     )
 
 
@@ -93,6 +98,7 @@ def prepare_depth(
     cx: float,
     cy: float,
     belt_from_camera: NDArray[np.float64],
+    resting_offset_m: float = 0.0,
 ) -> PreparedCloud:
     """The cloud of all non-zero pixels of `depth`.
 
@@ -100,29 +106,37 @@ def prepare_depth(
         depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber.
         fx, fy, cx, cy: intrinsics in pixels; cx, cy count from this crop's first pixel.
         belt_from_camera: (4, 4).
+        resting_offset_m: how far the tuber's underside lies below that belt.
 
     Raises:
         RefusedCloud: empty, too few points.
     """
     kept = clean_depth(np.ascontiguousarray(depth), depth_scale_m)
-    v, u = np.nonzero(kept)
-    if len(v) < MIN_POINTS:
+    measured = kept > 0
+    count = int(measured.sum())
+    if count < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
-    z = kept[v, u] * np.float64(depth_scale_m)
+    filled = kept * np.float64(depth_scale_m)
+    holes = fill_holes(filled)
+    inside = filled > 0
+    v, u = np.nonzero(inside)
+    z = filled[v, u]
     in_camera = np.stack([(u - cx) * z / fx, (v - cy) * z / fy, z], axis=1)
     level, distance_m = _level(in_camera, belt_from_camera)
-    heights = distance_m - level[:, 2]
     # Area on the level plane that a pixel covers: smaller than z^2/(fx fy) where the ray meets the plane obliquely.
     area = z * z / (fx * fy) / np.maximum(level[:, 2] / z, 0.2)
-    surface = surface_features_of_pixels(level[:, :2], heights, area)
-    return _finish(level, distance_m, surface)
+    surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
+    return _finish(level[measured[v, u]], distance_m, resting_offset_m, surface)
 
 
-def prepare_cloud(points_in_camera: NDArray[np.floating], *, belt_distance_m: float) -> PreparedCloud:
+def prepare_cloud(
+    points_in_camera: NDArray[np.floating], *, belt_distance_m: float, resting_offset_m: float = 0.0
+) -> PreparedCloud:
     """A cloud that came without its image, from a camera that looks straight down.
 
     Args:
-        points_in_camera: (N, 3), metres, one tuber.
+        points_in_camera: (N, 3), metres, one tuber. Millions are thinned out first.
+        resting_offset_m: how far its underside lies below the belt.
 
     Raises:
         RefusedCloud: empty, too few points, not finite.
@@ -134,11 +148,38 @@ def prepare_cloud(points_in_camera: NDArray[np.floating], *, belt_distance_m: fl
         raise RefusedCloud("empty_cloud")
     if not np.isfinite(points).all():
         raise RefusedCloud("not_finite")
-    points = points[_without_strays(points)]
+    points = thinned(points)
+    points = points[_without_strays(points) & (points[:, 2] > 0)]
     if len(points) < MIN_POINTS:
         raise RefusedCloud("too_few_points")
-    level, distance_m = _level(points, straight_down_belt_from_camera(belt_distance_m))
-    return _finish(level, distance_m, surface_features_of_cloud(level[:, :2], distance_m - level[:, 2]))
+    image = angle_image(points)
+    holes = fill_holes(image.depth_m)
+    inside = image.depth_m > 0
+    v, u = np.nonzero(inside)
+    z = image.depth_m[v, u]
+    level = np.stack([(image.x0 + u * image.pixel) * z, (image.y0 + v * image.pixel) * z, z], axis=1)
+    # A cell that a hole's filling covers is whole.
+    area = (z * image.pixel) ** 2 * np.where(image.share[v, u] > 0, image.share[v, u], 1.0)
+    distance_m = belt_distance_m + resting_offset_m
+    surface = surface_features(level, area, inside, distance_m=distance_m, holes=holes)
+    return _finish(points, belt_distance_m, resting_offset_m, surface)
+
+
+def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """At most `MAX_POINTS` points or so: the means of the points in voxels, which are doubled until they do.
+
+    A tuber has 3,000 to 30,000 pixels; clouds of millions took minutes in the search for strays.
+    """
+    size_m = VOXEL_M
+    while len(points) > MAX_POINTS:
+        voxel = np.floor(points / size_m).astype(np.int64)
+        voxel -= voxel.min(0)
+        extent = voxel.max(0) + 1
+        name = (voxel[:, 0] * extent[1] + voxel[:, 1]) * extent[2] + voxel[:, 2]
+        _, owner, count = np.unique(name, return_inverse=True, return_counts=True)
+        points = np.column_stack([np.bincount(owner, axis) / count for axis in points.T])
+        size_m *= 2
+    return points
 
 
 def _level(
@@ -154,8 +195,10 @@ def _level(
     return points_in_camera @ level_from_camera.T, float(belt_from_camera[2, 3])
 
 
-def _finish(level: NDArray[np.float64], distance_m: float, surface: SurfaceFeatures) -> PreparedCloud:
-    height_m = distance_m - float(level[:, 2].min())
+def _finish(
+    level: NDArray[np.float64], distance_m: float, resting_offset_m: float, surface: SurfaceFeatures
+) -> PreparedCloud:
+    height_m = distance_m + resting_offset_m - float(level[:, 2].min())
     points = level.astype(np.float32)
     points -= points.mean(axis=0, dtype=np.float64).astype(np.float32)
     flags = []
@@ -163,17 +206,22 @@ def _finish(level: NDArray[np.float64], distance_m: float, surface: SurfaceFeatu
         flags.append("few_points")
     if float(np.linalg.norm(np.ptp(points, axis=0))) >= MAX_EXTENT_M:
         flags.append("extent")
-    return PreparedCloud(points, height_m, distance_m, surface, tuple(flags))
+    return PreparedCloud(points, height_m, distance_m, surface, tuple(flags), resting_offset_m)
 
 
 def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
-    """`depth` without flying pixels: zero where fewer than two, or all but one, of the 4 neighbours are near in depth.
+    """`depth` without flying pixels and islands of false matches.
+
+    Flying pixels: zero where fewer than two, or all but one, of the 4 neighbours are near in depth.
 
     A pixel stays if at least two of its four neighbours lie within 6 mm of it in depth and at most one neighbour inside
     the mask is farther. The reference clusters with DBSCAN (0.5-1.2 s per tuber on a CPU) and drops noise only; the
     test here takes 0.05 ms and also drops the ramp of mixed pixels at an occluding edge.
     """
-    return _clean(depth, max(1, round(STEP_M / depth_scale_m)))
+    step = max(1, round(STEP_M / depth_scale_m))
+    out: NDArray[np.uint16] = _clean(depth, step)
+    drop_islands(out, step, round(BESIDE_M / depth_scale_m))
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.volume import NAMES
+from regressor.weigh.surface import NAMES
 
 TERMS = ("ln_weight", "ln_weight_squared", "disagreement", "elongation", "steepness", "belt")
 TYPICAL_G = 150.0
@@ -40,8 +40,9 @@ def view_terms(
 
     Args:
         weight_g, network_g, volume_g: (n,) the blended weight and its two parts.
-        features: (n, 5) of the visible surface as in `volume.NAMES`. height_m: (n,) above the belt, not clamped.
-        belt_sd_m: (n,) how well the belt's height is known, standard deviation.
+        features: (n, 5 or more) of the visible surface as in `surface.NAMES`.
+        height_m: (n,) above the resting level, not clamped.
+        belt_sd_m: (n,) how well the resting level is known, standard deviation: the belt's height and the offset.
     """
     length_mm, width_mm = (np.maximum(features[:, NAMES.index(name)], 1.0) for name in ("length_mm", "width_mm"))
     ln_weight = np.log(np.maximum(weight_g, 1.0) / TYPICAL_G)

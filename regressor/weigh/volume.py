@@ -1,7 +1,8 @@
-"""The volume under the visible surface, and a weight from it: the fallback when no network fits, and its check.
+"""A weight from what the visible surface measures: the fallback when no network fits, and its check.
 
-`V_top = sum((H - z) * area of the pixel at depth z)` is the volume between the visible surface and the belt. With the
-outline's area and axes and the height it predicts weight far better than the paper's box does (docs/pointraft.md).
+`V_top = sum((H - z) * area of the pixel at depth z)` is the volume between the visible surface and the resting level.
+With the outline, cross sections, the rim's height and how the tuber lies it predicts weight far better than the
+paper's box does (docs/pointraft.md).
 """
 
 from __future__ import annotations
@@ -12,90 +13,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CELL_M = 0.003
-NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
+from regressor.weigh.quadratic import RIDGE, pairs_of, ranges_of, terms_of
+from regressor.weigh.surface import NAMES, SurfaceFeatures
 
-
-@dataclass(frozen=True, slots=True)
-class SurfaceFeatures:
-    """What the visible surface measures: volume down to the belt, outline area, sorted outline axes, height (p99)."""
-
-    volume_ml: float
-    area_cm2: float
-    length_mm: float
-    width_mm: float
-    height_mm: float
-
-    def as_array(self) -> NDArray[np.float64]:
-        """(5,) float64 in the order of `NAMES`."""
-        return np.array([getattr(self, name) for name in NAMES])
-
-
-def surface_features_of_pixels(
-    level_xy: NDArray[np.float64], heights_m: NDArray[np.float64], areas_m2: NDArray[np.float64]
-) -> SurfaceFeatures:
-    """Features of the pixels of a depth image.
-
-    Args:
-        level_xy: (N, 2) metres in a plane parallel to the belt. heights_m: (N,) above the belt.
-        areas_m2: (N,) area on that plane that each pixel covers.
-    """
-    volume_m3 = float((np.maximum(heights_m, 0.0) * areas_m2).sum())
-    length_m, width_m = _axes(level_xy)
-    return SurfaceFeatures(
-        volume_ml=volume_m3 * 1e6,
-        area_cm2=float(areas_m2.sum()) * 1e4,
-        length_mm=length_m * 1e3,
-        width_mm=width_m * 1e3,
-        height_mm=float(np.quantile(heights_m, 0.99)) * 1e3,
-    )
-
-
-def surface_features_of_cloud(level_xy: NDArray[np.float64], heights_m: NDArray[np.float64]) -> SurfaceFeatures:
-    """Features of a cloud whose pixels are unknown: the points' mean height in each 3 mm cell of the plane."""
-    cell = np.floor(level_xy / CELL_M).astype(np.int64)
-    _, owner = np.unique(cell, axis=0, return_inverse=True)
-    count = np.bincount(owner)
-    mean = np.bincount(owner, weights=heights_m) / count
-    # A cell at the rim is only partly covered: it counts by how full it is.
-    share = np.minimum(1.0, count / max(float(np.median(count)), 1.0))
-    area = CELL_M * CELL_M * share
-    base = surface_features_of_pixels(level_xy, heights_m, np.zeros(len(heights_m)))
-    return SurfaceFeatures(
-        volume_ml=float((np.maximum(mean, 0.0) * area).sum()) * 1e6,
-        area_cm2=float(area.sum()) * 1e4,
-        length_mm=base.length_mm,
-        width_mm=base.width_mm,
-        height_mm=base.height_mm,
-    )
-
-
-def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
-    """Longest and shortest width of the outline over 36 directions in the plane, metres."""
-    angle = np.deg2rad(np.arange(0.0, 180.0, 5.0))
-    along = level_xy[:: max(1, len(level_xy) // 2000)] @ np.stack([np.cos(angle), np.sin(angle)])
-    widths = np.quantile(along, 0.995, axis=0) - np.quantile(along, 0.005, axis=0)
-    longest = int(widths.argmax())
-    return float(widths[longest]), float(widths[(longest + 18) % 36])
+FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
+"""What a rule from before the other features reads."""
+ROUNDS = 30
+MOST_OFF = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class VolumeRule:
-    """ln weight = intercept + sum(coefficients * ln features), fitted on a training set; `sd` of the residual's ln."""
+    """ln weight = intercept + sum(coefficients * terms) + sum(products * pairs of standardised terms).
+
+    A term is the logarithm of a feature with a unit, and the feature itself where it has none.
+
+    Attributes:
+        coefficients: one per name. residual_ln_sd: of ln weight, on what it was fitted on.
+        low, high: of each term in the fit; products take terms clipped to it and scaled to -1..1, so that what was
+            never seen is not extrapolated quadratically.
+        products: of the pairs (i, j), i <= j, row by row; empty without them.
+    """
 
     intercept: float
     coefficients: tuple[float, ...]
     residual_ln_sd: float
-    names: tuple[str, ...] = NAMES
+    names: tuple[str, ...] = FIRST_NAMES
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    products: tuple[float, ...] = ()
 
     def weight_g(self, features: SurfaceFeatures) -> float:
         """Grams."""
         return float(self.weights_g(features.as_array()[None])[0])
 
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) grams of (n, 5) features in the order of `NAMES`."""
-        logs = np.log(np.maximum(features, 1e-3))
-        weights: NDArray[np.float64] = np.exp(self.intercept + logs @ np.array(self.coefficients))
+        """(n,) grams of (n, 17) features in the order of `NAMES`."""
+        terms = terms_of(features, self.names)
+        ln_g = self.intercept + terms @ np.array(self.coefficients)
+        if self.products:
+            ln_g = ln_g + pairs_of(terms, np.array(self.low), np.array(self.high)) @ np.array(self.products)
+        weights: NDArray[np.float64] = np.exp(np.clip(ln_g, -5.0, 12.0))
         return weights
 
     def to_json(self) -> dict[str, Any]:
@@ -104,51 +62,66 @@ class VolumeRule:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> VolumeRule:
-        """From the sidecar of a checkpoint."""
+        """From the sidecar of a checkpoint.
+
+        Raises:
+            ValueError: it reads features that this code does not know.
+        """
+        names = tuple(data["names"])
+        unknown = sorted(set(names) - set(NAMES))
+        if unknown:
+            raise ValueError(f"a volume rule reads {unknown}; known: {', '.join(NAMES)}")
+        low, high, products = (tuple(float(v) for v in data.get(key, ())) for key in ("low", "high", "products"))
         return cls(
             float(data["intercept"]),
             tuple(float(value) for value in data["coefficients"]),
             float(data["residual_ln_sd"]),
-            tuple(data["names"]),
+            names,
+            low,
+            high,
+            products,
         )
 
 
-def fit_volume_rule(features: NDArray[np.float64], weight_g: NDArray[np.float64]) -> VolumeRule:
-    """Ridge-regularised least squares on logarithms, scaled so that the sum of predictions equals the sum of weights.
+def fit_volume_rule(
+    features: NDArray[np.float64],
+    weight_g: NDArray[np.float64],
+    *,
+    names: tuple[str, ...] = NAMES,
+    squares: bool = True,
+) -> VolumeRule:
+    """Ridge-regularised gamma regression with a log link.
+
+    Its relative errors are uncorrelated with every term: no bias over size, pose or rim as far as the terms show them.
 
     Args:
-        features: (n, 5) in the order of `NAMES`. weight_g: (n,).
+        features: (n, 17) in the order of `NAMES`. weight_g: (n,). squares: with products of terms.
     """
-    logs = np.log(np.maximum(features, 1e-3))
-    centre = logs.mean(0)
-    target = np.log(weight_g)
-    design = logs - centre
-    normal = design.T @ design + 1e-3 * len(logs) * np.eye(design.shape[1]) * design.var(0).mean()
-    coefficients = np.linalg.solve(normal, design.T @ (target - target.mean()))
-    intercept = float(target.mean() - centre @ coefficients)
-    rule = VolumeRule(intercept, tuple(float(value) for value in coefficients), 0.0)
-    predicted = rule.weights_g(features)
-    correction = float(np.log(weight_g.sum() / predicted.sum()))
-    spread = float(np.std(target - np.log(predicted) - correction))
-    return VolumeRule(intercept + correction, rule.coefficients, spread)
-
-
-SHARES = np.round(np.arange(0.0, 0.51, 0.05), 2)
-"""The network keeps at least half: the rule leans on one simulator's shapes more than the network does."""
-
-
-def blend(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], share: float) -> NDArray[np.float64]:
-    """Weighted geometric mean of the network's and the volume rule's grams; share 0 is the network alone."""
-    if share == 0.0:
-        return network_g
-    weight: NDArray[np.float64] = np.maximum(network_g, 1e-3) ** (1 - share) * volume_g**share
-    return weight
-
-
-def best_share(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], weight_g: NDArray[np.float64]) -> float:
-    """The share of the volume rule with the least mean absolute error on views neither was fitted on."""
-    errors = [float(np.abs(blend(network_g, volume_g, float(share)) - weight_g).mean()) for share in SHARES]
-    return float(SHARES[int(np.argmin(errors))])
+    terms = terms_of(features, names)
+    low, high = ranges_of(terms)
+    columns = np.column_stack([terms, pairs_of(terms, low, high)]) if squares else terms
+    centre, spread = columns.mean(0), np.maximum(columns.std(0), 1e-9)
+    design = np.column_stack([np.ones(len(columns)), (columns - centre) / spread])
+    penalty = RIDGE * len(columns) * np.diag([0.0] + [1.0] * columns.shape[1])
+    normal = design.T @ design + penalty
+    beta = np.linalg.solve(normal, design.T @ np.log(weight_g))
+    for _ in range(ROUNDS):
+        ratio = np.minimum(weight_g / np.exp(design @ beta), MOST_OFF)
+        step = np.linalg.solve(normal, design.T @ (ratio - 1) - penalty @ beta)
+        beta = beta + step
+        if float(np.abs(step).max()) < 1e-9:
+            break
+    slopes = beta[1:] / spread
+    count = terms.shape[1]
+    return VolumeRule(
+        float(beta[0] - centre @ slopes),
+        tuple(slopes[:count].tolist()),
+        float(np.std(np.log(weight_g) - design @ beta)),
+        names,
+        tuple(low.tolist()) if squares else (),
+        tuple(high.tolist()) if squares else (),
+        tuple(slopes[count:].tolist()),
+    )
 
 
 TYPICAL_RULE = VolumeRule(np.log(0.85), (1.0, 0.0, 0.0, 0.0, 0.0), 0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefi
 from regressor.network.pointraft import PointRaft
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
 from regressor.weigh.viewscale import view_terms
-from regressor.weigh.volume import TYPICAL_RULE, blend
+from regressor.weigh.volume import TYPICAL_RULE
 
 VOLUME_MODEL = "volume"
 
@@ -57,6 +58,7 @@ class Weigher:
         self._network = FastPointRaft(model, form) if model is not None else None
         self._interval = sidecar.interval_rule
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+        self._blend = sidecar.blend_rule
         self._group = _grouping(sidecar)
 
     @classmethod
@@ -72,11 +74,14 @@ class Weigher:
         """The same weights, computed in `form`."""
         return self if form == self.form else Weigher(self._model, self.sidecar, form)
 
-    def weigh(self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M) -> Weighed:
+    def weigh(
+        self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
+    ) -> Weighed:
         """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it.
 
         Args:
             belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
+            resting_sd_m: the same of the resting level below it.
         """
         by_volume_g = self._volume.weight_g(cloud.surface)
         if self._network is None:
@@ -85,8 +90,9 @@ class Weigher:
         network_g = self._network.weigh(self._group(cloud.points), height_m)
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
-        weight_g = float(blend(np.array(network_g), np.array(by_volume_g), self.sidecar.volume_share))
-        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, belt_sd_m)
+        parts = np.array([network_g]), np.array([by_volume_g])
+        weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
+        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, math.hypot(belt_sd_m, resting_sd_m))
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
@@ -112,13 +118,13 @@ class Weigher:
         )
 
     def _bounds(
-        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, belt_sd_m: float
+        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, level_sd_m: float
     ) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
         weight, network, by_volume, height, belt_sd = (
-            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, belt_sd_m)
+            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, level_sd_m)
         )
         terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, belt_sd)
         low, high = self._interval.bounds_g(np.array([weight_g]), terms)
@@ -146,7 +152,7 @@ def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups 
 def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
     """The answer to `view`: a weight, or a refusal with its reason."""
     try:
-        weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m)
+        weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m)
     except RefusedCloud as refusal:
         return _refusal(weigher, view, regressor=regressor, reason=refusal.reason)
     weight = Weight(

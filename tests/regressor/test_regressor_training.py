@@ -26,6 +26,7 @@ from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.loop import load_state, save_state
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, load_sets, train
+from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
 from regressor.weigh.volume import fit_volume_rule
 from regressor.weigh.weigher import Weigher
@@ -207,6 +208,14 @@ def _options(packs: Path, out: Path) -> RunOptions:
     )
 
 
+def _by_recording(folder: Path) -> None:
+    """Give every tuber of a pack a recording of its own."""
+    file = folder / "views-00000.npz"
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    np.savez(file, **arrays, recording=arrays["tuber"])
+
+
 def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet, tmp_path: Path) -> None:
     options = _options(packs, tmp_path / "out")
     seen: list[dict[str, Any]] = []
@@ -231,6 +240,15 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert again.interval_rule != loaded.interval_rule
     assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
     assert load_checkpoint(tmp_path / "out" / "weights.safetensors")[1] == again
+    with pytest.raises(InputError, match="1 recordings; at least 20"):
+        restack(tmp_path / "out" / "weights.safetensors", packs / "train", packs / "val", cache=None)
+    write_pack(tmp_path / "unseen", tubers=24, views=2, seed=5)
+    _by_recording(tmp_path / "unseen")
+    stacked = restack(tmp_path / "out" / "weights.safetensors", packs / "train", tmp_path / "unseen", cache=None)
+    assert stacked.blend_rule.share == stacked.volume_share
+    assert stacked.volume_rule != again.volume_rule
+    assert stacked.metrics["blend"]["views"] == 48
+    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
     with pytest.raises(InputError, match="--resume"):
         train(
             options,

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import torch
 
 
 def calibrate_interval(
-    weights: Path, /, *, data: Path, cache: Path | None = None, max_views: int | None = None
+    weights: Path,
+    /,
+    *,
+    data: Path,
+    cache: Path | None = None,
+    max_views: int | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
 ) -> None:
     """Calibrate the intervals of saved weights on views with known weights; rewrites the sidecar, not the tensors.
 
@@ -24,16 +34,25 @@ def calibrate_interval(
         Folder of prepared clouds, to save the preparing; default: none.
     max_views
         Taken evenly over the set.
+    compute
+        As for `train`.
     """
     import torch
 
     from regressor.training.calibration import recalibrate
 
     torch.set_num_threads(1)
-    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views)
+    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute))
     figures = sidecar.metrics["calibration"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "
         f"tubers; views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of an error, tubers of a load "
         f"{100 * sidecar.shared_bias_share:.1f} % of its weight\n"
     )
+
+
+def wide(compute: str) -> torch.dtype | None:
+    """The type of wide products; None for that of the weights."""
+    import torch
+
+    return torch.bfloat16 if compute == "bfloat16" else None

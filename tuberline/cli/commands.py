@@ -69,6 +69,7 @@ LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics"}
 LAB: Commands = {
     "train": ("tuberline.cli.train:train", "Train PointRAFT."),
     "evaluate": ("tuberline.cli.evaluate:evaluate", "Evaluate weights and baselines on views with known weights."),
+    "calibrate-blend": ("tuberline.cli.calibrate_blend:calibrate_blend", "Fit volume rule and blend of saved weights."),
     "calibrate-interval": (
         "tuberline.cli.calibrate_interval:calibrate_interval",
         "Calibrate saved weights' intervals.",

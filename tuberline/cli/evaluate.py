@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -20,6 +21,8 @@ def evaluate(
     split: str | None = None,
     season: str | None = None,
     max_views: int | None = None,
+    by: tuple[str, ...] = (),
+    resting: Literal["calibrated", "stated"] = "calibrated",
     plots: Annotated[bool, Parameter(negative="--no-plots")] = True,
     json: bool = False,
 ) -> None:
@@ -39,6 +42,11 @@ def evaluate(
         Only tubers of this season; the baselines are fitted to them alone.
     max_views
         Only the first so many.
+    by
+        Classes for a table of bias by class and preset, with its 90 % interval over recordings (worlds.md): of pose,
+        rim, weight, season, "belt distance", surface, calibrated; `all` for all of them.
+    resting
+        Of simulated views: the resting level as a calibration finds it, or as their user states it, known or not.
     plots
         Draw errors.png (needs the extra 'train').
     json
@@ -53,11 +61,16 @@ def evaluate(
     from conveyor.files import whole_output
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
+    from regressor.studies.worlds import BY, by_class, by_preset
+    from regressor.studies.worlds import markdown as worlds_table
     from regressor.weigh.weigher import Weigher
     from tuberline.cli.progress import progress_bar
 
     if plots and importlib.util.find_spec("matplotlib") is None:
         raise InputError("plots need matplotlib: install the extra 'train', or give --no-plots")
+    unknown = sorted(set(by) - {*BY, "calibrated", "all"})
+    if unknown:
+        raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
     torch.set_num_threads(1)
     with progress_bar(total_known=False) as bar:
         task = bar.add_task("reading views")
@@ -67,14 +80,22 @@ def evaluate(
             split=split,
             season=season,
             max_views=max_views,
+            resting=resting,
             progress=lambda done: bar.update(task, description=f"{done} views weighed"),
         )
     title = f"Evaluation on {data.name}" + (f", season {season}" if season else "")
     with whole_output(out) as partial:
         measured = write_report(result, partial, title=title)
+        worlds = ""
+        if by:
+            rows = by_preset(result), by_class(result, BY if "all" in by else by)
+            worlds = worlds_table(*rows)
+            measured = {**measured, "presets": [asdict(r) for r in rows[0]], "classes": [asdict(r) for r in rows[1]]}
+            (partial / "worlds.md").write_text(worlds, encoding="utf-8")
+            (partial / "metrics.json").write_text(json_module.dumps(measured, indent=1) + "\n", encoding="utf-8")
         if plots:
             write_plots(result, partial)
     if json:
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
-        Console().print(Markdown(markdown(measured, title=title)))
+        Console().print(Markdown(markdown(measured, title=title) + ("\n## By world\n\n" + worlds if by else "")))

@@ -18,6 +18,8 @@ def weigh(
     *,
     belt_distance_m: float,
     belt_sd_mm: float = 2.0,
+    resting_offset_mm: float = 0.0,
+    resting_sd_mm: float = 0.0,
     weights: Path | None = None,
     depth_scale_m: float | None = None,
     intrinsics: Path | None = None,
@@ -35,6 +37,10 @@ def weigh(
         Camera to belt along the optical axis, metres.
     belt_sd_mm
         How well that distance is known, standard deviation in millimetres: it widens the intervals.
+    resting_offset_mm
+        How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags.
+    resting_sd_mm
+        How well that offset is known, standard deviation in millimetres.
     weights
         A .safetensors or an upstream .pth file; default: the shipped ones.
     depth_scale_m
@@ -55,8 +61,16 @@ def weigh(
         raise InputError(
             f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
         )
+    check_resting(resting_offset_mm, resting_sd_mm)
     torch.set_num_threads(1)
-    options = FileOptions(belt_distance_m, belt_sd_mm / 1000, depth_scale_m, intrinsics)
+    options = FileOptions(
+        belt_distance_m=belt_distance_m,
+        belt_sd_m=belt_sd_mm / 1000,
+        depth_scale_m=depth_scale_m,
+        intrinsics=intrinsics,
+        resting_offset_m=resting_offset_mm / 1000,
+        resting_sd_m=resting_sd_mm / 1000,
+    )
     results = weigh_files(paths, options, Weigher.load(weights))
     if json:
         sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
@@ -69,3 +83,15 @@ def weigh(
     failed = [result.error for result in results if result.error]
     if failed:
         raise InputError("\n".join(failed))
+
+
+def check_resting(offset_mm: float, sd_mm: float) -> None:
+    """Refuse a resting level that no belt has.
+
+    Raises:
+        InputError: with the option, the value and what is allowed.
+    """
+    if not -20 <= offset_mm <= 40:
+        raise InputError(f"--resting-offset-mm is {offset_mm:g}; allowed are -20 to 40 mm, positive below the belt")
+    if not 0 <= sd_mm <= 20:
+        raise InputError(f"--resting-sd-mm is {sd_mm:g}; allowed are 0 to 20 mm")

@@ -1,0 +1,95 @@
+"""The volume rule and its blend with a trained network, fitted on worlds that the network has not seen.
+
+A network answers its own training views too well: a blend fitted there would trust it too much. So it is fitted on
+other recordings, and the rule's answers there come from fits that left their recording out. Tubers under soil are left
+out: their truth is their weight without it, nothing in a view tells it, and clean tubers would read light for it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from conveyor.errors import InputError
+from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.studies.metrics import scores
+from regressor.training.cloudset import CloudSet, joined, load_cloudset
+from regressor.training.train import SWIFT, predict
+from regressor.weigh.blend import SEEN, fit_blend
+from regressor.weigh.quadratic import fit_quadratic
+from regressor.weigh.volume import fit_volume_rule
+
+FOLDS = 5
+MIN_RECORDINGS = 20
+
+
+def restack(
+    weights: Path, data: Path, unseen: Path, *, cache: Path | None, compute: torch.dtype | None = None
+) -> Sidecar:
+    """Fit volume rule and blend of saved weights anew and write their sidecar; the tensors stay as they are.
+
+    Args:
+        data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for
+            the rule and the blend. compute: dtype of the network's wide products; None is its own.
+
+    Raises:
+        InputError: weights without a sidecar of their own, too few recordings, or views that cannot be used.
+    """
+    model, sidecar = load_checkpoint(weights, any_target=True)
+    if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
+        raise InputError(f"{weights} has no sidecar to write to: `tuberline import-checkpoint` makes one")
+    seen, views = (load_cloudset(folder, cache=cache).with_target(sidecar.target) for folder in (data, unseen))
+    seen, views = seen.subset(seen.clean), views.subset(views.clean)
+    if len(np.unique(views.recording)) < MIN_RECORDINGS:
+        raise InputError(
+            f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
+            "blend is fitted over recordings, each of which shares one belt and one camera"
+        )
+    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
+    known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
+    volume_g, found = cross_fitted(seen, views, with_seen=known)
+    everything = joined([seen, views])
+    rule = fit_blend(
+        network_g,
+        volume_g,
+        views.weight_g,
+        world=views.preset,
+        found=found,
+        truth=_truth(views) if known else None,
+        seen=tuple(fit_quadratic(everything.features, column) for column in _truth(everything).T) if known else (),
+    )
+    volume_rule = fit_volume_rule(everything.features, everything.weight_g)
+    weight_g = rule.weights_g(network_g, volume_g, views.features)
+    changes = {
+        "volume_share": rule.share,
+        "blend": rule.to_json(),
+        "volume_rule": volume_rule.to_json(),
+        "metrics": {**sidecar.metrics, "blend": scores(weight_g, views.weight_g, views.tuber)},
+    }
+    return save_checkpoint(weights, model.state_dict(), sidecar.model_copy(update=changes))
+
+
+def cross_fitted(
+    seen: CloudSet, views: CloudSet, *, with_seen: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """((n,) grams of the volume rule on `views`, (n, 3) what views show of `blend.SEEN`, or None).
+
+    Each by a fit on `seen` and on the other recordings of `views`.
+    """
+    names, owner = np.unique(views.recording, return_inverse=True)
+    fold = np.random.default_rng(0).permutation(len(names))[owner] % FOLDS
+    grams, found = np.empty(len(views)), np.empty((len(views), len(SEEN)))
+    for which in range(FOLDS):
+        rest, rows = joined([seen, views.subset(fold != which)]), fold == which
+        grams[rows] = fit_volume_rule(rest.features, rest.weight_g).weights_g(views.features[rows])
+        if with_seen:
+            fits = [fit_quadratic(rest.features, column) for column in _truth(rest).T]
+            found[rows] = np.column_stack([fit.values(views.features[rows]) for fit in fits])
+    return grams, found if with_seen else None
+
+
+def _truth(data: CloudSet) -> NDArray[np.float64]:
+    return np.column_stack([getattr(data, name) for name in SEEN])

@@ -1,0 +1,155 @@
+"""What the visible surface of a tuber measures: volume, outline, how its sides fall and how it lies.
+
+All heights count from the resting level, where its underside lies. Cross sections high up and the curvature of the top
+do not change when a camera loses the rim; the rim's height tells how much of it was lost, and rim and top together how
+the tuber lies (undercut, tilted, standing).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+LEVELS = (0.50, 0.70, 0.85)
+"""Of the height: where cross sections are taken."""
+CURVATURE_POINTS = 3000
+TOP = 0.6
+"""Of the height: from there on up the top's curvature is fitted."""
+LARGEST_RATIO = 4.0
+"""An outline area that the curvature implies is at most so many times the visible one, and at least its share."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceFeatures:
+    """What the visible surface measures, holes filled.
+
+    Attributes:
+        volume_ml: under the surface, down to the resting level. area_cm2: of the outline.
+        length_mm, width_mm: longest extent of the outline and the one across it. height_mm: of the top (p99).
+        hull_cm2: area of the outline's convex hull: an outline with bites out of it is smaller.
+        area50_cm2, area70_cm2, area85_cm2: of what is higher than that share of the height.
+        curvature_cm2: area of the equator that the curvature of the top implies.
+        rim, rim_low, rim_high: height of the outline's pixels over the height: median, 10 % and 90 %.
+        tilt: how far the top lies off the outline's middle, over the outline's mean radius; lean: the part of it that
+            points away from the camera.
+        hole_share: share of the outline's inside that had no depth. off_axis: tangent of the angle it is seen under.
+    """
+
+    volume_ml: float
+    area_cm2: float
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    hull_cm2: float
+    area50_cm2: float
+    area70_cm2: float
+    area85_cm2: float
+    curvature_cm2: float
+    rim: float
+    rim_low: float
+    rim_high: float
+    tilt: float
+    lean: float
+    hole_share: float
+    off_axis: float
+
+    def as_array(self) -> NDArray[np.float64]:
+        """(17,) float64 in the order of `NAMES`."""
+        return np.array([getattr(self, name) for name in NAMES])
+
+
+NAMES = tuple(SurfaceFeatures.__dataclass_fields__)
+
+
+def surface_features(
+    level: NDArray[np.float64],
+    areas_m2: NDArray[np.float64],
+    inside: NDArray[np.bool_],
+    *,
+    distance_m: float,
+    holes: int,
+) -> SurfaceFeatures:
+    """Features of the filled pixels of an image.
+
+    Args:
+        level: (N, 3) metres, level frame, of the pixels that `inside` marks, in raster order.
+        areas_m2: (N,) area on the level plane that each pixel covers.
+        inside: (h, w) the outline, holes filled. holes: how many of its pixels had no depth.
+        distance_m: of the optical centre above the resting level.
+    """
+    heights = distance_m - level[:, 2]
+    height_m = max(float(np.quantile(heights, 0.99)), 1e-3)
+    area_m2 = float(areas_m2.sum())
+    xy = level[:, :2]
+    length_m, width_m = _axes(xy)
+    rim = heights[_rim(inside)[inside]] / height_m
+    low, middle, high = np.quantile(rim, (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
+    centre = areas_m2 @ xy / area_m2
+    top = heights > LEVELS[-1] * height_m
+    off_top = np.average(xy[top], axis=0, weights=areas_m2[top]) - centre
+    away = centre / max(float(np.linalg.norm(centre)), 1e-6)
+    radius_m = float(np.sqrt(area_m2 / np.pi))
+    sections = [float(areas_m2[heights > share * height_m].sum()) for share in LEVELS]
+    return SurfaceFeatures(
+        volume_ml=float((np.maximum(heights, 0.0) * areas_m2).sum()) * 1e6,
+        area_cm2=area_m2 * 1e4,
+        length_mm=length_m * 1e3,
+        width_mm=width_m * 1e3,
+        height_mm=height_m * 1e3,
+        hull_cm2=_hull_m2(xy, inside) * 1e4,
+        area50_cm2=sections[0] * 1e4,
+        area70_cm2=sections[1] * 1e4,
+        area85_cm2=sections[2] * 1e4,
+        curvature_cm2=_curvature_m2(xy, heights, height_m, area_m2) * 1e4,
+        rim=float(middle),
+        rim_low=float(low),
+        rim_high=float(high),
+        tilt=float(np.linalg.norm(off_top)) / radius_m,
+        lean=float(off_top @ away) / radius_m,
+        hole_share=holes / len(heights),
+        off_axis=float(np.linalg.norm(centre)) / distance_m,
+    )
+
+
+def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
+    """Longest width of the outline over 36 directions in the plane and the one across it, metres."""
+    angle = np.deg2rad(np.arange(0.0, 180.0, 5.0))
+    along = level_xy[:: max(1, len(level_xy) // 2000)] @ np.stack([np.cos(angle), np.sin(angle)])
+    widths = np.quantile(along, 0.995, axis=0) - np.quantile(along, 0.005, axis=0)
+    longest = int(widths.argmax())
+    return float(widths[longest]), float(widths[(longest + 18) % 36])
+
+
+def _rim(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels of the outline that have a neighbour outside it."""
+    padded = np.pad(inside, 1)
+    all_round = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    return inside & ~all_round
+
+
+def _hull_m2(xy: NDArray[np.float64], inside: NDArray[np.bool_]) -> float:
+    rim = xy[_rim(inside)[inside]]
+    if len(rim) < 3:
+        return 0.0
+    around = np.ascontiguousarray(rim - rim.mean(0), np.float32)
+    return float(cv2.contourArea(cv2.convexHull(around)))
+
+
+def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
+    """Area of the equator of the ellipsoid that touches the top with its curvature and is as high as the tuber."""
+    chosen = np.nonzero(heights > TOP * height_m)[0]
+    chosen = chosen[:: max(1, len(chosen) // CURVATURE_POINTS)]
+    unit = float(np.sqrt(area_m2 / np.pi))
+    x, y = ((xy[chosen] - xy[chosen].mean(0)) / unit).T
+    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
+    normal = design.T @ design + 1e-6 * len(x) * np.eye(6)
+    fit = np.linalg.solve(normal, design.T @ heights[chosen])
+    # Heights fall by (x^2 / a^2 + y^2 / b^2) c / 2 near the top of an ellipsoid with half axes a, b and c.
+    determinant = float(4 * fit[3] * fit[5] - fit[4] ** 2) / unit**4
+    if fit[3] >= 0 or fit[5] >= 0 or determinant <= 0:
+        return LARGEST_RATIO * area_m2
+    implied = float(np.pi * (height_m / 2) / np.sqrt(determinant))
+    return float(np.clip(implied, area_m2 / LARGEST_RATIO, LARGEST_RATIO * area_m2))

@@ -1,0 +1,183 @@
+"""Volume rule, blend and the table of worlds: what they are fitted for, on made-up views whose truth is known."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.studies.evaluate import SHIPPED, Evaluation
+from regressor.studies.worlds import by_class, by_preset, markdown
+from regressor.weigh.blend import BlendRule, fit_blend
+from regressor.weigh.prepare import prepare_view
+from regressor.weigh.quadratic import fit_quadratic
+from regressor.weigh.surface import NAMES, SurfaceFeatures
+from regressor.weigh.volume import FIRST_NAMES, VolumeRule, fit_volume_rule
+from regressor.weigh.weigher import Weigher
+from tests.regressor.ellipsoids import ellipsoid_view
+
+SEED = 7
+
+
+def _views(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(features (n, 17), weight_g, share of the rim lost): a lost rim takes area and volume and lifts the rim."""
+    weight = rng.lognormal(5.0, 0.6, count)
+    size = np.cbrt(weight / 150)
+    squat = np.exp(rng.normal(0, 0.12, count))
+    lost = rng.uniform(0.0, 0.15, count)
+    area = 33 * size**2 * squat * (1 - lost)
+    height = 52 * size / squat * np.exp(rng.normal(0, 0.02, count))
+    values = {name: np.full(count, 0.1) for name in NAMES}
+    values |= {
+        "volume_ml": 0.083 * area * height,
+        "area_cm2": area,
+        "length_mm": 75 * size * (1 - lost / 2),
+        "width_mm": 60 * size * (1 - lost / 2),
+        "height_mm": height,
+        "hull_cm2": 1.02 * area,
+        "area50_cm2": area,
+        "area70_cm2": 27 * size**2 * squat,
+        "area85_cm2": 17 * size**2 * squat,
+        "curvature_cm2": 30 * size**2 * squat,
+        "rim": 0.5 + 1.2 * lost,
+        "rim_low": 0.4 + 1.2 * lost,
+    }
+    return np.column_stack([values[name] for name in NAMES]), weight, lost
+
+
+def test_the_volume_rule_sees_through_a_lost_rim() -> None:
+    rng = np.random.default_rng(SEED)
+    features, weight, _ = _views(3000, rng)
+    new, truth, lost = _views(2000, rng)
+    rule = fit_volume_rule(features, weight)
+    five = fit_volume_rule(features, weight, names=FIRST_NAMES, squares=False)
+    for name, rows in (("exact", lost < 0.03), ("poor", lost > 0.12)):
+        bias = rule.weights_g(new[rows]).sum() / truth[rows].sum() - 1
+        assert abs(bias) < 0.01, f"seed {SEED}, {name}: {bias:+.3f}"
+    assert np.abs(rule.weights_g(new) / truth - 1).mean() < np.abs(five.weights_g(new) / truth - 1).mean()
+    assert VolumeRule.from_json(json.loads(json.dumps(rule.to_json()))) == rule
+    with pytest.raises(ValueError, match="colour"):
+        VolumeRule.from_json({**five.to_json(), "names": ["colour"]})
+
+
+def test_a_rule_from_before_the_other_features_weighs_as_it_did() -> None:
+    rule = load_checkpoint()[1].fitted_volume_rule
+    assert rule is not None
+    old = {"intercept": 0.5, "coefficients": [1.0, 0.0, 0.0, 0.0, -0.1], "residual_ln_sd": 0.1, "names": FIRST_NAMES}
+    surface = prepare_view(ellipsoid_view()).surface
+    expected = np.exp(0.5) * surface.volume_ml * surface.height_mm**-0.1
+    assert VolumeRule.from_json(old).weight_g(surface) == pytest.approx(expected)
+    assert isinstance(surface, SurfaceFeatures)
+
+
+def test_the_blend_leaves_no_bias_over_true_size_and_rim() -> None:
+    """Half of the correction for the rim is applied (STRENGTH); all of that for the weight."""
+    rng = np.random.default_rng(SEED)
+    features, weight, lost = _views(8000, rng)
+    # Both parts shrink towards the middle, as what is fitted to noisy views does, and both lose with the rim.
+    shrunk = np.exp(5.0 + 0.96 * (np.log(weight) - 5.0))
+    network, volume = (shrunk * (1 - 0.4 * lost) * np.exp(rng.normal(0, sd, 8000)) for sd in (0.06, 0.08))
+    truth = np.column_stack([lost, rng.uniform(0, 90, 8000), rng.uniform(0, 90, 8000)])
+    seen = tuple(fit_quadratic(features, column) for column in truth.T)
+    found = np.column_stack([rule.values(features) for rule in seen])
+    assert np.corrcoef(found[:, 0], lost)[0, 1] > 0.9
+    half = np.arange(8000) < 4000
+    parts = network[half], volume[half], weight[half]
+    rule = fit_blend(*parts, found=found[half], truth=truth[half], seen=seen)
+    plain = fit_blend(*parts)
+    bias: dict[str, tuple[float, float]] = {}
+    for name, rows in (
+        ("all", weight > 0),
+        ("small", weight < 90),
+        ("large", weight > 300),
+        ("poor rim", lost > 0.12),
+        ("exact rim", lost < 0.03),
+    ):
+        chosen = rows & ~half
+        both = [r.weights_g(network[chosen], volume[chosen], features[chosen]).sum() for r in (plain, rule)]
+        bias[name] = (both[0] / weight[chosen].sum() - 1, both[1] / weight[chosen].sum() - 1)
+    for name in ("all", "small", "large"):
+        assert abs(bias[name][1]) < 0.012, f"seed {SEED}, {name}: {bias[name]}"
+    for name in ("poor rim", "exact rim"):
+        assert abs(bias[name][1]) < 0.7 * abs(bias[name][0]), f"seed {SEED}, {name}: {bias[name]}"
+    assert BlendRule.from_json(json.loads(json.dumps(rule.to_json()))) == rule
+    strange = features[:1].copy()
+    strange[0, NAMES.index("rim")] = 40.0
+    again = rule.weights_g(network[:1], volume[:1], strange)
+    assert 0.8 < again[0] / np.sqrt(network[0] * volume[0]) < 1.25
+    with pytest.raises(ValueError, match="colour"):
+        BlendRule.from_json(rule.to_json() | {"seen": {"colour": seen[0].to_json()}})
+
+
+def test_worlds_that_nothing_in_a_view_tells_apart_share_the_blame() -> None:
+    rng = np.random.default_rng(SEED)
+    weight = rng.lognormal(5.0, 0.5, 4000)
+    world = np.where(rng.random(4000) < 0.8, "easy", "harsh")
+    network = weight * np.where(world == "harsh", 1.04, 1.0)
+    rule = fit_blend(network, network, weight, world=world)
+    found = rule.weights_g(network, network, np.zeros((4000, len(NAMES))))
+    for name, sign in (("easy", -1), ("harsh", 1)):
+        rows = world == name
+        assert found[rows].sum() / weight[rows].sum() - 1 == pytest.approx(0.02 * sign, abs=0.002)
+
+
+def test_a_weigher_blends_by_its_sidecar() -> None:
+    model, sidecar = load_checkpoint()
+    cloud = prepare_view(ellipsoid_view())
+    plain = sidecar.model_copy(update={"blend": None, "volume_share": 0.3})
+    by_share = Weigher(model, plain).weigh(cloud)
+    assert by_share.network_g is not None
+    expected = by_share.network_g**0.7 * by_share.volume_g**0.3
+    assert by_share.weight_g == pytest.approx(expected, abs=0.01)
+    rule = BlendRule(0.5, intercept=float(np.log(1.1))).to_json()
+    corrected = Weigher(model, Sidecar.model_validate(plain.model_dump() | {"blend": rule})).weigh(cloud)
+    assert corrected.weight_g == pytest.approx(1.1 * np.sqrt(by_share.network_g * by_share.volume_g), abs=0.01)
+
+
+def _evaluation(rng: np.random.Generator) -> Evaluation:
+    """60 recordings of 20 tubers with 2 views in two presets; 'poor' rims read 4 % light in one of them."""
+    recording = np.repeat(np.arange(60), 40)
+    tuber = np.repeat(np.arange(1200), 2)
+    truth = np.repeat(rng.lognormal(5.0, 0.5, 1200), 2)
+    preset = np.where(recording % 2 == 0, "field", "harsh")
+    rim = np.where(rng.random(2400) < 0.5, "exact", "poor")
+    shared = np.repeat(rng.normal(0, 0.03, 60), 40)
+    light = np.where((preset == "harsh") & (rim == "poor"), -0.04, 0.0)
+    found = truth * (1 + shared + light + np.repeat(rng.normal(0, 0.05, 1200), 2))
+    half = 1.645 * np.hypot(0.03, 0.05) * found
+    return Evaluation(
+        predicted={SHIPPED: found},
+        low_g=found - half,
+        high_g=found + half,
+        weight_g=truth,
+        tuber=tuber.astype(str),
+        recording=recording.astype(str),
+        level_sd_m=np.full(2400, 0.001),
+        groups={"preset": preset, "rim": rim},
+        flags={},
+        refused={},
+        shared_sd_share=1.0,
+        shared_bias_share=1.645 * 0.03,
+        shared_level_share_per_mm=0.0,
+        model="made-up@00000000",
+    )
+
+
+def test_the_table_of_worlds_finds_the_class_that_is_biased() -> None:
+    result = _evaluation(np.random.default_rng(SEED))
+    classes = {(row.label, row.preset): row for row in by_class(result, ("rim", "weight"))}
+    poor = classes["poor", "harsh"]
+    assert poor.high_percent < -1.5
+    assert poor.low_percent < poor.bias_percent < poor.high_percent
+    assert poor.recordings == 30
+    assert classes["poor", "field"].low_percent < 0.0 < classes["poor", "field"].high_percent
+    presets = {row.preset: row for row in by_preset(result)}
+    assert presets["field"].views_held == pytest.approx(0.9, abs=0.04)
+    assert presets["field"].loads_held >= 0.8
+    assert presets["field"].load_half_percent == pytest.approx(5.2, abs=0.6)
+    assert presets["all"].views == 2400
+    text = markdown(list(presets.values()), list(classes.values()))
+    assert "| rim | poor |" in text
+    assert "over 300 g" in text

@@ -1,0 +1,48 @@
+"""`tuberline calibrate-blend`: the volume rule of saved weights, and its blend with the network."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+from tuberline.cli.calibrate_interval import wide
+
+
+def calibrate_blend(
+    weights: Path,
+    /,
+    *,
+    data: Path,
+    unseen: Path,
+    cache: Path | None = None,
+    compute: Literal["float32", "bfloat16"] = "float32",
+) -> None:
+    """Fit the volume rule of saved weights and its blend with the network again; rewrites the sidecar, not the tensors.
+
+    Calibrate the intervals after it, on other views again (`tuberline calibrate-interval`).
+
+    Parameters
+    ----------
+    weights
+        The .safetensors file; its .json sidecar lies beside it.
+    data
+        Views for the rule alone: a folder of view packs, those that the network was trained on say.
+    unseen
+        Views of recordings that the network has not seen, for the rule and the blend.
+    cache
+        Folder of prepared clouds, to save the preparing; default: none.
+    compute
+        As for `train`.
+    """
+    import torch
+
+    from regressor.training.stacking import restack
+
+    torch.set_num_threads(1)
+    sidecar = restack(weights, data, unseen, cache=cache, compute=wide(compute))
+    figures = sidecar.metrics["blend"]
+    sys.stderr.write(
+        f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "
+        f"{100 * sidecar.volume_share:.0f} % volume rule; MAE {figures['mae_g']:.2f} g on the unseen views\n"
+    )
