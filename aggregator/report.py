@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import read_tickets
 from aggregator.core.coverage import Coverage, coverage
 from aggregator.core.load_state import load_state
@@ -19,7 +20,7 @@ from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
-from conveyor.config import LineConfig
+from conveyor.config import BeltConfig, LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.messages import Totals, Tuber
@@ -68,7 +69,9 @@ class Reporter:
             given_up=cameras.given_up(now_s),
             sheets=self.sheets,
         )
-        return LoadTotals(sums.load, self._tickets, cultivar=self._config.aggregator.cultivar).message(
+        return LoadTotals(
+            sums.load, self._tickets, prior=_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
+        ).message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -95,6 +98,7 @@ class Reporter:
             models=sums.load.models(),
             methods=sums.load.methods(),
             tubers={"committed": sums.load.count, "merged": sums.load.merged, "late": sums.load.late},
+            belt=self._config.belt.model_dump(),
         )
 
     def summary_text(self, now_s: float) -> str:
@@ -134,3 +138,10 @@ def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tub
         if n % ROWS_A_TURN == 0:
             turn()
         yield tuber
+
+
+def _prior(belt: BeltConfig) -> Prior:
+    """What the line states of its resting level; as wide as before any calibration where it does not say how well."""
+    if belt.resting_sd_mm is None:
+        return Prior(stated_offset_mm=belt.resting_offset_mm)
+    return Prior(stated_offset_mm=belt.resting_offset_mm, offset_sd_mm=belt.resting_sd_mm)

@@ -24,6 +24,7 @@ def summarise(
     models: Mapping[str, int],
     methods: Mapping[str, int],
     tubers: Mapping[str, int],
+    belt: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The summary as plain values.
 
@@ -32,6 +33,7 @@ def summarise(
         counters: of this aggregator process since it started.
         models, methods: tubers by model and by method.
         tubers: 'committed', 'merged' (seen in several tracks), 'late'.
+        belt: what tubers lay on and how far below the belt plane, as the line states it.
     """
     return {
         "run": totals.run,
@@ -43,6 +45,7 @@ def summarise(
         "coverage": totals.coverage,
         "belt_m": totals.belt_m,
         "unseen_m": dict(totals.unseen_m),
+        "belt": dict(belt),
         "totals": told_totals(totals),
         "balanced": audit.balanced,
         "differences": [

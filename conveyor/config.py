@@ -79,8 +79,8 @@ class BeltConfig(Section):
     resting_offset_mm: float = Field(
         0.0, ge=-20, le=40, description="undersides lie this far below the plane the cameras see (rods: the rods' tops)"
     )
-    resting_sd_mm: float = Field(
-        0.0, ge=0, le=20, description="how well that offset is known (standard deviation): widens intervals"
+    resting_sd_mm: float | None = Field(
+        None, ge=0, le=20, description="how well that offset is known (standard deviation); not given: not known"
     )
 
     @model_validator(mode="after")
@@ -98,7 +98,7 @@ class BeltConfig(Section):
         return RestingLevel(
             surface=self.surface,
             offset_m=self.resting_offset_mm / 1000,
-            sd_m=self.resting_sd_mm / 1000,
+            sd_m=(self.resting_sd_mm or 0.0) / 1000,
             rod_pitch_m=self.rod_pitch_mm / 1000,
             rod_diameter_m=self.rod_diameter_mm / 1000,
         )

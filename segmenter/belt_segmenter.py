@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
 from conveyor.reasons import TrackRefusal
+from conveyor.resting import RestingLevel
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
@@ -45,6 +46,7 @@ class Settings:
     perception: PerceptionSettings = field(default_factory=PerceptionSettings)
     views_per_tuber: int = 3
     belt_sd_m: float = TYPICAL_BELT_SD_M
+    resting: RestingLevel = field(default_factory=RestingLevel)
     belt_follow_m: float = DRIFT_M
 
 
@@ -63,7 +65,7 @@ class BeltSegmenter:
         self.tracker = Tracker(belt, settings.track, offsets_m)
         self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
         self.coverage = Coverage(high_m - low_m)
-        self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m)
+        self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
         self.found: Found = []

@@ -24,6 +24,7 @@ def core_settings(config: LineConfig) -> Settings:
         perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,
         belt_sd_m=s.belt_sd_mm / 1000,
+        resting=config.belt.resting_level,
         belt_follow_m=s.belt_follow_mm / 1000,
     )
 

@@ -36,12 +36,16 @@ def replay_recording(
     regressors: int = 2,
     rrd: Path | None = None,
     ignore_masks: bool = False,
+    resting_offset_mm: float | None = None,
+    resting_sd_mm: float | None = None,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Run the graph on `recording` until every camera ended and the summary is written; returns the summary.
 
     Args:
+        resting_offset_mm, resting_sd_mm: how far tubers' undersides lie below the belt, and how well that is known;
+            None: what the recording states.
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
 
     Raises:
@@ -52,6 +56,7 @@ def replay_recording(
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
     cameras = recording_cameras(recording)
     prepare_out(out)
+    belt = stated_belt(recording, cameras, resting_offset_mm, resting_sd_mm)
     config = replay_config(
         recording,
         cameras,
@@ -60,7 +65,7 @@ def replay_recording(
         weights=weights,
         regressors=regressors,
         rrd=rrd,
-        settings=settings,
+        settings={"belt": belt, **(settings or {})},
         ignore_masks=ignore_masks,
     )
     run = run_id(recording)
@@ -151,6 +156,20 @@ def prepare_out(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"--out {out} cannot be made: {error.strerror or error}") from error
+
+
+def stated_belt(recording: Path, cameras: list[str], offset_mm: float | None, sd_mm: float | None) -> dict[str, float]:
+    """Section `belt` of a replay: the resting level as given, else as the recording's cameras state it, in the mean."""
+    from conveyor.formats import open_source
+
+    told = [open_source(recording, camera=name).description for name in cameras]
+    stated = [(d.resting_offset_mm, d.resting_sd_mm) for d in told if d.resting_offset_mm is not None]
+    if offset_mm is None and stated:
+        offset_mm = sum(offset for offset, _ in stated) / len(stated)
+        known = [sd for _, sd in stated if sd is not None]
+        sd_mm = max(known, default=None) if sd_mm is None else sd_mm
+    values = {"resting_offset_mm": offset_mm, "resting_sd_mm": sd_mm}
+    return {key: value for key, value in values.items() if value is not None}
 
 
 def replay_config(

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.views import PackedView, read_views, view_shards
-from conveyor.formats.potatotwin.layout import is_potatotwin
+from conveyor.formats.potatotwin.layout import is_potatotwin, twin_resting
 from conveyor.formats.potatotwin.views import TwinView, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
-from conveyor.resting import POTATOTWIN, RestingLevel
+from conveyor.resting import RestingLevel
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 
 Resting = Literal["calibrated", "stated"]
@@ -199,17 +199,6 @@ def _from_pack(pack: str, view: PackedView, *, resting_offset_m: float, resting_
         longest_deg=float(more.get("longest_deg", math.nan)),
         soil_mm=float(more.get("soil_mm", math.nan)),
     )
-
-
-def twin_resting(folder: Path) -> RestingLevel:
-    """The resting level of a folder in the layout of 3DPotatoTwin: measured for that data set, on the belt elsewhere.
-
-    A simulated folder, and a crop whose table says where its camera hung, are not that data set.
-    """
-    simulated = folder / "1_rgbd" / "0_camera_intrinsics" / "simulated_camera_intrinsic.json"
-    with (folder / "ground_truth.csv").open(encoding="utf-8-sig") as table:
-        columns = table.readline()
-    return RestingLevel() if simulated.is_file() or "belt_distance_m" in columns else POTATOTWIN
 
 
 def _from_twin(view: TwinView, level: RestingLevel) -> LabelledView:

@@ -11,6 +11,7 @@ from conveyor.errors import UnsendableError
 from conveyor.messages import Frame, Track, View
 from conveyor.messages.base import check_part
 from conveyor.reasons import TrackRefusal
+from conveyor.resting import RestingLevel
 from segmenter.classify.patch import Patch
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
@@ -38,13 +39,16 @@ class Moment:
 class TrackDecider:
     """Decides tracks once, and counts them: opened = counted + discarded by reason + open."""
 
-    def __init__(self, settings: CountSettings, perception: Perception, *, belt_sd_m: float) -> None:
+    def __init__(
+        self, settings: CountSettings, perception: Perception, *, belt_sd_m: float, resting: RestingLevel
+    ) -> None:
         self.counted = 0
         self.discarded: Counter[TrackRefusal] = Counter()
         self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
         self._settings = settings
         self._perception = perception
         self._belt_sd_m = belt_sd_m
+        self._resting = resting
 
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
         """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones."""
@@ -92,15 +96,17 @@ class TrackDecider:
             reason = class_refusal(track.log_odds, self._settings)
         if reason is not None:
             return RefusedTrack(reason)
-        message = _message(track, at, now, length_m=length_m, width_m=width_m)
+        track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
+        views = tuple(
+            _view(candidate, rank, track_id, now.frame, self._belt_sd_m).resting_on(self._resting)
+            for rank, candidate in enumerate(chosen)
+        )
+        under_m = float(np.median([view.resting_offset_m for view in views]))
+        message = _message(track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m)
         try:
             check_part(message)
         except UnsendableError:
             return RefusedTrack(TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
-        views = tuple(
-            _view(candidate, rank, message.track_id, now.frame, self._belt_sd_m)
-            for rank, candidate in enumerate(chosen)
-        )
         return ClosedTrack(message, views)
 
     def _book(self, track: TrackState, decision: Decision) -> None:
@@ -121,11 +127,16 @@ def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
     return length_m, width_m
 
 
-def _message(track: TrackState, at: Crossing, now: Moment, *, length_m: float, width_m: float) -> Track:
-    """The track as it is logged, in the message's millimetres and millilitres."""
+def _message(
+    track: TrackState, at: Crossing, now: Moment, *, track_id: str, length_m: float, width_m: float, under_m: float
+) -> Track:
+    """The track as it is logged, in the message's millimetres and millilitres.
+
+    `under_m`: how far its underside lies below the belt plane that heights and volumes are measured from.
+    """
     usual = [hit for hit in track.hits if hit.whole] or track.hits
     return Track(
-        track_id=f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}",
+        track_id=track_id,
         crossed_ns=at.captured_ns,
         crossed_x_m=at.x_m,
         y_m=at.y_m,
@@ -136,8 +147,8 @@ def _message(track: TrackState, at: Crossing, now: Moment, *, length_m: float, w
         last_seq=track.last_seq,
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
-        height_mm=float(np.median([hit.height_m for hit in usual])) * 1e3,
-        visible_volume_ml=float(np.median([hit.volume_m3 for hit in usual])) * 1e6,
+        height_mm=(float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
+        visible_volume_ml=(float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
         whole=any(hit.whole for hit in track.hits),
         views_sent=0,
         views=(),

@@ -49,6 +49,7 @@ def replay(
     regressors: int = 2,
     weights: str | Path | None = None,
     ignore_masks: bool = False,
+    resting_offset_mm: float | None = None,
 ) -> Ledger:
     """Count and weigh everything in a recording, with all processes of a real line on this machine.
 
@@ -58,6 +59,7 @@ def replay(
         speed: times real time; 0 as fast as the line takes it. Nothing is lost at any speed.
         regressors: number of weighing processes, at least 1.
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
+        resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
 
     Returns:
@@ -76,6 +78,7 @@ def replay(
         regressors=regressors,
         weights=Path(weights) if weights is not None else None,
         ignore_masks=ignore_masks,
+        resting_offset_mm=resting_offset_mm,
     )
     return read_ledger(out)
 

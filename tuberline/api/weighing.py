@@ -24,6 +24,8 @@ from regressor.weigh.weigher import Weigher
 
 BELT_DISTANCE_M = (0.05, 5.0)
 BELT_SD_MM = (0.0, 100.0)
+RESTING_OFFSET_MM = (-20.0, 40.0)
+RESTING_SD_MM = (0.0, 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,8 @@ def weigh(
     *,
     belt_distance_m: float,
     belt_sd_mm: float = 2.0,
+    resting_offset_mm: float = 0.0,
+    resting_sd_mm: float = 0.0,
     weights: Weights | None = None,
 ) -> Weight:
     """Weigh one tuber from the point cloud of its visible side.
@@ -122,6 +126,8 @@ def weigh(
         belt_distance_m: from the camera to the belt along the optical axis, metres: 0.05 to 5.
         belt_sd_mm: how well that distance is known, standard deviation in millimetres: 0 to 100. It widens the
             interval and does not move the weight.
+        resting_offset_mm: how far the tuber's underside lies below that belt, millimetres: -20 to 40.
+        resting_sd_mm: how well that is known, standard deviation in millimetres: 0 to 20.
         weights: from `load_weights`; None takes the shipped ones, which are loaded once.
 
     Returns:
@@ -131,8 +137,10 @@ def weigh(
         TuberlineError: a cloud that cannot be weighed (empty, too few points, not finite, not (N, 3)), that floats
             above the belt or lies below it, or a distance out of range.
     """
-    prepared = _prepared(cloud, belt_distance_m)
-    return _weighed(prepared, belt_sd_mm, weights)
+    _in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
+    _in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
+    prepared = _prepared(cloud, belt_distance_m, resting_offset_mm)
+    return _weighed(prepared, belt_sd_mm, weights, resting_sd_mm)
 
 
 def weigh_depth(
@@ -219,18 +227,22 @@ def prepare(
     )
 
 
-def _prepared(cloud: NDArray[np.floating] | str | Path, belt_distance_m: float) -> PreparedCloud:
+def _prepared(
+    cloud: NDArray[np.floating] | str | Path, belt_distance_m: float, resting_offset_mm: float = 0.0
+) -> PreparedCloud:
     _in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
     points = read_cloud(Path(cloud)) if isinstance(cloud, str | Path) else cloud
-    return prepare_cloud(points, belt_distance_m=belt_distance_m)
+    return prepare_cloud(points, belt_distance_m=belt_distance_m, resting_offset_m=resting_offset_mm / 1000)
 
 
-def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None) -> Weight:
+def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None, resting_sd_mm: float = 0.0) -> Weight:
     _in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
     fault = distance_fault("the cloud", prepared)
     if fault:
         raise InputError(fault)
-    found = (weights or _shipped()).weigher.weigh(prepared, belt_sd_m=belt_sd_mm / 1000)
+    found = (weights or _shipped()).weigher.weigh(
+        prepared, belt_sd_m=belt_sd_mm / 1000, resting_sd_m=resting_sd_mm / 1000
+    )
     return Weight(
         weight_g=found.weight_g,
         low_g=found.low_g,

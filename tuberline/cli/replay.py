@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from conveyor.errors import InputError, TuberlineError
+from tuberline.cli.weigh import check_resting
 from tuberline.replayer import replay_recording, resume_replay
 
 
@@ -20,6 +21,8 @@ def replay(
     regressors: int = 2,
     rrd: Path | None = None,
     ignore_masks: bool = False,
+    resting_offset_mm: float | None = None,
+    resting_sd_mm: float | None = None,
     resume: bool = False,
     json: bool = False,
 ) -> None:
@@ -41,12 +44,17 @@ def replay(
         Also write a Rerun recording to this file.
     ignore_masks
         Find the tubers on depth though the recording has masks of its own.
+    resting_offset_mm
+        How far tubers' undersides lie below the belt distance, millimetres; default: what the recording states.
+    resting_sd_mm
+        How well that is known, standard deviation in millimetres.
     resume
         Go on with a replay into the same folder that was killed or gave up. The options of its first start hold.
     json
         Print the summary as JSON on stdout.
     """
     factor = parse_speed(speed)
+    check_resting(resting_offset_mm or 0.0, resting_sd_mm or 0.0)
     if resume:
         summary = resume_replay(recording, out=out, show=not json)
     else:
@@ -58,6 +66,8 @@ def replay(
             regressors=regressors,
             rrd=rrd,
             ignore_masks=ignore_masks,
+            resting_offset_mm=resting_offset_mm,
+            resting_sd_mm=resting_sd_mm,
             show=not json,
         )
     if json:

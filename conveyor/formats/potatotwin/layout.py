@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.errors import InputError
+from conveyor.resting import POTATOTWIN, RestingLevel
 
 BELT_DISTANCES_M = {"2023": 0.345, "2024": 0.460, "2025": 0.465}
 """Camera to belt by growing season, H_cam of the paper."""
@@ -199,3 +200,16 @@ def _rows(path: Path) -> Iterator[dict[str, str]]:
         raise InputError(f"table {path} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"table {path} is not CSV text: {error}") from error
+
+
+def twin_resting(folder: Path) -> RestingLevel:
+    """The resting level of a folder in the layout of 3DPotatoTwin: measured for that data set, on the belt elsewhere.
+
+    A simulated folder, and a crop whose table says where its camera hung, are not that data set.
+    """
+    simulated = folder / "1_rgbd" / "0_camera_intrinsics" / "simulated_camera_intrinsic.json"
+    table = folder / "ground_truth.csv"
+    if simulated.is_file() or not table.is_file():
+        return RestingLevel()
+    with table.open(encoding="utf-8-sig") as file:
+        return RestingLevel() if "belt_distance_m" in file.readline() else POTATOTWIN
