@@ -41,9 +41,9 @@ def recounted(tables: Iterable[tuple[Table, Iterable[Row]]], *, histogram_step_g
             sums.add_rows(table, [row(found)])
             if table is ENTRY and found[3] == "track":
                 sums.add_track(found[1])
+                waiting.setdefault(found[1], set()).add(found[2])
             elif table is ENTRY and found[3] == "refused":
                 sums.add_set_aside(found[1])
-                waiting.setdefault(found[1], set()).add(found[2])
             elif table is TUBER:
                 sums.add_tuber(tuber_from(found))
             elif table is OBSERVATION:

@@ -174,7 +174,8 @@ def test_a_reader_gives_the_truth_or_one_clear_error(
 
     expected, size, loud = read(finished), finished.stat().st_size, 0
     quiet = 0
-    for i in range(QUICK):
+    trials = QUICK * 6 if reader == "loads" else QUICK  # it reads a few rows of the file alone
+    for i in range(trials):
         path = copied(finished, tmp_path / str(i))
         flip(path, int(rng.integers(size)), int(rng.integers(8)))
         try:
@@ -185,7 +186,7 @@ def test_a_reader_gives_the_truth_or_one_clear_error(
             quiet += 1
         shutil.rmtree(path.parent)
     assert loud > 0
-    assert loud + quiet == QUICK, "an error that does not name the ledger"
+    assert loud + quiet == trials, "an error that does not name the ledger"
 
 
 def test_the_error_names_file_table_row_and_mend(finished: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from conveyor.messages import CameraInfo, Committed, TrackEntry, Tuber
 from conveyor.node import Node
 from conveyor.observer import Observer
 from conveyor.wire import pack, unpack
-from tests.aggregator.belt_story import Story, tell
+from tests.aggregator.belt_story import CLOCK_S, Story, tell
 from tests.conftest import ROOT, wait_until
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
@@ -225,6 +225,10 @@ def test_nothing_seen_is_never_a_number(line: tuple[LineConfig, Path], process: 
     assert summary["totals"]["weight_g"] is summary["totals"]["low_g"] is summary["totals"]["estimated_high_g"] is None
 
 
+FIRST_S = CLOCK_S + 0.5 - 2.0
+"""The cameras publish from 2 s before the first frame that is looked at."""
+
+
 def camera_info(camera: str, *, first_s: float, last_s: float) -> CameraInfo:
     """A camera without an encoder that published from and to these seconds of its clock."""
     lens = Intrinsics(10, 10, 10.0, 10.0, 5.0, 5.0)
@@ -242,13 +246,13 @@ def test_belt_that_passed_before_the_segmenters_looked_is_told(line: tuple[LineC
     with Node("segmenter", "cam0", config=config, run="story") as node:
         infos = {name: KeptPublisher(node, topics.CAMERA_INFO, camera=name) for name in told.names}
         for name, out in infos.items():
-            out.put(camera_info(name, first_s=0.5 - 2.0, last_s=ends_s[name]))
+            out.put(camera_info(name, first_s=FIRST_S, last_s=ends_s[name]))
         segmenters = Segmenters(node, told)
         wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
         segmenters.deliver()
         assert process.end()[0] == 0
     summary = json.loads((config.aggregator.out / "summary.json").read_text())
-    belt_m = 0.3 * (ends_s["cam0"] - 0.5 + 2.0)
+    belt_m = 0.3 * (ends_s["cam0"] - FIRST_S)
     assert summary["state"] == "ended"
     assert summary["belt_m"] == pytest.approx(belt_m, rel=0.1)
     before_m = summary["unseen_m"]["before_first_frame"]

@@ -10,6 +10,7 @@ import pytest
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.ledger.audit import audit_run
 from aggregator.ledger.check import check_file
+from aggregator.ledger.schema import ENTRY
 from aggregator.ledger.writer import Ledger
 from conveyor import wire
 from conveyor.errors import MessageError
@@ -65,11 +66,11 @@ def test_an_entry_out_of_range_is_lost_alone_and_told(tmp_path: Path, ahead: boo
         counted = {track for tuber in it.tubers() for track in tuber.tracks}
         everyone = {entry.track.track_id for entry in told.logs["cam0"] if entry.track is not None}
         assert counted == everyone - {bad.track.track_id}
-        kept = ledger.connection.execute("SELECT n, payload FROM entry WHERE kind = 'refused'").fetchall()
+        kept = [(found[2], found[5]) for found in ledger.view.rows(ENTRY, "WHERE kind = 'refused'")]
         assert kept == [(bad.n, payload)]
         run = ledger.run_row(told.run)
         assert run is not None
-        audit = audit_run(ledger.connection, run)
+        audit = audit_run(ledger.view, run)
         assert audit.set_aside == {"cam0": 1}
         assert not audit.balanced
         wrong = {e.text: e.difference for equations in audit.equations.values() for e in equations if e.difference}
