@@ -63,11 +63,8 @@ def made_small(line: str) -> str:
     """The command line with the sizes of the test instead of the page's, where those are larger."""
     for option, (variable, default) in SIZES.items():
         limit = os.environ.get(variable, default)
-        line = re.sub(
-            rf"({option}) ([\d.]+)",
-            lambda found, limit=limit: f"{found[1]} {min(found[2], limit, key=float)}",
-            line,
-        )
+        if found := re.search(rf"{option} ([\d.]+)", line):
+            line = line[: found.start(1)] + min(found[1], limit, key=float) + line[found.end(1) :]
     words = line.split()
     if words[:1] == ["tuberline"] and words[1] in CLOCKED and "--minutes" not in words:
         line += f" --minutes {os.environ.get(*SIZES['--minutes'])}"

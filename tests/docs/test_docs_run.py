@@ -38,7 +38,8 @@ def test_a_page_that_is_run_has_commands_of_ours_alone(name: str) -> None:
 
 @pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.name)
 def test_every_line_file_on_a_page_is_accepted(page: Path) -> None:
-    inside, lines = False, []
+    inside = False
+    lines: list[str] = []
     for line in page.read_text(encoding="utf-8").splitlines():
         if line.startswith("```"):
             if inside:
@@ -61,6 +62,22 @@ def test_blocks_come_in_order_and_fences_are_only_shown() -> None:
     page = '# A\n    tuberline a   # remark\n\n```toml title="b.toml"\nc = 1\n```\n\n'
     page += "```console\nshown\n```\n    tuberline d\n"
     assert list(blocks(page)) == [Command("tuberline a"), File("b.toml", "c = 1\n"), Command("tuberline d")]
+
+
+def test_the_lines_of_python_in_the_readme_weigh_a_cloud(tmp_path: Path) -> None:
+    code = (ROOT / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    points = [
+        (x / 1000, y / 1000) for x in range(-40, 41) for y in range(-30, 31) if (x / 40) ** 2 + (y / 30) ** 2 < 0.9
+    ]
+    rows = [f"{x} {y} {0.345 - 0.03 - 0.03 * (1 - (x / 0.04) ** 2 - (y / 0.03) ** 2) ** 0.5:.5f}" for x, y in points]
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "tuber.ply").write_text(head + "end_header\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    weight_g = float(done.stdout.split(" g")[0])
+    assert 110 < weight_g < 230, done.stdout  # an ellipsoid of 80 x 60 x 60 mm has 151 ml
 
 
 @pytest.mark.slow
