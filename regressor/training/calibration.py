@@ -117,7 +117,7 @@ def load_share(weight_g: NDArray[np.float64], data: CloudSet) -> float:
 
 
 def recalibrate(weights: Path, data: Path, *, cache: Path | None, max_views: int | None) -> Sidecar:
-    """Calibrate saved weights again on the views of `data` and write their sidecar; the tensors stay as they are.
+    """Calibrate saved weights anew on the views of `data` and write their sidecar; the tensors stay as they are.
 
     Raises:
         InputError: weights without a sidecar of their own, or views that cannot be used.

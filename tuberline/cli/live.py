@@ -34,7 +34,7 @@ class Pace:
         self._seen: dict[str, deque[Counters]] = {}
 
     def update(self, nodes: Mapping[str, Counters]) -> None:
-        """Take the newest reports. A node that was restarted begins from zero."""
+        """Take the newest reports. A node that started again begins anew."""
         for name, counters in nodes.items():
             seen = self._seen.setdefault(name, deque(maxlen=self._reports))
             if seen and (counters.pid != seen[-1].pid or counters.run != seen[-1].run):
