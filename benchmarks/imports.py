@@ -108,6 +108,20 @@ def picture(parts: list[tuple[str, dict[str, str]]]) -> str:
     return "\n".join([head, '<rect width="100%" height="100%" style="fill:#fff;stroke:none"/>', *body, "</svg>"]) + "\n"
 
 
+def sizes(parts: list[tuple[str, dict[str, str]]]) -> str:
+    """Files and lines by package as a Markdown table, two columns for each of the trees."""
+    rows = [[f"`{name}/`"] for name in PACKAGES] + [["together"]]
+    for _, files in parts:
+        totals = [
+            (len(texts), sum(text.count("\n") for text in texts))
+            for name in PACKAGES
+            for texts in [[text for path, text in files.items() if PurePosixPath(path).parts[0] == name]]
+        ]
+        for row, pair in zip(rows, [*totals, tuple(map(sum, zip(*totals, strict=True)))], strict=True):
+            row += [str(number) for number in pair]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,6 +134,7 @@ def main(arguments: list[str] | None = None) -> None:
     for title, files in parts:
         graph = imports(files)
         print(title, {f"{a} -> {b}": n for (a, b), n in sorted(graph.items()) if not allowed(a, b)} or "no rule broken")
+    print(sizes(parts))
 
 
 if __name__ == "__main__":

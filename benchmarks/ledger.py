@@ -1,7 +1,7 @@
 """What a ledger of 10^4, 10^5 and 10^6 tubers costs to open, to read a page of, to stop, and to verify whole.
 
 `python -m benchmarks ledger [--tubers 10000 100000 1000000] [--out FOLDER]`. Every tuber is told by two cameras (three
-views each), written by the aggregator's own writer in batches of `--batch` tubers. Then the ledger is opened anew:
+views each), written by the aggregator's own writer in batches of `--batch` tubers. Then the ledger is opened again:
 nothing is remembered but what the disk holds; 200 more tubers go through core and ledger, and the process is stopped.
 """
 

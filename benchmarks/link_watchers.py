@@ -3,7 +3,7 @@
     python -m benchmarks link_watchers [--case NAME ...]          # as root, about a minute a case
 
 Host `edge` runs the whole line, its cameras replaying at a fraction of real time, so that not this machine holds them
-up. A replay waits for its segmenters and for nobody else, so that its ledger says whether anything changed, and a frame
+up. A replay waits for its segmenters and for no one else, so that its ledger says whether anything changed, and a frame
 that passes the router late whether anybody waited. Host `office` is behind an emulated link; there are `tuberline
 watch` (light), `top`, and a recorder, which asks for far more than the link carries.
 """
@@ -51,7 +51,7 @@ class Case:
 
 EVERYBODY = ("watch", "top", "recorder")
 CASES = (
-    Case("nobody"),
+    Case("no one"),
     Case("viewer and top", ("watch", "top")),
     Case("viewer, top, recorder", EVERYBODY),
     Case("the same, frozen 15 s", EVERYBODY, frozen_s=15.0),

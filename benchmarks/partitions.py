@@ -156,7 +156,7 @@ def _raise_failed(nodes: dict[str, subprocess.Popen[bytes]], out: Path) -> None:
 
 
 def _cut(links: dict[str, EmulatedLink], trouble: Trouble) -> None:
-    """Nothing passes either link for a while, and nobody is told."""
+    """Nothing passes either link for a while, and no one is told."""
     for settings in (replace(trouble.link, cut=True), trouble.link):
         for link in links.values():
             link.set(settings)

@@ -3,7 +3,7 @@
     python -m benchmarks site_unequal          # as root, about two minutes
 
 The site of `benchmarks.site` with three inference hosts of 8, 4 and 2 % of a core. After a while a laptop with 8 %
-joins, weighs along, and is switched off in an orderly way; nobody's configuration names it.
+joins, weighs along, and is switched off in an orderly way; no one's configuration names it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python -m benchmarks.soak --minutes 30 --out FOLDER [--recording FOLDER] [--kill-every-s 60]
 
 A recording is laid end to end (links to its frames, travel going on) and played in real time to a line whose cameras
-wait for nobody. Camera, segmenter, regressor, aggregator and router are killed in turn with SIGKILL; a second regressor
+wait for no one. Camera, segmenter, regressor, aggregator and router are killed in turn with SIGKILL; a second regressor
 never is. Memory, descriptors and threads of each process and the files in /dev/shm are sampled. FOLDER/soak.md
 holds the table, FOLDER/soak.json everything, the samples of each minute too.
 """

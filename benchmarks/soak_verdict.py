@@ -17,7 +17,7 @@ WARM_UP_S = 90.0
 BIN_S = 30.0
 LEAST_BINS = 4
 MEASURES = {"rss_mib": 30.0, "descriptors": 6.0, "threads": 6.0}
-"""What must not grow, and the growth per hour below which nobody need care."""
+"""What must not grow, and the growth per hour below which no one need care."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ class Pace:
 
 
 class SendWindow:
-    """Frames on their way: at most `size` of them, sent again while nobody says that they arrived."""
+    """Frames on their way: at most `size` of them, sent again while no one says that they arrived."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -73,7 +73,7 @@ class SendWindow:
         for seq in freed:
             del self._sent[seq]
         if freed:
-            if not self._resent:  # else nobody knows which sending was the one that arrived (Karn's rule)
+            if not self._resent:  # else no one knows which sending was the one that arrived (Karn's rule)
                 took_s = (now_s - max(self.moved_s, self._sent_s)) / len(freed)
                 took_s = min(took_s, self.resend_after_s)  # longer: this process stood still
                 self._takes_s += 0.2 * (max(took_s, 0.0) - self._takes_s)

@@ -21,7 +21,7 @@ INFO_EVERY_S = 0.5
 STALL_AFTER_S = 10.0
 POLL_S = 0.05
 NUMBERING_S = 1.0
-"""A camera that waits for nobody asks this long how far the run got, so that a restarted one numbers on from there."""
+"""A camera that waits for no one asks this long how far the run got, so that a restarted one numbers on from there."""
 
 
 class CameraNode:
@@ -29,7 +29,7 @@ class CameraNode:
 
     With `waits` it starts when a segmenter is there, keeps at most `window` frames in flight, sends them again when
     nothing moves, and never gives up. Each frame says which one was sent before it, so that the segmenter can tell what
-    the link lost from what the recording lacks. Without it nobody is waited for.
+    the link lost from what the recording lacks. Without it no one is waited for.
     """
 
     def __init__(self, config: LineConfig, camera: str, run: str, source: Source) -> None:

@@ -1,4 +1,4 @@
-"""Recording a line: frames of all its cameras to one MCAP file, by a process of its own that holds up nobody."""
+"""Recording a line: frames of all its cameras to one MCAP file, by a process of its own that none waits for."""
 
 from __future__ import annotations
 

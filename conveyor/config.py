@@ -46,7 +46,9 @@ class LinkConfig(Section):
 class CameraConfig(Section):
     """One camera: where its frames come from."""
 
-    source: Literal["recording", "realsense", "ros2"] = "recording"
+    source: Literal["recording", "realsense", "ros2"] = Field(
+        "recording", description="where frames come from: a file, a RealSense device, a ROS 2 topic"
+    )
     path: Path | None = Field(None, description="recording to replay (folder, .mcap, 3DPotatoTwin)")
     camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
     speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
@@ -160,7 +162,7 @@ class RegressorConfig(Section):
     processes: int = Field(2, ge=0, le=64, description="workers started by `tuberline run`")
     weights: Path | None = Field(None, description="safetensors or upstream .pth; default: the shipped ones")
     threads: int = Field(1, ge=1, le=64, description="threads inside one worker; one worker per core beats threads")
-    device: Literal["cpu", "cuda"] = "cpu"
+    device: Literal["cpu", "cuda"] = Field("cpu", description="what the network runs on")
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="bfloat16 is 1.5 times as fast at 0.1 g; weights are flagged with it"
     )
@@ -177,7 +179,7 @@ class AggregatorConfig(Section):
     merge_gate_mm: float = Field(30.0, ge=2, le=200, description="tracks of two cameras closer than this are one tuber")
     camera_stall_s: float = Field(10.0, ge=0.5, le=3600, description="a silent camera holds the ledger no longer")
     commit_interval_s: float = Field(0.2, ge=0.01, le=10, description="entries are committed together this often")
-    histogram_step_g: float = Field(50.0, gt=0, le=1000)
+    histogram_step_g: float = Field(50.0, gt=0, le=1000, description="width of a class in the histogram of weights")
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
     tickets: Path | None = Field(None, description="a scale's tickets that calibrate totals, see `tuberline calibrate`")
     cultivar: str = Field("", description="named as with the tickets: its own factor is learned beside the line's")
@@ -188,7 +190,9 @@ class ViewerConfig(Section):
 
     rrd: Path | None = Field(None, description="file to write")
     connect: str | None = Field(None, description="live hub, e.g. rerun+http://127.0.0.1:9876/proxy")
-    profile: Literal["light", "remote", "full"] = "remote"
+    profile: Literal["light", "remote", "full"] = Field(
+        "remote", description="how much is shown: numbers; few and small pictures; every frame and view"
+    )
 
 
 class AccessConfig(Section):
@@ -200,11 +204,11 @@ class AccessConfig(Section):
 
     enabled: bool = Field(False, description="each node may do what the topic table says, and nothing else; needs TLS")
     regressors: tuple[str, ...] = Field((), description="regressors on other machines")
-    viewers: tuple[str, ...] = ("*",)
-    recorders: tuple[str, ...] = ("*",)
+    viewers: tuple[str, ...] = Field(("*",), description="who may see frames, views, weights, totals and health")
+    recorders: tuple[str, ...] = Field(("*",), description="who may record the frames of all cameras")
     operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
     keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
-    encoders: tuple[str, ...] = ()
+    encoders: tuple[str, ...] = Field((), description="who may tell the belt's travel")
 
     @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "encoders")
     @classmethod
@@ -218,7 +222,7 @@ class AccessConfig(Section):
 class LineConfig(Section):
     """One line: its name, its link, its cameras and its nodes."""
 
-    name: str = "line"
+    name: str = Field("line", description="the line's name: its topics lie under `tuberline/NAME/`")
     link: LinkConfig = LinkConfig()
     access: AccessConfig = AccessConfig()
     cameras: dict[str, CameraConfig] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""An exception that nobody expected ends the process, in whichever thread it comes.
+"""An exception that no one expected ends the process, in whichever thread it comes.
 
 Python lets a thread die and Zenoh logs what its callbacks raise; the process then lives on without a part of itself,
 and its liveliness token too. Ended with a code of its own it is started again.

@@ -1,6 +1,6 @@
 """The one tree of errors a user may see, and the codes a process exits with.
 
-A `TuberlineError` says what is wrong, where, which value was given, what is allowed and how to mend it.
+A `TuberlineError` says what is wrong, where, which value was given, what is allowed and how to fix it.
 The command line prints its text alone and exits with `exit_code`; anything else is a bug and keeps its
 traceback.
 
@@ -14,9 +14,9 @@ from __future__ import annotations
 from enum import StrEnum
 
 PERMANENT = 2
-"""Exit code of an error that no restart mends."""
+"""Exit code of an error that no restart cures."""
 FAULT = 70
-"""Exit code of a fault of the program: an exception that nobody expected (EX_SOFTWARE of sysexits.h)."""
+"""Exit code of a fault of the program: an exception that no one expected (EX_SOFTWARE of sysexits.h)."""
 PASSING = 75
 """Exit code of an error that may be gone at the next start (EX_TEMPFAIL of sysexits.h)."""
 

@@ -15,13 +15,13 @@ from pathlib import Path
 
 from conveyor.errors import InputError
 
-_MENDS = {
+_FIXES = {
     errno.ENOSPC: "free space on that disk, or choose another place",
     errno.EDQUOT: "the quota is used up: free space, or choose another place",
     errno.EFBIG: "files there must not become so large: raise the limit, or choose another place",
     errno.EROFS: "that file system is read-only: choose another place, or mount it for writing",
-    errno.EACCES: "this user has no right to it: choose another place, or mend the rights",
-    errno.EPERM: "this user has no right to it: choose another place, or mend the rights",
+    errno.EACCES: "this user has no right to it: choose another place, or fix the rights",
+    errno.EPERM: "this user has no right to it: choose another place, or fix the rights",
     errno.ENOENT: "check the name and that its folder exists",
     errno.ENOTDIR: "a part of that path is a file: choose another name",
     errno.EISDIR: "that is a folder: name a file",
@@ -33,7 +33,7 @@ _MENDS = {
 
 
 def told(error: OSError, where: Path | str | None = None) -> str:
-    """A fault of the operating system in one sentence: path, cause, how to mend it."""
+    """A fault of the operating system in one sentence: path, cause, how to fix it."""
     place = error.filename if error.filename is not None else where
     return f"{place if place is not None else 'a file or device'}: {cause(error)}"
 
@@ -47,7 +47,7 @@ def whole_output(target: Path) -> Iterator[Path]:
     already, what was made is put into it. Where the block raises, all of it is removed.
 
     Raises:
-        InputError: the disk is full, or the place cannot be written; the text says which, why, and how to mend it.
+        InputError: the disk is full, or the place cannot be written; the text says which, why, and how to fix it.
     """
     scratch: Path | None = None
     try:
@@ -68,9 +68,9 @@ def whole_output(target: Path) -> Iterator[Path]:
 
 
 def cause(error: OSError) -> str:
-    """Why the operating system refused, and how to mend it."""
-    mend = _MENDS.get(error.errno or 0, "")
-    return (error.strerror or str(error) or type(error).__name__) + (f"; {mend}" if mend else "")
+    """Why the operating system refused, and how to fix it."""
+    fix = _FIXES.get(error.errno or 0, "")
+    return (error.strerror or str(error) or type(error).__name__) + (f"; {fix}" if fix else "")
 
 
 def _move(made: Path, to: Path) -> None:

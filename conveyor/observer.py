@@ -63,7 +63,7 @@ class Observer:
         """The JSON answer of a queryable of this line.
 
         Raises:
-            LinkError: nobody answered in time, or the answer is an error.
+            LinkError: no one answered in time, or the answer is an error.
         """
         selector = topic.key(self.line) + (f"?{parameters}" if parameters else "")
         replies = self.session.get(selector, timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE)
@@ -73,7 +73,7 @@ class Observer:
             if reply.err is not None:
                 raise LinkError(f"{selector}: {reply.err.payload.to_string()}")
         raise LinkError(
-            f"nobody answered {selector} within {timeout_s:g} s: is the aggregator of line '{self.line}' up?"
+            f"no one answered {selector} within {timeout_s:g} s: is the aggregator of line '{self.line}' up?"
         )
 
 

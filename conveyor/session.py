@@ -46,7 +46,7 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
         why = "" if reason.startswith("Unable to connect") else f" ({reason})"  # that much is said already
         raise LinkError(
             f"no router answered at {link.router} within {link.connect_timeout_s:g} s{why}; "
-            "start one with `tuberline router`, or mend link.router in the config"
+            "start one with `tuberline router`, or fix link.router in the config"
         ) from error
 
 

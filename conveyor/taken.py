@@ -63,7 +63,7 @@ class Namesake:
         try:
             report = Counters.decode(sample.payload.to_bytes())
         except MessageError:
-            return  # whoever sent it is no node of this version
+            return  # its sender is no node of this version
         if (report.host, report.pid) == self._self:
             return
         now_s = time.monotonic()
@@ -75,11 +75,11 @@ class Namesake:
                 self._living = report
 
     def check_free(self, *, lease_s: float, stop: threading.Event) -> None:
-        """Return when nobody lives under this name.
+        """Return when no one lives under this name.
 
         Raises:
             TakenError: somebody does; says who.
-            LinkError: a token is there that does not go, and nobody reports.
+            LinkError: a token is there that does not go, and no one reports.
         """
         deadline = time.monotonic() + lease_s + LEASE_MARGIN_S
         while self._token_is_there() and not stop.is_set():
@@ -92,7 +92,7 @@ class Namesake:
             stop.wait(LOOK_EVERY_S)
 
     def older(self, uptime_s: float) -> str:
-        """Who lives under this name longer than this process, in words; empty where nobody does."""
+        """Who lives under this name longer than this process, in words; empty where no one does."""
         with self._lock:
             other = self._living
             self._living = None
@@ -119,7 +119,7 @@ class Namesake:
 
 
 def check_port_free(link: LinkConfig, *, stop: Callable[[], bool] = lambda: False) -> None:
-    """Return when nobody listens where this line's router is to listen.
+    """Return when no one listens where this line's router is to listen.
 
     Raises:
         TakenError: somebody does, and stays; says who.

@@ -15,6 +15,11 @@ set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 destdir=${DESTDIR:-}
 program=${TUBERLINE:-/opt/tuberline/bin/tuberline}
+# To look at what would be installed, the program of this clone or of the path will do.
+if [ -n "$destdir" ] && [ -z "${TUBERLINE:-}" ] && [ ! -x "$program" ]; then
+    program=$here/../.venv/bin/tuberline
+    [ -x "$program" ] || program=tuberline
+fi
 roles=router,aggregator,camera,segmenter,regressor
 certs=
 run=
@@ -47,7 +52,7 @@ done
 [ $# -eq 1 ] || fail "give one LINE.toml; see --help"
 config=$1
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
-checked=$("$program" config show "$config" --json) || fail "mend $config first"
+checked=$("$program" config show "$config" --json) || fail "fix $config first"
 
 # put SOURCE TARGET MODE: copy where the content differs, and say so
 put() {

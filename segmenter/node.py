@@ -45,7 +45,7 @@ class SegmenterNode:
         self._config = config
         self._camera = camera
         source = config.camera(camera)
-        self._waits = source.waits and source.source == "recording"  # a device waits for nobody
+        self._waits = source.waits and source.source == "recording"  # a device waits for no one
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
         self._speed = source.speed if source.source == "recording" else 1.0

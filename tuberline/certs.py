@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from conveyor.errors import ConfigError, InputError
+from conveyor.extras import install_hint
 from conveyor.files import cause
 from conveyor.identity import CA_FILE, Identity
 
@@ -29,7 +30,7 @@ try:
     )
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 except ImportError as error:
-    raise ConfigError("certificates need the package cryptography: pip install 'tuberline[deploy]'") from error
+    raise ConfigError(f"certificates need the package cryptography; {install_hint('deploy')}") from error
 
 CA_KEY_FILE = "ca.key"
 CA_DAYS = 3650
@@ -95,7 +96,7 @@ def issue(
     Args:
         folder: where the authority is and the new files go: `<role>.<name>.pem` and `.key`.
         identity: the node, or the role that shares it.
-        line: becomes part of the common name, so that a node of one line is nobody on another.
+        line: becomes part of the common name, so that a node of one line is unknown on another.
         hosts: host names and addresses it can be reached at; the router needs at least one.
         days: how long it is valid, at most as long as the authority.
         renew: replace what is there.

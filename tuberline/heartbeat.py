@@ -50,7 +50,7 @@ class Heartbeat:
             self._channel = None
 
     def forgive(self, now_s: float) -> None:
-        """Start counting anew: nobody could listen for a while."""
+        """Start counting again: no one could listen for a while."""
         self._heard_s = now_s
         self._start_until_s = max(self._start_until_s, now_s + self._still_after_s)
 

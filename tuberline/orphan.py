@@ -1,7 +1,7 @@
 """A node ends with the process that supervises it.
 
 `tuberline run` and `replay` stop their nodes when they leave. Where they are killed they cannot, and a node that went
-on would hold the router's port and count into a ledger nobody reads. So each looks for its supervisor every second, and
+on would hold the router's port and count into a ledger no one reads. So each looks for its supervisor every second, and
 tells it that it is there: one that is stopped or frozen while it starts is missed too.
 """
 

@@ -124,7 +124,7 @@ class Supervisor:
 
     @property
     def failures(self) -> dict[str, int]:
-        """Children that ended with an exit code that no restart mends."""
+        """Children that ended with an exit code that no restart cures."""
         with self._lock:
             return {c.spec.name: c.exits[-1] for c in self._children if c.done and c.exits and c.exits[-1] != 0}
 
@@ -150,7 +150,7 @@ class Supervisor:
         return tail[tail.rindex(said[-1]) + len("tuberline: ") :] if said else tail
 
     def stop(self) -> None:
-        """SIGTERM to all, last started first; SIGKILL to whoever is still there after 4 s."""
+        """SIGTERM to all, last started first; SIGKILL to those still there after 4 s."""
         self._stopping.set()
         if self._thread is not None and self._thread is not threading.current_thread():
             self._thread.join()
@@ -168,7 +168,7 @@ class Supervisor:
             self.poll()
 
     def _forgive(self, now: float) -> None:
-        """Nobody heard the children while this process was stopped or its machine asleep."""
+        """No one heard the children while this process was stopped or its machine asleep."""
         if now - self._looked_s > NOT_LOOKED_S:
             for child in self._children:
                 if child.heartbeat is not None:

@@ -17,7 +17,7 @@ from conveyor.statistics import NORMAL_90
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
 
-LEAST_TOLD_G, LEAST_COVERAGE = 1e-3, 1e-9
+LEAST_TOLD_G, LEAST_COVERAGE, MOST_TOLD_PERCENT = 1e-3, 1e-9, 1e6
 """Of less no percentages are told: they would not be finite numbers."""
 
 RESTING, CAMERA, TUBERS, UNSEEN = "resting level", "camera", "tubers", "belt not seen"
@@ -123,7 +123,7 @@ def parts_percent(
     parts = {name: 100 * NORMAL_90 * sd_g / coverage / estimated_g for name, sd_g in seen.parts_g.items()}
     whole = 100 * (high_g - low_g) / 2 / estimated_g
     parts[UNSEEN] = math.sqrt(max(whole**2 - sum(part**2 for part in parts.values()), 0.0))
-    return {name: round(part, 2) for name, part in parts.items()}
+    return {name: round(min(part, MOST_TOLD_PERCENT), 2) for name, part in parts.items()}
 
 
 _KINDS = {

@@ -55,7 +55,7 @@ class CameraLog:
     def take(self, entry: TrackEntry, committed: Callable[[int], int | None]) -> tuple[Taken, list[LoggedEntry]]:
         """What became of `entry`, and the entries that can be applied now, in order.
 
-        An entry that came before with other contents is a fault of the sender (its log was lost and begun anew); the
+        An entry that came before with other contents is a fault of the sender (its log was lost and begun again); the
         first one stays.
 
         Args:
@@ -89,7 +89,7 @@ class CameraLog:
 def set_aside(payload: bytes, error: MessageError) -> LoggedEntry | None:
     """What takes the place of an entry whose bytes were refused; None where not even its number can be read.
 
-    Then nothing is lost by waiting: a log that nobody here can read, of another release say, stays with its segmenter.
+    Then nothing is lost by waiting: a log that no one here can read, of another release say, stays with its segmenter.
     """
     try:
         header = read_header(payload)

@@ -204,7 +204,7 @@ class Cameras:
     def watermark_x_m(self, now_s: float, *, wait: bool = True) -> float:
         """Nothing more can come at this place or further along: infinite while some camera has said nothing yet.
 
-        Cameras that ended or stalled hold nobody up; where all stalled, or with `wait` false, the one that got
+        Cameras that ended or stalled hold no one up; where all stalled, or with `wait` false, the one that got
         farthest decides alone.
         """
         stalled = {name for name, state in self.states.items() if state.stalled(now_s, stall_s=self._stall_s)}

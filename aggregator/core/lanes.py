@@ -1,6 +1,6 @@
 """From the belt that each camera looked at, and the tubers that each set of cameras saw, to the share of tubers seen.
 
-A lane is a set of cameras whose views hold a tuber's path across the belt. Nobody tells which lanes there are: where A
+A lane is a set of cameras whose views hold a tuber's path across the belt. No one tells which lanes there are: where A
 and B both looked, tubers that only A saw ride in A's lane; where only A looked they may ride in a lane of both. With
 `a[O, S]` the belt on which of lane S's cameras exactly O looked, the counts are
 

@@ -112,7 +112,7 @@ class LoadSums:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Self:
-        """Back from `plain`; the rate begins anew."""
+        """Back from `plain`; the rate begins again."""
         return cls(
             **{
                 **plain,

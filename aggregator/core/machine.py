@@ -25,7 +25,7 @@ from aggregator.core.tubers import make_tuber
 from conveyor.messages import Mark, Track, TrackEntry, Tuber
 
 MAX_PENDING = 100_000
-"""Tracks (about 250 MB) that may wait for another camera's marks; beyond it nobody is waited for."""
+"""Tracks (about 250 MB) that may wait for another camera's marks; beyond it no one is waited for."""
 
 
 @dataclass(frozen=True, slots=True)

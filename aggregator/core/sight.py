@@ -28,7 +28,7 @@ WHOLE = 1e-6
 
 @dataclass(slots=True)
 class Published:
-    """First and newest frame that the camera sent in this run, whoever processed them; travel only by an encoder."""
+    """First and newest frame that the camera sent in this run, processed or not; travel only by an encoder."""
 
     first_ns: int | None = None
     first_travel_m: float | None = None
@@ -102,7 +102,7 @@ class CameraSight:
         return self.curve[-1][0] if self.curve else 0
 
     def _cut(self, s: float) -> None:
-        """A segmenter that was started again has lost what it had not logged: the belt from `s` on is told anew."""
+        """A segmenter that was started again has lost what it had not logged: the belt from `s` on is told again."""
         surplus = self.length_m - s
         while surplus > 0 and self.pieces:
             length, looked = self.pieces.pop()

@@ -1,4 +1,4 @@
-"""What SQLite and the machine complain about, as one error that names the ledger, the cause and the mend."""
+"""What SQLite and the machine complain about, as one error that names the ledger, the cause and the fix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PASSING = (
     ("I/O error", "the disk reports errors; copy the folder to another disk, then `tuberline ledger check`"),
 )
 """What may be gone at the next start: the ledger itself is as it was."""
-_MENDS = (
+_FIXES = (
     ("not a database", "it is not an SQLite file, or its header is damaged; `tuberline ledger check` says more"),
     ("malformed", "its pages are damaged; `tuberline ledger check` lists the damage, `repair` saves what is intact"),
     ("never changed", "something tried to change a committed row"),
@@ -36,10 +36,10 @@ def explained(path: Path, doing: str) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        for sign, mend in _PASSING:
+        for sign, fix in _PASSING:
             if sign in str(error):
-                raise StorageError(f"ledger {path} ({doing}): {error}: {mend}") from error
-        mend = next((text for sign, text in _MENDS if sign in str(error)), "see `tuberline ledger check`")
-        raise LedgerError(f"ledger {path} ({doing}): {error}: {mend}") from error
+                raise StorageError(f"ledger {path} ({doing}): {error}: {fix}") from error
+        fix = next((text for sign, text in _FIXES if sign in str(error)), "see `tuberline ledger check`")
+        raise LedgerError(f"ledger {path} ({doing}): {error}: {fix}") from error
     except UnicodeDecodeError as error:
         raise LedgerError(f"ledger {path} ({doing}): its text is damaged; see `tuberline ledger check`") from error

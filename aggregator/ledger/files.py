@@ -84,4 +84,4 @@ def write_whole(path: Path, text: str | Iterable[str]) -> None:
         raise
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise StorageError(f"{path} cannot be written: {error.strerror}; free space or mend the rights") from error
+        raise StorageError(f"{path} cannot be written: {error.strerror}; free space or fix the rights") from error

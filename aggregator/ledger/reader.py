@@ -94,7 +94,7 @@ def read_tubers(view: LedgerView, run: str, *, since: int = 0, limit: int | None
 def _lacks(view: LedgerView, run: str, tuber_id: int) -> LedgerError:
     return LedgerError(
         f"ledger {view.path} lacks the row of table tuber with run '{run}', tuber_id {tuber_id}, which its sums tell "
-        f"of; `tuberline ledger repair {view.path}` computes it anew from its tracks"
+        f"of; `tuberline ledger repair {view.path}` computes it again from its tracks"
     )
 
 
@@ -196,7 +196,7 @@ def read_sums(view: LedgerView, run: str) -> RunSums:
     found = view.row(TOTAL, "WHERE run = ?", (run,))
     if found is None:
         raise LedgerError(
-            f"ledger {view.path} lacks the sums of run '{run}'; `tuberline ledger repair {view.path}` adds them up anew"
+            f"ledger {view.path} lacks the sums of run '{run}'; `tuberline ledger repair {view.path}` adds them up"
         )
     return RunSums.from_text(found[2])
 

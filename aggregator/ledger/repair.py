@@ -1,6 +1,6 @@
 """Saves what is intact in a damaged ledger into a new file; the damaged one is kept beside it.
 
-A damaged tuber row is computed anew where its tracks are intact (fusion is deterministic). A damaged entry leaves an
+A damaged tuber row is computed again where its tracks are intact (fusion is deterministic). A damaged entry leaves an
 empty row of kind 'lost', so that the logs stay numbered. What cannot be saved is named, and counted in the new ledger's
 last batch: the total is smaller only where this says so.
 """
@@ -48,10 +48,10 @@ Row = tuple[Any, ...]
 
 @dataclass(slots=True)
 class Repaired:
-    """What a repair did, in words: `saved` rows by table, what was computed anew, what is lost."""
+    """What a repair did, in words: `saved` rows by table, what was computed again, what is lost."""
 
     saved: dict[str, int] = field(default_factory=dict)
-    mended: list[str] = field(default_factory=list)
+    repaired: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     kept_as: Path | None = None
 
@@ -104,7 +104,7 @@ def _read_table(db: sqlite3.Connection, table: Table, report: Repaired) -> list[
         else:
             bad += 1
     if bad:
-        report.mended.append(f"{table.name}: rows with a wrong checksum were left out")
+        report.repaired.append(f"{table.name}: rows with a wrong checksum were left out")
     return [good[key] for key in sorted(good)]
 
 
@@ -119,12 +119,12 @@ def _both_ways(db: sqlite3.Connection, table: Table, report: Repaired) -> list[R
             rows.extend(cursor.execute(f"SELECT * FROM {table.name} ORDER BY rowid {order}"))
             break
         except DAMAGE as error:
-            report.mended.append(f"{table.name}: reading ({order}) stopped at damage: {error}")
+            report.repaired.append(f"{table.name}: reading ({order}) stopped at damage: {error}")
     return rows
 
 
 def _mend_tubers(rows: dict[str, list[Row]], report: Repaired) -> None:
-    """Compute tubers anew whose row is gone but whose tracks are there."""
+    """Compute tubers again whose row is gone but whose tracks are there."""
     entries = {entry[:3]: entry[5] for entry in rows[ENTRY.name] if entry[3] == "track"}
     have = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
     groups: dict[tuple[str, int], list[Row]] = {}
@@ -137,7 +137,7 @@ def _mend_tubers(rows: dict[str, list[Row]], report: Repaired) -> None:
             report.lost.append(f"tuber {key[1]} of run {key[0]}: its row and some of its tracks are damaged")
         else:
             rows[TUBER.name].append(tuber_row(make_tuber(group, run=key[0], tuber_id=key[1])))
-            report.mended.append(f"tuber {key[1]} of run {key[0]} was computed anew from its tracks")
+            report.repaired.append(f"tuber {key[1]} of run {key[0]} was computed again from its tracks")
     rows[TUBER.name].sort(key=lambda tuber: (tuber[0], tuber[1]))
 
 
@@ -175,7 +175,7 @@ def _drop_orphans(rows: dict[str, list[Row]], report: Repaired) -> None:
     kept = [seen for seen in rows[OBSERVATION.name] if seen[5] is None or (seen[0], seen[5]) in tubers]
     counted = {(seen[0], seen[5]) for seen in kept if seen[4] == Role.COUNTED}
     for run, tuber_id in sorted(tubers - counted):
-        report.mended.append(f"tuber {tuber_id} of run {run}: its observation is damaged, the tuber itself is kept")
+        report.repaired.append(f"tuber {tuber_id} of run {run}: its observation is damaged, the tuber itself is kept")
     rows[OBSERVATION.name] = kept
     rows[SUMMARY.name] = [summary for summary in rows[SUMMARY.name] if not report.lost]
 
@@ -208,7 +208,7 @@ def _write(path: Path, rows: dict[str, list[Row]]) -> None:
 
 
 def _sums(rows: dict[str, list[Row]]) -> list[RunSums]:
-    """The sums of each run, added up anew; what its cameras looked at is as intact old sums have it."""
+    """The sums of each run, added up again; what its cameras looked at is as intact old sums have it."""
     old = {run: RunSums.from_text(payload) for run, _step, payload, _crc in rows[TOTAL.name]}
     found = []
     for run, *_ in rows[RUN.name]:

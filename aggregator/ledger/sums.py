@@ -1,7 +1,7 @@
 """The sums of a run, carried along in every transaction: opening, stopping and totals never add up a million tubers.
 
 They also say how many rows each table has for the run and what their checksums add up to, so that a row that is gone,
-there twice, or an older one of itself is found by whoever reads the whole ledger.
+there twice, or an older one of itself is found by whatever reads the whole ledger.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The only way to a ledger's rows: every row that is read is checked against its checksum first.
 
-Whoever reads a ledger, a command, a query or the aggregator going on with it, holds a `LedgerView` and no connection.
+Each reader of a ledger, a command, a query or the aggregator going on with it, holds a `LedgerView` and no connection.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LedgerView:
             where: SQL after the table's name, e.g. 'WHERE run = ? ORDER BY n'.
 
         Raises:
-            LedgerError: a row that is not as it was written, or pages that cannot be read; says which, and the mend.
+            LedgerError: a row that is not as it was written, or pages that cannot be read; says which, and the fix.
         """
         for found, sound in self.scan(table, where, arguments):
             if not sound:

@@ -2,7 +2,7 @@
 
 WAL with synchronous=FULL: a commit is on the disk when `write` returns. Opening verifies what it reads (runs, sums, the
 newest batch, the receipt) at a cost that does not grow with the ledger, and refuses one that cannot be trusted; nothing
-is ever mended silently. The whole is verified by `tuberline ledger check` and `tuberline audit`.
+is ever repaired silently. The whole is verified by `tuberline ledger check` and `tuberline audit`.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Ledger:
             if acknowledged:
                 raise LedgerError(
                     f"ledger {self.path} is empty, but {acknowledged} batches of it were acknowledged: the file was "
-                    f"lost; bring it back, or remove {receipt_path(self.path)} too and start anew"
+                    f"lost; bring it back, or remove {receipt_path(self.path)} too and start again"
                 )
             self._create()
         self.view = LedgerView(self._db, self.path)
@@ -148,7 +148,7 @@ class Ledger:
         Args:
             fingerprint: of the recording, where there is one; the same recording is not counted twice into one ledger.
             may_be_finished: go on with a finished run (its entries are all duplicates) instead of refusing it.
-            histogram_step_g: width of a weight class, grams; another one than before is counted anew from all tubers.
+            histogram_step_g: width of a weight class, grams; another one than before is counted again from all tubers.
 
         Raises:
             LedgerError: the run is finished, has other cameras, or its recording is in the ledger under another run.
@@ -169,7 +169,7 @@ class Ledger:
             if list(known.cameras) != sorted(cameras):
                 raise LedgerError(
                     f"run '{run}' in ledger {self.path} was begun with cameras {', '.join(known.cameras)}, the config "
-                    f"has {', '.join(sorted(cameras))}; mend the config or give another --run"
+                    f"has {', '.join(sorted(cameras))}; fix the config or give another --run"
                 )
             return restore(self.view, known, self._go_on(run, histogram_step_g))
 
@@ -297,6 +297,6 @@ class _Transaction:
                 self._ledger._seq += 1
             self._ledger._step(f"after commit of {self._name}")
         else:
-            self._ledger._sums.clear()  # they may hold what was not written: the next one reads them anew
+            self._ledger._sums.clear()  # they may hold what was not written: the next one reads them again
             if db.in_transaction:
                 db.execute("ROLLBACK")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from conveyor.config import CameraConfig
 from conveyor.errors import DeviceError, InputError
+from conveyor.extras import install_hint
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
@@ -74,7 +75,7 @@ class RealSenseSource:
         self._poll = poll
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """Frames as they come, until nobody asks for more. The device's first frame is number `after` + 1, and what
+        """Frames as they come, until no one asks for more. The device's first frame is number `after` + 1, and what
         could not be seen while it was away is a gap in the numbers.
 
         Raises:
@@ -282,5 +283,5 @@ def _library() -> Any:
         return importlib.import_module("pyrealsense2")
     except ImportError as error:
         raise InputError(
-            f"a live RealSense camera needs the package pyrealsense2 ({error}): pip install 'tuberline[realsense]'"
+            f"a live RealSense camera needs the package pyrealsense2 ({error}); {install_hint('realsense')}"
         ) from error

@@ -1,4 +1,4 @@
-"""How hard the simulated world is: 'easy', 'field', a mix of both, or 'harsh', drawn anew for each recording.
+"""How hard the simulated world is: 'easy', 'field', a mix of both, or 'harsh', drawn for each recording.
 
 The linear baseline of PointRAFT (box length, width, height) errs by 23.0 g on its 859 real tubers. On tubers of the
 same seasons and refitted 20 times by tuber, it errs by 24-26 g on 'easy' and 30-33 g on 'field' (true axes: 22.5 g):

@@ -27,7 +27,7 @@ class Beginnings:
     """Stands between a subscriber and `deliver`: a sender first heard at number n > 0 is asked for what came before.
 
     Its messages wait until it has answered, so that each sender's are delivered in order. Zenoh ends a question that
-    reached nobody like one whose answer is empty, so n itself is asked for too: an answer with n in it is one. What is
+    reached no one like one whose answer is empty, so n itself is asked for too: an answer with n in it is one. What is
     older than the sender's cache is not there to be had and is no loss.
 
     Args:

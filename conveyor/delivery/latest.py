@@ -18,7 +18,7 @@ M = TypeVar("M", bound=Message)
 
 
 class LatestPublisher:
-    """Publishes messages that nobody waits for."""
+    """Publishes messages that no one waits for."""
 
     def __init__(self, node: Endpoint, topic: Topic, **parts: str) -> None:
         self._publisher = node.session.declare_publisher(
@@ -33,7 +33,7 @@ class LatestPublisher:
 
     @property
     def has_listener(self) -> bool:
-        """Somebody subscribes; encoding for nobody can be skipped."""
+        """Somebody subscribes; encoding for no one can be skipped."""
         status: Any = self._publisher.matching_status  # the stub says bool, it is an object
         return bool(status.matching)
 

@@ -18,7 +18,7 @@ CHECKED_FRAMES = 3
 
 
 class PreparedSource:
-    """Wraps a source. Overrides are applied before the check, so a wrong scale is mended by giving the right one."""
+    """Wraps a source. Overrides are applied before the check, so a wrong scale is repaired by giving the right one."""
 
     def __init__(
         self,

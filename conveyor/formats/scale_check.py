@@ -40,14 +40,14 @@ def scale_fault(seen_m: float, expected_m: float, depth_scale_m: float) -> str |
             f"{text}: off by {10.0 ** abs(decade):g}, so depth_scale_m is {depth_scale_m:g} and should be {right:g} "
             "(the D405 delivers 0.0001 m units by default, recordings of the paper use 0.001)"
         )
-    return f"{text}; mend belt_distance_m (measure it) or depth_scale_m ({depth_scale_m:g})"
+    return f"{text}; fix belt_distance_m (measure it) or depth_scale_m ({depth_scale_m:g})"
 
 
 def check_depth_scale(frame: Frame, *, where: str) -> None:
     """Refuse a frame whose depth contradicts its belt distance; nothing to say where that is unknown.
 
     Raises:
-        InputError: with both numbers and the mend.
+        InputError: with both numbers and the fix.
     """
     expected, seen = expected_distance_m(frame), median_depth_m(frame)
     if expected is None or seen is None:

@@ -23,7 +23,7 @@ class CameraDescription:
         origin: where it comes from, in words.
         belt_from_camera: (4, 4) or None: straight down.
         frames: how many frames there are, or None where only reading tells.
-        live: frames come at their own pace and are lost when nobody takes them.
+        live: frames come at their own pace and are lost when no one takes them.
         notes: what a user should know about this camera's recording.
         resting_offset_mm: how far below the belt plane tubers' undersides lie, where the recording says it; positive
             is below. `resting_sd_mm`: how well that is known, standard deviation.
@@ -53,7 +53,7 @@ class CameraDescription:
 class Refused:
     """A frame that is there but cannot be used: its number is a gap downstream.
 
-    `reason` is a short word to count by, `text` says which file, what is wrong and how to mend it.
+    `reason` is a short word to count by, `text` says which file, what is wrong and how to fix it.
     """
 
     seq: int
@@ -70,7 +70,7 @@ class FrameKey:
 
 
 class Source(Protocol):
-    """Frames of one camera. `frames` may be called again and starts anew (not for live cameras)."""
+    """Frames of one camera. `frames` may be called again and then starts at the first frame (not for live cameras)."""
 
     @property
     def description(self) -> CameraDescription:

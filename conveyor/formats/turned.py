@@ -67,7 +67,7 @@ class QuarterTurn:
         return np.ascontiguousarray(np.rot90(image, self.quarters))
 
     def _jpeg(self, jpeg: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
-        """Colour is only looked at, so it may be encoded anew; what cannot be read is left out."""
+        """Colour is only looked at, so it may be encoded again; what cannot be read is left out."""
         image = cv2.imdecode(jpeg, cv2.IMREAD_COLOR) if jpeg.size else None
         if image is None:
             return None

@@ -42,8 +42,9 @@ class Frame(Message):
     Attributes:
         camera: name of the camera; `run`: id of this run of the line.
         seq: sequence number per camera and run; a gap means a lost frame.
-        after_seq: number of the frame that a camera that waits sent before this one (-1: none): whoever has not got
-            that one waits for it, so that what a link lost, or delivers late, is no gap. None where nobody waits.
+        after_seq: number of the frame that a camera that waits sent before this one (-1: none): a segmenter that
+            has not got that one waits for it, so that what a link lost, or delivers late, is no gap. None where no one
+            waits.
         captured_ns: capture time, nanoseconds of the camera's clock.
         travel_m: belt travel at capture from an encoder, metres; None where it must be estimated.
         depth: (H, W) uint16, units of `depth_scale_m` metres, 0 = no depth.

@@ -93,7 +93,7 @@ class Totals(Message):
 @dataclass(frozen=True, slots=True)
 class Counters(Message):
     """What a node received, did and dropped. `values` only grow while it lives; `gauges` are levels, among them the
-    balance sheet of the run it works on, which starts anew with another run."""
+    balance sheet of the run it works on, which starts again with another run."""
 
     role: Name
     name: Name

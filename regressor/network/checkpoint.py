@@ -34,7 +34,7 @@ class _Part(BaseModel):
 
 
 class InputSpec(_Part):
-    """What the network takes. Fixed by the architecture; written down so that nobody has to guess."""
+    """What the network takes. Fixed by the architecture; written down so that no one has to guess."""
 
     points: int = 1024
     frame: str = "level: z away from the camera along the belt's normal, metres, centred on the mean of all points"

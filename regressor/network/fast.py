@@ -193,7 +193,7 @@ def _fold(mlp: SharedMlp, wide: torch.dtype = torch.float32) -> _Folded:
 
 def _packed(mlp: _Folded, rows: int) -> _Folded:
     """The wide weights of the second and third layer in oneDNN's own order, where this build of torch has it: the same
-    sums, without ordering the weights anew for each block of `rows`.
+    sums, without ordering the weights again for each block of `rows`.
     """
     if _onednn() is None:
         return mlp

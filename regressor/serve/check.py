@@ -61,7 +61,7 @@ def check_belt_distances(sidecar: Sidecar, config: LineConfig) -> None:
             raise InputError(
                 f"weights {sidecar.model_id} do not fit camera '{name}': it hangs {camera.belt_distance_m:.3f} m over "
                 f"the belt, they were trained for {trained.low:.3f} to {trained.high:.3f} m; train for this distance, "
-                f"or mend cameras.{name}.belt_distance_m"
+                f"or fix cameras.{name}.belt_distance_m"
             )
 
 

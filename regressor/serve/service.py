@@ -76,7 +76,7 @@ class WeightsService:
         return self.turn()
 
     def close(self) -> None:
-        """Follow nobody any more, and forget what was only for this process."""
+        """Follow no one any more, and forget what was only for this process."""
         self._closing.set()
         if self._follower is not None:
             self._follower.join()

@@ -106,7 +106,7 @@ def _measured(saved: Saved, sidecar: Sidecar) -> str:
         if measured["model"] != sidecar.model_id:
             raise InputError(
                 f"{saved.folder / name} was measured with {measured['model']}, the card is of {sidecar.model_id}: "
-                f"make it anew with `tuberline evaluate --data PACK --out {saved.folder / name}`"
+                f"make it again with `tuberline evaluate --data PACK --out {saved.folder / name}`"
             )
         tables, _, _ = report.markdown(measured, title=title).partition("\n## ")
         parts.append(f"##{tables.strip()}")

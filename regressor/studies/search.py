@@ -1,7 +1,7 @@
 """Search for a recipe with Optuna, as in the paper: learning rate, weight decay, batch size and the loss's beta.
 
 Every trial is a training of its own, judged by its validation error. Trials are kept in an SQLite file, so a search
-goes on where it was stopped; a trial that was cut off is made anew.
+goes on where it was stopped; a trial that was cut off is made again.
 """
 
 from __future__ import annotations

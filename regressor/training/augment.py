@@ -92,7 +92,7 @@ def augmented_batch(
     Args:
         points: (B, M, 3) centred, metres. height_m: (B,) not clamped. weight_g: (B,).
         highest_m: clamp of the height. count: points to sample.
-        resample: sample anew from a random first point, with jitter; False takes the sampling of a prediction, which
+        resample: sample again from a random first point, with jitter; False takes the sampling of a prediction, which
             turns and flips leave as it is.
         power: of the scale that the target goes with: 3 for a weight or a volume, 1 for a length.
 

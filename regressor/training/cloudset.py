@@ -2,7 +2,7 @@
 
 Each cloud is kept as its first `KEEP` farthest points, which hold the network's 128 exactly and enough more to draw a
 fresh sample from for every epoch (PointNet reads 1024). The cache carries a hash of the input files and of the code
-that prepares them, so it is made anew when either changed.
+that prepares them, so it is made again when either changed.
 """
 
 from __future__ import annotations

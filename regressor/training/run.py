@@ -50,7 +50,7 @@ class RunOptions:
 
 
 def keep_memory() -> None:
-    """Tell glibc to keep freed memory: a step's large buffers otherwise fault in anew each time (2-3x the time)."""
+    """Tell glibc to keep freed memory: a step's large buffers otherwise fault in again each time (2-3x the time)."""
     if sys.platform != "linux":
         return
     try:
@@ -134,7 +134,7 @@ def load_sets(
 
 
 def _identity(data: CloudSet) -> NDArray[np.str_]:
-    """Tubers by their truth: packs number their tubers anew, and the same name need not be the same tuber."""
+    """Tubers by their truth: each pack numbers its own tubers, and the same name need not be the same tuber."""
     rows = zip(data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
     return np.array([f"{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for w, v, length, cultivar in rows])
 

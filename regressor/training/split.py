@@ -37,7 +37,7 @@ def stratified_split(
     for which in range(classes):
         rows = rng.permutation(np.nonzero(owner == which)[0])
         for row in rows:
-            # Whoever lacks most of its due gets the next tuber.
+            # The part that lacks most of its due gets the next tuber.
             due = np.array(shares) * (given.sum() + 1) - given
             chosen = int(due.argmax())
             given[chosen] += 1
@@ -53,7 +53,7 @@ def write_splits(folder: Path, *, seed: int = SEED, force: bool = False) -> dict
     """
     out = folder / "splits.csv"
     if out.is_file() and not force:
-        raise InputError(f"{out} exists (the authors' download brings theirs): keep it, or add --force to draw anew")
+        raise InputError(f"{out} exists (the authors' download brings theirs): keep it, or add --force to draw again")
     labels, weights = _weights(folder / "ground_truth.csv")
     if len(labels) < CLASSES * len(PARTS):
         raise InputError(f"{folder} has {len(labels)} tubers; at least {CLASSES * len(PARTS)} are needed for a split")

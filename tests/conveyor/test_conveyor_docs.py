@@ -22,7 +22,7 @@ from tuberline.cli.reference import pages
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md"))]
-GENERATED = ("../regressor/weights/MODEL_CARD.md", "api.md", "commands.md", "evaluation.md", "topics.md")
+GENERATED = ("../regressor/weights/MODEL_CARD.md", "api.md", "commands.md", "config.md", "evaluation.md", "topics.md")
 REFERENCE = ("api.md", "commands.md", "topics.md")
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 CODE = re.compile(r"`([^`\n]+)`")

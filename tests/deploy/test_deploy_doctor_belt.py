@@ -21,7 +21,7 @@ from tuberline.doctor.examine import examine
         (0.460, [0.452, 0.452, 0.452], Level.WARNING, "-8.0 mm"),
         (0.460, [0.345, 0.345, 0.346], Level.FAULT, "given 0.4600 m: -115.0 mm"),
         (0.460, [4.60, 4.61], Level.FAULT, "seen at 4.6050 m"),
-        (None, [0.345, 0.345], Level.WARNING, "no distance is given: each start fits it anew"),
+        (None, [0.345, 0.345], Level.WARNING, "no distance is given: each start fits it again"),
         (0.460, [0.46], Level.WARNING, "too little belt shows in 5 frames"),
     ],
 )

@@ -47,7 +47,7 @@ def test_results_of_other_weights_make_no_card(tmp_path: Path) -> None:
     file = results / "field" / "metrics.json"
     file.write_text(file.read_text(encoding="utf-8").replace("tuberline-sim@", "other@"), encoding="utf-8")
     with pytest.raises(
-        InputError, match=r"was measured with other@\w+, the card is of tuberline-sim@\w+: make it anew"
+        InputError, match=r"was measured with other@\w+, the card is of tuberline-sim@\w+: make it again"
     ):
         model_card(Saved(results))
 

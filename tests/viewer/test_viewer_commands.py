@@ -35,7 +35,7 @@ def refused(tmp_path: Path, *options: str, python: tuple[str, ...] = ("-m", "tub
 
 def test_without_rerun_the_error_is_the_command_that_mends_it(tmp_path: Path) -> None:
     hidden = "import sys; sys.modules['rerun'] = None; from tuberline.cli import main; main()"
-    assert "pip install 'tuberline[viewer]'" in refused(tmp_path, "--rrd", "x.rrd", python=("-c", hidden))
+    assert ".venv/bin/pip install -e '.[viewer]'" in refused(tmp_path, "--rrd", "x.rrd", python=("-c", hidden))
 
 
 def test_nothing_to_show_it_in_is_refused_with_what_to_give(tmp_path: Path) -> None:

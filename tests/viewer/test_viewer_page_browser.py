@@ -61,7 +61,7 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
         for told in (
             "Camera left is dark, for 12 s.",
             "90 % sure: 1 894 to 2 093 kg",
-            "Makes up for the 1.5 % of the belt that nobody saw.",
+            "Makes up for the 1.5 % of the belt that no camera saw.",
             "Tubers 11 590",
             "Belt speed 0.42 m/s",
             "360 frames not used: dark or covered",

@@ -65,7 +65,7 @@ class Recording:
                 on_refused(item)
 
     def truth(self) -> dict[str, Any] | None:
-        """The recording's truth.json (see docs/formats.md), or None where nobody knows it. For evaluation only."""
+        """The recording's truth.json (see docs/formats.md), or None where no one knows it. For evaluation only."""
         beside = self.path.with_suffix(".truth.json") if self.path.is_file() else self.path / "truth.json"
         if not beside.is_file():
             return None

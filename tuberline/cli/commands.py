@@ -43,7 +43,7 @@ GROUPS: dict[str, Commands] = {
         "simulate": ("tuberline.cli.simulate:simulate", "Make a recording of a belt with known truth."),
         "info": ("tuberline.cli.recordings:info", "Describe a recording and warn of its traps."),
         "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless."),
-        "recover": ("tuberline.cli.recordings:recover", "Mend an MCAP file whose writer was killed."),
+        "recover": ("tuberline.cli.recordings:recover", "Repair an MCAP file whose writer was killed."),
         "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),
     },
 }

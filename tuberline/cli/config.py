@@ -28,7 +28,7 @@ def check(config: Path) -> None:
 
 
 @config.command
-def show(config: Path | None = None, *, json: bool = False) -> None:
+def show(config: Path | None = None, *, json: bool = False, explain: str | None = None) -> None:
     """Print the effective configuration: the file's settings and every default.
 
     Parameters
@@ -37,8 +37,19 @@ def show(config: Path | None = None, *, json: bool = False) -> None:
         The line's TOML file; without it the defaults alone.
     json
         JSON instead of TOML.
+    explain
+        One key alone, e.g. segmenter.ring: its type, default, range, unit and meaning.
     """
     line = load_config(config) if config else LineConfig()
+    if explain is not None:
+        from dataclasses import asdict
+
+        from tuberline.cli.config_page import explained
+
+        row = asdict(explained(explain))
+        words = "".join(f"{name:<8} {value.replace('`', '')}\n" for name, value in row.items() if value)
+        sys.stdout.write(json_module.dumps(row, indent=2) + "\n" if json else words)
+        return
     sys.stdout.write(line.model_dump_json(indent=2) + "\n" if json else dump_toml(line))
 
 

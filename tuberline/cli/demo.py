@@ -44,6 +44,7 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
         report = {"summary": summary, "score": result, "took_s": round(took_s, 1), "out": str(run_dir)}
         sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
         return
+    from conveyor.extras import install_hint
     from tuberline.cli.report import print_score, print_summary
 
     print_summary(console, summary, out=run_dir)
@@ -51,9 +52,7 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     if rrd:
         console.print(f"what happened, frame by frame: rerun {rrd}", highlight=False)
     else:
-        console.print(
-            "install tuberline[viewer] to get a Rerun recording of the run too", markup=False, highlight=False
-        )
+        console.print(f"for a Rerun recording of the run too, {install_hint('viewer')}", markup=False, highlight=False)
     console.print(f"the run took {took_s:.1f} s", highlight=False)
 
 

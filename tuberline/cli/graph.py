@@ -46,7 +46,7 @@ class GraphNode:
 
 @dataclass(frozen=True, slots=True)
 class GraphEdge:
-    """A topic from one node to another. `rate_per_s` is the sender's, over all receivers; None where nobody counts."""
+    """A topic from one node to another. `rate_per_s` is the sender's, over all receivers; None where no one counts."""
 
     topic: str
     sender: str

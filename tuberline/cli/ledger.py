@@ -51,8 +51,8 @@ def repair(path: Path, /) -> None:
     from aggregator.ledger.repair import repair as repair_ledger
 
     report = repair_ledger(ledger_file(path))
-    for text in report.mended:
-        sys.stdout.write(f"mended: {text}\n")
+    for text in report.repaired:
+        sys.stdout.write(f"repaired: {text}\n")
     for text in report.lost:
         sys.stdout.write(f"LOST: {text}\n")
     rows = ", ".join(f"{n} {name}" for name, n in report.saved.items() if n)

@@ -25,7 +25,7 @@ def camera(*, config: Path, camera: str, run: str | None = None) -> None:
 
 
 def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "recorder") -> None:
-    """Record the frames of all cameras of a running line to MCAP, until stopped. It holds up nobody.
+    """Record the frames of all cameras of a running line to MCAP, until stopped. No process waits for it.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ def evaluation_page(
     speed: Path | None = None,
     image: str | None = None,
 ) -> None:
-    """Make docs/evaluation.md from saved results; nothing is measured anew.
+    """Make docs/evaluation.md from saved results; nothing is measured again.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def evaluation_page(
 
 
 def model_card(*, results: Path, out: Path, weights: Path | None = None) -> None:
-    """Make the model card of weights from their sidecar, their notes and saved results; nothing is measured anew.
+    """Make the model card of weights from their sidecar, their notes and saved results; nothing is measured again.
 
     Parameters
     ----------

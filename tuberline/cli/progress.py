@@ -12,7 +12,7 @@ def console() -> Console:
 
 
 def progress_bar(*, total_known: bool = True) -> Progress:
-    """A bar with the time that remains, or words alone where nobody knows how much there is; nothing in a log."""
+    """A bar with the time that remains, or words alone where no one knows how much there is; nothing in a log."""
     shown = console()
     words = TextColumn("{task.description}")
     columns = (words, BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) if total_known else (words,)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tuberline.cli import build_app
 from tuberline.cli.api_page import api_page, shown
+from tuberline.cli.config_page import config_page
 from tuberline.cli.topics import markdown_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -31,6 +32,7 @@ def pages() -> dict[str, str]:
         "../regressor/weights/MODEL_CARD.md": model_card(results),
         "evaluation.md": saved_page(results, image="images/evaluation-field.png"),
         "api.md": api_page(DOCS / "examples"),
+        "config.md": config_page(),
         "commands.md": COMMANDS_HEAD + _commands() + "\n",
         "topics.md": TOPICS_HEAD + markdown_table(),
     }

@@ -20,7 +20,7 @@ def simulate_belts(
 ) -> None:
     """Make labelled frames of belts that differ in all that varies, for `tuberline train-classifier`.
 
-    Belt distance, resolution, tilt, noise, relief, soil, crowding, clods, stones and haulm are drawn anew per belt.
+    Belt distance, resolution, tilt, noise, relief, soil, crowding, clods, stones and haulm are drawn for each belt.
 
     Parameters
     ----------

@@ -33,18 +33,18 @@ def check_belt_seen(camera: str, *, given_m: float | None, seen_m: Sequence[floa
     middle_m = median(seen_m)
     measured = f"seen at {middle_m:.4f} m in {len(seen_m)} of {frames} frames"
     setting = f"set cameras.{camera}.belt_distance_m = {middle_m:.4f}"
-    anew = "measure it with the belt empty (`tuberline calibrate belt RECORDING`)"
+    again = "measure it with the belt empty (`tuberline calibrate belt RECORDING`)"
     if given_m is None:
-        return warning(check, f"{measured}, no distance is given: each start fits it anew", f"{anew} and {setting}")
+        return warning(check, f"{measured}, no distance is given: each start fits it again", f"{again} and {setting}")
     off_mm = 1000 * (middle_m - given_m)
     text = f"{measured}, given {given_m:.4f} m: {off_mm:+.1f} mm"
     ratio = middle_m / given_m
     if not 1 / WRONG_SCALE < ratio < WRONG_SCALE:
         return fault(check, text, f"the depth scale is wrong: correct cameras.{camera}.depth_scale_m")
     if abs(off_mm) > FAR_OFF_MM:
-        return fault(check, text, f"if the camera was moved: {anew} and {setting}")
+        return fault(check, text, f"if the camera was moved: {again} and {setting}")
     if abs(off_mm) > OFF_MM:
-        return warning(check, text, f"{anew}; if it stays so, {setting}")
+        return warning(check, text, f"{again}; if it stays so, {setting}")
     return ok(check, text)
 
 

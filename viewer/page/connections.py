@@ -1,4 +1,4 @@
-"""Connections of the page: bounded in number and in time, so that slow or silent sockets keep nobody out.
+"""Connections of the page: bounded in number and in time, so that slow or silent sockets keep no one out.
 
 uvicorn bounds headers and idle connections; what it lacks is here: a limit on all connections, a time limit on the
 first request, and an end for a browser that takes no more bytes.

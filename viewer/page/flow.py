@@ -72,7 +72,7 @@ class BeltSpeed:
         self._heard_s[travel.source] = now_s
 
     def m_per_s(self, now_s: float) -> float | None:
-        """The belt's speed; None where nobody has told of it for some seconds."""
+        """The belt's speed; None where no one has told of it for some seconds."""
         told = [
             (points[-1].estimated, (points[-1].travel_m - points[0].travel_m) / seconds)
             for source, points in sorted(self._points.items())

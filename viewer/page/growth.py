@@ -29,7 +29,7 @@ class _Climb:
 
 @dataclass(slots=True)
 class Growth:
-    """The last reports of one node. A restart or a new run counts from zero and starts this anew."""
+    """The last reports of one node. A restart or a new run counts from zero and starts this again."""
 
     _reports: deque[tuple[float, dict[str, float]]] = field(default_factory=deque)
     _climbs: dict[str, _Climb] = field(default_factory=dict)

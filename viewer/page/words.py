@@ -81,7 +81,7 @@ AGGREGATOR_REFUSALS = {
     "entries_refused_other_run": "A camera sends another run than the one that is counted.",
     "entries_refused_unknown_camera": "A camera that this line does not know sends tubers.",
     "entries_refused_malformed": "A camera sends entries that cannot be read.",
-    "entries_set_aside": "A camera sent entries that nobody can read: what they said is lost.",
+    "entries_set_aside": "A camera sent entries that no one can read: what they said is lost.",
     "entries_dropped_waiting_full": "Entries come faster than the gap before them is filled.",
 }
 AGGREGATOR_FIX = "Start a new run on every host of the line with the same run id, and read the aggregator's log."

@@ -1,4 +1,4 @@
-"""A live hub or viewer: looked for, lost and found again, and nobody waits for it."""
+"""A live hub or viewer: looked for, lost and found again, and no one waits for it."""
 
 from __future__ import annotations
 

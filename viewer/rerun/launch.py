@@ -140,7 +140,7 @@ def native_program() -> Path:
 
 
 def free_port() -> int:
-    """A port nobody listens on now."""
+    """A port no one listens on now."""
     with socket.socket() as probe:
         probe.bind((THIS_MACHINE, 0))
         port: int = probe.getsockname()[1]

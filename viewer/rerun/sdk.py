@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from conveyor.errors import ConfigError
+from conveyor.extras import install_hint
 from conveyor.formats.rvl import MEDIA_TYPE, encode_ros_rvl
 from viewer.rerun.primitives import (
     Bars,
@@ -33,7 +34,7 @@ from viewer.rerun.primitives import (
     State,
 )
 
-INSTALL = "install it with: pip install 'tuberline[viewer]'"
+INSTALL = f"install it {install_hint('viewer')}"
 SUPPORTED = "0.41."
 
 try:

@@ -1,7 +1,8 @@
 """Where entries go. Each sink has its own thread, queue and recording, so that none waits for another.
 
-Rerun's SDK blocks when a hub or a viewer is slow, and has no connection state (measured on 0.41). Hence: whoever calls
-`offer` only fills a bounded queue, one batch at a time is inside Rerun, and `join` gives up on a thread that hangs.
+Rerun's SDK blocks when a hub or a viewer is slow, and has no connection state (measured on 0.41). Hence: a thread that
+calls `offer` only fills a bounded queue, one batch at a time is inside Rerun, and `join` gives up on a thread that
+hangs.
 At any moment: taken from the queue = sent + dropped_<reason> + the batch under way.
 """
 
@@ -95,7 +96,7 @@ class Sink(ABC):
 
     @abstractmethod
     def _switch_run(self, run: str) -> None:
-        """End what was begun for the run before and begin anew for `run`."""
+        """End what was begun for the run before and begin again for `run`."""
 
     def _new_stream(self) -> None:
         self._stream = new_stream(self._run_id)

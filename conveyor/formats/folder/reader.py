@@ -76,7 +76,7 @@ class FolderSource:
         )
 
     def _color(self, seq: int) -> NDArray[np.uint8] | None:
-        """The frame's colour as a JPEG file; a PNG is encoded anew; broken colour is left out, as it is optional."""
+        """The frame's colour as a JPEG file; a PNG is encoded again; broken colour is left out, as it is optional."""
         jpeg = self._folder / "color" / f"{seq:06d}.jpg"
         if jpeg.is_file():
             return np.fromfile(jpeg, np.uint8)

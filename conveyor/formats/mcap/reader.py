@@ -59,7 +59,7 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     for metadata in stated:
         check_version(metadata.get("version"), newest=FORMAT_VERSION, what=FORMAT_NAME, where=path)
     if summary is None:
-        raise InputError(f"{path} was not closed: its writer was killed. Mend it with `tuberline recover {path}`")
+        raise InputError(f"{path} was not closed: its writer was killed. Repair it with `tuberline recover {path}`")
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
     found = []
     for number, channel in summary.channels.items():

@@ -1,4 +1,4 @@
-"""Mending an MCAP file whose writer was killed: everything up to the cut goes into a new, closed file."""
+"""Repairing an MCAP file whose writer was killed: everything up to the cut goes into a new, closed file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Recovered:
     Attributes:
         messages: by topic.
         lost_bytes: of the file's end (or of a damaged chunk and what follows) that no whole record could be read from.
-        whole: the file was closed properly; nothing needed mending.
+        whole: the file was closed properly; nothing needed repairing.
         damage: what stopped the reading, in the library's words.
     """
 

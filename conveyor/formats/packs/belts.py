@@ -101,7 +101,7 @@ def read_belt(shard: Path) -> PackedBelt:
             frames=tuple(PackedFrame(depth, labels, travel_m) for depth, labels, travel_m in images),
         )
     except (ValueError, TypeError) as error:
-        raise InputError(f"shard {shard} cannot be used: {error}; make the pack anew") from error
+        raise InputError(f"shard {shard} cannot be used: {error}; make the pack again") from error
 
 
 class BeltPackWriter:
@@ -161,6 +161,6 @@ def _images(data: dict[str, NDArray[Any]], name: str, shard: Path) -> list[NDArr
     for first, last in pairwise(offsets):
         image = cv2.imdecode(files[first:last], cv2.IMREAD_UNCHANGED) if last > first else None
         if image is None or image.dtype != np.uint16 or image.ndim != 2:
-            raise InputError(f"shard {shard}: image {name} at byte {first} is broken; make the pack anew")
+            raise InputError(f"shard {shard}: image {name} at byte {first} is broken; make the pack again")
         found.append(np.asarray(image, np.uint16))
     return found

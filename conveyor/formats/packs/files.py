@@ -46,7 +46,7 @@ def read_shard(path: Path, table: tuple[NamedArray, ...]) -> dict[str, NDArray[A
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"shard {path} cannot be read: {error}; make the pack anew") from error
+        raise InputError(f"shard {path} cannot be read: {error}; make the pack again") from error
     missing = [array.name for array in table if array.needed and array.name not in data]
     if missing:
         raise InputError(f"shard {path} lacks {', '.join(missing)}; it has {', '.join(sorted(data)) or 'nothing'}")
@@ -65,9 +65,9 @@ def read_meta(folder: Path, *, newest: int, what: str) -> dict[str, Any]:
     try:
         meta = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} cannot be read: {error}; make the pack anew") from error
+        raise InputError(f"{path} cannot be read: {error}; make the pack again") from error
     if not isinstance(meta, dict):
-        raise InputError(f"{path} holds a {type(meta).__name__}, not a JSON object; make the pack anew")
+        raise InputError(f"{path} holds a {type(meta).__name__}, not a JSON object; make the pack again")
     check_version(meta.get("version"), newest=newest, what=what, where=path)
     return meta
 

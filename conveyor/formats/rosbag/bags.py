@@ -1,4 +1,4 @@
-"""What is in a bag, whoever wrote it: topics, and their messages in the order in which they were stored.
+"""What is in a bag, whichever program wrote it: topics, and their messages in the order in which they were stored.
 
 Two readers: MCAP files of any profile (ROS 2, ROS 1, Foxglove) through the MCAP library, and everything else (.bag,
 .db3, a bag's folder) through rosbags. Messages are decoded one by one, so that skipping frames costs little.
@@ -17,6 +17,7 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 from conveyor.errors import InputError, MessageError
+from conveyor.extras import install_hint
 from conveyor.formats.mcap.layout import ENCODING
 from conveyor.formats.mcap.reader import open_mcap
 from conveyor.formats.rosbag import foxglove
@@ -136,7 +137,7 @@ class _McapReader:
         self._reader = reader
         summary = reader.get_summary()
         if summary is None:
-            raise InputError(f"{path} was not closed: its writer was killed. Mend it with `tuberline recover {path}`")
+            raise InputError(f"{path} was not closed: its writer was killed. Repair it with `tuberline recover {path}`")
         counts = summary.statistics.channel_message_counts if summary.statistics else {}
         found: dict[str, Topic] = {}
         for number, channel in summary.channels.items():
@@ -206,9 +207,7 @@ def _rosbags() -> Any:
         from rosbags.serde import SerdeError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise InputError(
-            f"reading ROS messages needs the package rosbags ({error}): pip install 'tuberline[bags]'"
-        ) from error
+        raise InputError(f"reading ROS messages needs the package rosbags ({error}); {install_hint('bags')}") from error
     return SimpleNamespace(
         AnyReader=AnyReader,
         AnyReaderError=AnyReaderError,

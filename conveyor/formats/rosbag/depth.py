@@ -74,7 +74,7 @@ def intrinsics_of(calibration: RosCalibration, *, rectified: bool, where: str) -
     else:
         raise InputError(f"{where} has a K of {len(k)} numbers, 9 are needed")
     if not (fx > 0 and fy > 0 and np.isfinite([fx, fy, cx, cy]).all()):
-        raise InputError(f"{where} is not calibrated (fx {fx:g}, fy {fy:g}): calibrate the camera, or mend the driver")
+        raise InputError(f"{where} is not calibrated (fx {fx:g}, fy {fy:g}): calibrate the camera, or fix the driver")
     return Intrinsics(calibration.width, calibration.height, fx, fy, cx, cy)
 
 

@@ -1,0 +1,67 @@
+"""Every key of a line's file is described, and the page and the command say of it what the schema checks."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from conveyor.config import CameraConfig, LineConfig, SegmenterConfig, parse_config
+from conveyor.errors import ConfigError
+from tuberline.cli.config_page import CAMERA, config_page, explained, settings
+
+
+def test_every_key_is_there_with_its_meaning() -> None:
+    keys = {setting.key for setting in settings()}
+    assert {f"cameras.{CAMERA}.{name}" for name in CameraConfig.model_fields} <= keys
+    assert {f"segmenter.{name}" for name in SegmenterConfig.model_fields} <= keys
+    sections = {name for name in LineConfig.model_fields if name != "name"}
+    assert {key.partition(".")[0] for key in keys} == sections | {"name"}
+    assert [setting.key for setting in settings() if not setting.meaning] == [], "give it a description"
+
+
+def test_a_row_says_what_is_checked() -> None:
+    ring = explained("segmenter.ring")
+    assert (ring.type, ring.default, ring.range, ring.unit) == ("whole number", "`3`", "from 1 to 64", "frames")
+    for value, fine in ((0, False), (1, True), (64, True), (65, False)):
+        if fine:
+            parse_config({"segmenter": {"ring": value}}, where="test")
+        else:
+            with pytest.raises(ConfigError, match=r"segmenter\.ring"):
+                parse_config({"segmenter": {"ring": value}}, where="test")
+    assert explained("cameras.front.belt_distance_m").range == "above 0, to 10"
+    assert explained("cameras.front.belt_distance_m").unit == "m"
+    assert explained("segmenter.min_area_mm2").unit == "mm²"
+    assert explained("cameras.left.source").range == '`"recording"`, `"realsense"`, `"ros2"`'
+    assert explained("cameras.left.source") == explained(f"cameras.{CAMERA}.source")
+
+
+def test_an_unknown_key_names_the_ones_that_may_be_meant() -> None:
+    with pytest.raises(ConfigError, match=r"no key 'ring'; did you mean segmenter\.ring\?"):
+        explained("ring")
+    with pytest.raises(ConfigError, match=r"did you mean .*segmenter\.gate_mm"):
+        explained("segmenter.gate_m")
+    with pytest.raises(ConfigError, match="tuberline config show"):
+        explained("x")
+
+
+def test_the_page_has_a_row_for_each_key() -> None:
+    rows = [line for line in config_page().splitlines() if line.startswith("| `")]
+    assert len(rows) == len(settings())
+    assert {len(row.replace(r"\|", "").split("|")) for row in rows} == {8}
+
+
+def test_config_show_explains_one_key() -> None:
+    command = [sys.executable, "-m", "tuberline", "config", "show", "--explain"]
+    text = subprocess.run([*command, "link.lease_ms"], capture_output=True, text=True, check=True, timeout=60).stdout
+    assert "unit     ms" in text
+    assert "range    from 200 to 60000" in text
+    row = subprocess.run(
+        [*command, "link.lease_ms", "--json"], capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+    assert json.loads(row)["default"] == "`2000`"
+    refused = subprocess.run([*command, "link.lease"], capture_output=True, text=True, check=False, timeout=60)
+    assert refused.returncode == 2
+    assert "link.lease_ms" in refused.stderr
