@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from tuberline.alarms.channels import Channel
 from tuberline.alarms.machine import Timing
@@ -98,7 +99,7 @@ class AlarmService:
         self._lock = threading.Lock()
         self._look: LineState | None = None
         self._told_s = clock()
-        self._watch = LineWatch(config.link, line=config.name, tell=self._tell)
+        self._watch = LineWatch(config.link, line=config.name, tell=self._tell, known=known_nodes(config))
 
     def __enter__(self) -> Self:
         self._outbox.__enter__()
