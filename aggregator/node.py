@@ -15,6 +15,7 @@ from aggregator.ledger.writer import Ledger
 from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
+from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.presence import Presence
@@ -107,9 +108,10 @@ class AggregatorNode:
             camera: KeptPublisher(node, topics.COMMITTED, camera=camera) for camera in self._config.cameras
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
-        self._segmenters = Presence(node, "segmenter")
-        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
-        self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, role="segmenter", name="*")
+        known = known_nodes(self._config)
+        self._segmenters = Presence(node, "segmenter", known=known)
+        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")
+        self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, known=known, role="segmenter", name="*")
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
 

@@ -54,6 +54,12 @@ def line_identities(config: LineConfig) -> tuple[Identity, ...]:
     return tuple(dict.fromkeys(Identity(role, name) for role, names in named.items() for name in names))
 
 
+def known_nodes(config: LineConfig) -> frozenset[str]:
+    """'role/name' of every node that stands in the line's config: kept before others where there is no room for all."""
+    named = {f"{i.role}/{i.name}" for i in line_identities(config) if i.name != SHARED}
+    return frozenset({*named, "aggregator/aggregator", "viewer/viewer"})
+
+
 def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
     """What one node may do, from the topic table alone. Grants without keys are left out."""
     sent = _keys(identity, line, sending=True)

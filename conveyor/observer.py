@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ import zenoh
 from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.counters import CounterSet
+from conveyor.delivery.bounded import node_of
 from conveyor.delivery.kept import KeptSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.errors import LinkError
@@ -25,19 +26,26 @@ TRY_FOR_S = 1.0
 
 
 class Observer:
-    """A session that reads totals, counters and presence of `line`. Use as a context manager."""
+    """A session that reads totals, counters and presence of `line`. Use as a context manager.
 
-    def __init__(self, link: LinkConfig, *, line: str) -> None:
+    Args:
+        known: nodes ('role/name') that are kept before others where more tell of themselves than are remembered.
+    """
+
+    def __init__(self, link: LinkConfig, *, line: str, known: Collection[str] = ()) -> None:
         self.line = line
+        self.known = known
         self.counters = CounterSet()
         self.log = logging.getLogger("observer")
         self._link = link
 
     def __enter__(self) -> Self:
         self.session = open_client(self._link, name="observer")
+        self._alive = {role: Presence(self, role, known=self.known) for role in topics.ALIVE.senders}
         self._totals = KeptSubscriber(self, topics.TOTALS, Totals)
-        self._counters = KeptSubscriber(self, topics.COUNTERS, Counters, role="*", name="*")
-        self._alive = {role: Presence(self, role) for role in topics.ALIVE.senders}
+        self._counters = KeptSubscriber(
+            self, topics.COUNTERS, Counters, known=self.known, alive=self.is_alive, role="*", name="*"
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -52,12 +60,18 @@ class Observer:
         return self._totals.wait(timeout_s)
 
     def nodes(self) -> dict[str, Counters]:
-        """Newest counters by 'role/name'."""
-        return {f"{c.role}/{c.name}": c for c in self._counters.latest().values()}
+        """Newest counters by 'role/name'; a report that names another node than its key does is left out."""
+        reports = ((node_of(topics.COUNTERS, key), c) for key, c in self._counters.latest().items())
+        return {node: c for node, c in reports if node == f"{c.role}/{c.name}"}
 
     def alive(self) -> set[str]:
         """'role/name' of every node whose token is there."""
         return {f"{role}/{name}" for role, presence in self._alive.items() for name in presence.names()}
+
+    def is_alive(self, node: str) -> bool:
+        """The token of `node` ('role/name') is there."""
+        role, _, name = node.partition("/")
+        return role in self._alive and name in self._alive[role]
 
     def query(self, topic: Topic, *, parameters: str = "", timeout_s: float = 3.0) -> Any:
         """The JSON answer of a queryable of this line.

@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 
 from conveyor import topics
+from conveyor.access import known_nodes
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig
 from conveyor.delivery import (
@@ -81,8 +82,10 @@ class SegmenterNode:
         self._committed = KeptSubscriber(node, topics.COMMITTED, Committed, camera=camera)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera=camera)
         self._weights = ReliableSubscriber(node, topics.WEIGHT, Weight, camera=camera)
-        self._regressors = Presence(node, "regressor")
-        self._aggregators = Presence(node, "aggregator", on_change=self._aggregator_came.set)
+        self._regressors = Presence(node, "regressor", known=known_nodes(self._config))
+        self._aggregators = Presence(
+            node, "aggregator", known=known_nodes(self._config), on_change=self._aggregator_came.set
+        )
         self._frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=ring, camera=camera)
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera=camera)
         self._log_out = ReliablePublisher(node, topics.TRACK, camera=camera)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 import zenoh
 from zenoh import ext
 
+from conveyor.delivery.bounded import MOST_KEYS, Bounded, node_of, ranks
 from conveyor.delivery.priorities import zenoh_priority
 from conveyor.delivery.refusals import Refusals
 from conveyor.errors import MessageError
@@ -41,12 +43,32 @@ class KeptPublisher:
 
 
 class KeptSubscriber(Generic[M]):
-    """The newest value of every key that matches; parts may be '*'."""
+    """The newest value of every key that matches, `MOST_KEYS` at most; parts may be '*'.
 
-    def __init__(self, node: Endpoint, topic: Topic, message_type: type[M], **parts: str) -> None:
+    Counters: `kept_refused_full`, messages of keys for which there is no room; `kept_refused_name`, of keys whose names
+    no node can have.
+
+    Args:
+        known: nodes ('role/name') that are kept before others when there is no room for all; after them those that
+            are `alive`.
+    """
+
+    def __init__(
+        self,
+        node: Endpoint,
+        topic: Topic,
+        message_type: type[M],
+        *,
+        known: Collection[str] = (),
+        alive: Callable[[str], bool] = lambda _: False,
+        most: int = MOST_KEYS,
+        **parts: str,
+    ) -> None:
         self._type = message_type
+        self._topic = topic
+        self._counters = node.counters
         self._refusals = Refusals(topic, name=topic.name, counters=node.counters, log=node.log)
-        self._values: dict[str, M] = {}
+        self._values = Bounded[M](most=most, rank=ranks(topic, known=known, alive=alive))
         self._changed = threading.Condition()
         self._version = 0
         self._seen = 0
@@ -60,13 +82,18 @@ class KeptSubscriber(Generic[M]):
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = str(sample.key_expr)
+        if node_of(self._topic, key) is None:
+            self._counters.add("kept_refused_name")
+            return
         try:
             message = self._type.decode(sample.payload.to_bytes())
         except MessageError as error:
             self._refusals.refuse(key, error)
             return
         with self._changed:
-            self._values[key] = message
+            if not self._values.put(key, message):
+                self._counters.add("kept_refused_full")
+                return
             self._version += 1
             self._changed.notify_all()
 
@@ -74,7 +101,7 @@ class KeptSubscriber(Generic[M]):
         """Newest value by key."""
         with self._changed:
             self._seen = self._version
-            return dict(self._values)
+            return self._values.all()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until something changed since the last `latest()`; False when nothing did."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import has_images
 from conveyor.formats.source import CameraDescription, RecordedSource
+from conveyor.formats.within import check_within, plain_name
 
 if TYPE_CHECKING:
     from conveyor.formats.prepared import PreparedSource
@@ -43,8 +44,15 @@ def describe_recording(path: Path) -> Recording:
 
 
 def camera_names(path: Path) -> tuple[str, ...]:
-    """The cameras of the recording at `path`, in its own order."""
-    kind = recording_kind(path)
+    """The cameras of the recording at `path`, in its own order.
+
+    Raises:
+        InputError: no recording, or a camera's name that is no plain one.
+    """
+    return tuple(plain_name(name, where=path) for name in _camera_names(path, recording_kind(path)))
+
+
+def _camera_names(path: Path, kind: Kind) -> tuple[str, ...]:
     if kind == "folder":
         return tuple(_folders(path))
     if kind == "mcap":
@@ -110,13 +118,18 @@ def recording_kind(path: Path) -> Kind:
         with path.open("rb") as file:
             if path.suffix == ".mcap" or file.read(5) == b"\x89MCAP":
                 return _mcap_kind(path)
-    elif has_images(path):
-        return "3dpotatotwin"
-    elif (path / "metadata.yaml").is_file():
-        return "rosbag"
-    elif _folders(path):
-        return "folder"
+    elif (kind := _folder_kind(path)) is not None:
+        check_within(path)
+        return kind
     raise InputError(f"{path} is no recording Tuberline knows; looked for: " + "; ".join(LOOKED_FOR))
+
+
+def _folder_kind(path: Path) -> Kind | None:
+    if has_images(path):
+        return "3dpotatotwin"
+    if (path / "metadata.yaml").is_file():
+        return "rosbag"
+    return "folder" if _folders(path) else None
 
 
 def _mcap_kind(path: Path) -> Kind:
@@ -142,7 +155,17 @@ def _choose(path: Path, known: list[str], camera: str | None) -> str:
 
 
 def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
-    """The source as it is recorded: for those who look for faults."""
+    """The source as it is recorded: for those who look for faults.
+
+    Raises:
+        InputError: it cannot be opened, or calls its camera what is no plain name.
+    """
+    source = _open(path, kind, camera)
+    plain_name(source.description.name, where=path)
+    return source
+
+
+def _open(path: Path, kind: Kind, camera: str) -> RecordedSource:
     if kind == "folder":
         from conveyor.formats.folder.reader import FolderSource
 
@@ -176,6 +199,7 @@ def _folders(path: Path) -> dict[str, Path]:
     except (ValueError, RecursionError, KeyError, TypeError) as error:
         raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
     for name in names:
+        plain_name(name, where=line)
         if not (path / name / "camera.json").is_file():
             raise InputError(f"{line} names camera '{name}', but {path / name / 'camera.json'} does not exist")
     return {name: path / name for name in names}

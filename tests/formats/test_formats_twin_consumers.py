@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_a_season_without_a_belt_distance_is_fitted_by_replay_and_refused_by_tra
 ) -> None:
     root = tmp_path / "unknown"
     root.mkdir()
-    (root / "1_rgbd").symlink_to(twin / "1_rgbd")
+    shutil.copytree(twin / "1_rgbd", root / "1_rgbd")
     (root / "ground_truth.csv").write_text("label,growing_season,weight_g_inctack\n2099-000,2099,150\n")
     (camera,) = describe_recording(root).cameras
     assert (camera.name, camera.belt_distance_m) == ("2099", None)
@@ -96,11 +97,12 @@ def test_two_distances_in_one_season_are_two_cameras(twin: Path, tmp_path: Path)
     root = tmp_path / "two"
     images = root / "1_rgbd" / "1_image"
     images.mkdir(parents=True)
-    (root / "1_rgbd" / "0_camera_intrinsics").symlink_to(twin / "1_rgbd" / "0_camera_intrinsics")
+    intrinsics = "1_rgbd/0_camera_intrinsics"
+    shutil.copytree(twin / intrinsics, root / intrinsics)
     for label in ("a", "b"):
         (images / label).mkdir()
         for path in (twin / "1_rgbd" / "1_image" / "2099-000").iterdir():
-            (images / label / path.name.replace("2099-000", label)).symlink_to(path)
+            shutil.copy(path, images / label / path.name.replace("2099-000", label))
     (root / "ground_truth.csv").write_text("label,growing_season,belt_distance_m\na,2099,0.46\nb,2099,0.47\n")
     cameras = describe_recording(root).cameras
     assert [(camera.name, camera.belt_distance_m) for camera in cameras] == [("2099-0.46", 0.46), ("2099-0.47", 0.47)]
@@ -108,7 +110,7 @@ def test_two_distances_in_one_season_are_two_cameras(twin: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("text", ["none", "nan", "-0.3", "460"])
 def test_a_belt_distance_that_is_none_is_refused_with_its_line(twin: Path, tmp_path: Path, text: str) -> None:
-    (tmp_path / "1_rgbd").symlink_to(twin / "1_rgbd")
+    shutil.copytree(twin / "1_rgbd", tmp_path / "1_rgbd")
     table = f"label,growing_season,weight_g_inctack,belt_distance_m\n2099-000,2099,150,{text}\n"
     (tmp_path / "ground_truth.csv").write_text(table)
     for read in (describe_recording, lambda path: list(read_labelled(path))):

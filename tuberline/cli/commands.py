@@ -57,6 +57,7 @@ PARTS: Commands = {
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
     "viewer": ("tuberline.cli.viewer:viewer", "Show the line in Rerun: a file or a live hub."),
     "recorder": ("tuberline.cli.nodes:recorder", "Record a line's frames to MCAP."),
+    "alarms": ("tuberline.cli.alarms:alarms", "Send a line's alarms to webhooks, MQTT, mail, phones."),
     "metrics": ("tuberline.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
     "access": ("tuberline.cli.access:access", "Who may do what: the router's rules, from the topics."),
     "topics": ("tuberline.cli.topics:topics", "The table of topics."),

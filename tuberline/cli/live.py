@@ -22,6 +22,7 @@ _SHOWN = {
     "viewer": ("frame_shown", "tuber_shown"),
     "recorder": ("frames_written",),
 }
+MOST_ROWS = 200
 LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
 """A counter whose name holds one of these tells of something that did not arrive or was not used."""
 
@@ -34,7 +35,9 @@ class Pace:
         self._seen: dict[str, deque[Counters]] = {}
 
     def update(self, nodes: Mapping[str, Counters]) -> None:
-        """Take the newest reports. A node that started again begins anew."""
+        """Take the newest reports. A node that started again begins anew, one that is forgotten is forgotten here."""
+        for name in self._seen.keys() - nodes.keys():
+            del self._seen[name]
         for name, counters in nodes.items():
             seen = self._seen.setdefault(name, deque(maxlen=self._reports))
             if seen and (counters.pid != seen[-1].pid or counters.run != seen[-1].run):
@@ -114,7 +117,8 @@ def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | 
     table = Table("node", "state", "up", "did", "lost or refused", box=SIMPLE_HEAD, expand=True, padding=(0, 1, 0, 0))
     for column, least in zip(table.columns[:3], (15, 7, 6), strict=True):
         column.no_wrap, column.min_width = True, least
-    for name in sorted({*nodes, *alive}):
+    names = sorted({*nodes, *alive}, key=lambda name: (name not in alive or name not in nodes, name))
+    for name in sorted(names[:MOST_ROWS]):
         counters = nodes.get(name)
         if counters is None:
             table.add_row(short_name(name), "[red]silent[/]", "", "there, and has not reported yet", "")
@@ -128,6 +132,8 @@ def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | 
             Items(_did(name, counters, pace if name in alive else None)),
             Items((f"{key} {value:g}" for key, value in losses(counters).items()), style="yellow"),
         )
+    if len(names) > MOST_ROWS:
+        table.add_row(f"and {len(names) - MOST_ROWS} more", "", "", "", "")
     return table
 
 

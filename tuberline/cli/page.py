@@ -37,6 +37,7 @@ def page(
         HOST:PORT to serve the page on. Beyond this machine only where everybody in the network may look; else put
         deploy/proxy before it.
     """
+    from conveyor.access import known_nodes
     from conveyor.notify import notify
     from viewer.page.board import Board
     from viewer.page.server import PageServer
@@ -47,18 +48,26 @@ def page(
     if config and (connect or line):
         raise ConfigError("give --config (once for each line), or --connect with --line, not both")
     addresses = (
-        [LineAddress(path).link() for path in config]
+        [LineAddress(path) for path in config]
         if config
-        else [LineAddress(None, connect, name).link() for name in (line or (None,))]
+        else [LineAddress(None, connect, name) for name in (line or (None,))]
     )
-    names = [name for _, name in addresses]
+    names = [address.link()[1] for address in addresses]
     if len(set(names)) < len(names):
         raise ConfigError(f"two of the lines have the same name: {', '.join(names)}; give each its own")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     board = Board(names)
-    watches = [LineWatch(link, line=name, tell=lambda look: board.put(snapshot(look))) for link, name in addresses]
+    watches = [
+        LineWatch(
+            address.link()[0],
+            line=name,
+            tell=lambda look: board.put(snapshot(look)),
+            known=known_nodes(address.loaded()) if address.config else (),
+        )
+        for address, name in zip(addresses, names, strict=True)
+    ]
     with PageServer(board, host=host, port=port) as server:
         for watch in watches:
             watch.start()

@@ -63,7 +63,7 @@ def raise_if_pointless(supervisor: Supervisor) -> None:
         TuberlineError: so it is; with the last words of those that gave up.
     """
     failures = supervisor.failures
-    nodes = set(supervisor.restarts) - {"router"}
+    nodes = set(supervisor.restarts) - {"router", "alarms"}
     if "router" in failures or nodes <= set(failures):
         said = "\n".join(f"  {name}: {supervisor.last_words(name) or 'see above'}" for name in failures)
         raise TuberlineError(f"the line is not kept up: {', '.join(failures)} gave up\n{said}")

@@ -31,8 +31,8 @@ class Alarm:
     fix: str
 
 
-def alarms(state: LineState) -> tuple[Alarm, ...]:
-    """Everything that is wrong, the worst first. Where there is no contact, that is the one thing to say."""
+def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
+    """What is wrong, the worst `most` first. Where there is no contact, that is the one thing to say."""
     if not state.in_contact:
         return _no_contact(state)
     found = [
@@ -43,7 +43,7 @@ def alarms(state: LineState) -> tuple[Alarm, ...]:
         *_sight(state),
         *_coverage(state),
     ]
-    return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:MAX_ALARMS])
+    return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
 
 
 def _no_contact(state: LineState) -> tuple[Alarm, ...]:

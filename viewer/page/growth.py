@@ -43,6 +43,8 @@ class Growth:
             self._climbs.clear()
         counted = dict(list({**report.gauges, **report.values}.items())[:MAX_COUNTERS])
         for name, value in counted.items():
+            if name not in self._climbs and len(self._climbs) >= MAX_COUNTERS:
+                continue
             climb = self._climbs.setdefault(name, _Climb(now_s, highest=0.0 if self._reports else value))
             if value > climb.highest:
                 climb.highest = value

@@ -26,7 +26,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "alarms": [asdict(alarm) for alarm in found],
         "load": None if state.totals is None or _no_number(state.totals) else _load(state.totals, state),
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
-        "cameras": [_camera(name, state, _troubled(name, found)) for name in state.camera_names()],
+        "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
         "others": [_other(name, node) for name, node in _kept(state, "").items() if not _has_own_table(name)],
         "loads": [asdict(load) for load in state.loads if state.totals is None or load.run != state.totals.run],
@@ -59,6 +59,12 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "age_s": round(state.totals_age_s, 1),
         "old": state.totals_age_s > STALE_S and not totals.final,
     }
+
+
+def _shown_cameras(state: LineState) -> list[str]:
+    """Those of the load first, where more announce themselves than are shown."""
+    own = state.totals.cameras if state.totals else {}
+    return sorted(sorted(state.camera_names(), key=lambda name: (name not in own, name))[:MAX_NODES])
 
 
 def _troubled(camera: str, found: Iterable[Alarm]) -> bool:

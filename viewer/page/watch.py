@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping, Set
 from dataclasses import dataclass, field
 
 from conveyor import topics
@@ -29,6 +29,8 @@ LOADS_EVERY_S = 20.0
 LOADS_WITHIN_S = 1.0
 LOADS = 12
 MAX_NODES = 256
+"""Processes that are remembered. Those of the config first, then those alive, then those heard of last."""
+MAX_CAMERAS = 64
 
 
 @dataclass(slots=True)
@@ -42,9 +44,16 @@ class _NodeMemory:
 
 
 class LineWatch:
-    """Tells `tell` a look about once a second, on its own thread, until stopped."""
+    """Tells `tell` a look about once a second, on its own thread, until stopped.
 
-    def __init__(self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None]) -> None:
+    Args:
+        known: nodes ('role/name') of the line's config: they have a place, whatever others announce themselves.
+    """
+
+    def __init__(
+        self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None], known: Collection[str] = ()
+    ) -> None:
+        self._known = frozenset(known)
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -70,7 +79,7 @@ class LineWatch:
     def _watch(self) -> None:
         while not self._stop.is_set():
             try:
-                with Observer(self._link, line=self.line) as observer:
+                with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
                     self._observe(observer)
             except TuberlineError as error:
@@ -79,7 +88,15 @@ class LineWatch:
             self._stop.wait(RETRY_S)
 
     def _observe(self, observer: Observer) -> None:
-        infos = KeptSubscriber(observer, topics.CAMERA_INFO, CameraInfo, camera="*")
+        infos = KeptSubscriber(
+            observer,
+            topics.CAMERA_INFO,
+            CameraInfo,
+            known=self._known,
+            alive=observer.is_alive,
+            most=MAX_CAMERAS,
+            camera="*",
+        )
         travels = LatestSubscriber(observer, topics.TRAVEL, Travel, capacity=TRAVEL_INBOX, source="*")
         told_s = -TELL_EVERY_S
         while not self._stop.wait(LOOK_EVERY_S):
@@ -91,7 +108,7 @@ class LineWatch:
                 self._ask_loads(observer, now_s)
             if now_s - told_s >= TELL_EVERY_S:
                 told_s = now_s
-                self._tell(self._state_of({info.camera: info for info in infos.latest().values()}, now_s))
+                self._tell(self._state_of(_by_camera(infos.latest()), now_s))
 
     def _hear(self, observer: Observer, now_s: float) -> None:
         """Note what is new. A message is a new object, also where it says the same as the one before."""
@@ -101,7 +118,15 @@ class LineWatch:
             self._load.add(totals, now_s)
         alive = observer.alive()
         reports = observer.nodes()
-        for name in sorted({*reports, *alive})[:MAX_NODES]:
+        kept = remembered(
+            {name: memory.heard_s for name, memory in self._nodes.items()},
+            told={*reports, *alive},
+            alive=alive,
+            known=self._known,
+        )
+        for name in self._nodes.keys() - kept:
+            del self._nodes[name]
+        for name in sorted(kept & {*reports, *alive}):
             memory = self._nodes.setdefault(name, _NodeMemory(heard_s=now_s))
             if name in alive:
                 memory.alive_s = now_s
@@ -135,6 +160,28 @@ class LineWatch:
             flow=flow(self._load, self._belt, now_s),
             loads=self._loads,
         )
+
+
+def _by_camera(infos: Mapping[str, CameraInfo]) -> dict[str, CameraInfo]:
+    """What cameras say of themselves; not what one says in another's name."""
+    return {i.camera: i for key, i in infos.items() if topics.CAMERA_INFO.parts(key)["camera"] == i.camera}
+
+
+def remembered(
+    heard_s: Mapping[str, float], *, told: Set[str], alive: Set[str], known: Set[str], most: int = MAX_NODES
+) -> set[str]:
+    """Who of those remembered (`heard_s`: when) and those told of now keeps a place, or gets one.
+
+    Those of the config first, then those alive, of both those remembered already; of those gone the last heard of.
+    """
+    everybody = {*heard_s, *told}
+    if len(everybody) <= most:
+        return everybody
+
+    def order(name: str) -> tuple[bool, bool, bool, float, str]:
+        return name not in known, name not in alive, name not in heard_s, -heard_s.get(name, 0.0), name
+
+    return set(sorted(everybody, key=order)[:most])
 
 
 def _node(memory: _NodeMemory, now_s: float) -> NodeState:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.folder.layout import COLUMNS, camera_json
 from conveyor.formats.source import CameraDescription
+from conveyor.formats.within import plain_name
 from conveyor.messages import Frame
 
 _FAST_PNG = [
@@ -31,7 +32,7 @@ class FolderWriter:
     """One camera's folder under `recording`; use it in a `with`."""
 
     def __init__(self, recording: Path, description: CameraDescription) -> None:
-        self._folder = recording / description.name
+        self._folder = recording / plain_name(description.name, where=description.origin)
         self._description = description
         self._rows: Any = None
         self.frames = 0

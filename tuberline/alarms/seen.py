@@ -1,0 +1,103 @@
+"""What of a line is worth an alarm: the page's own alarms, a limit on coverage, lost regressors, disks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from conveyor.config import LineConfig
+from tuberline.alarms.machine import Seen
+from tuberline.doctor.finding import Finding, Level
+from viewer.page.alarms import ENOUGH_TUBERS, LEVELS, alarms
+from viewer.page.state import LineState
+from viewer.page.words import span
+
+MOST_SEEN = 512
+NO_CONTACT = "no-contact"
+DISK = "disk-"
+FORGOTTEN_AFTER_S = 600.0
+"""Regressors of containers have a new name at each start: one that is in no config and long gone is no alarm."""
+
+
+def seen_alarms(state: LineState, config: LineConfig, disks: Sequence[Finding]) -> list[Seen]:
+    """Everything that is wrong and bad enough."""
+    assert config.alarms is not None
+    enough = LEVELS.index(config.alarms.least)
+    names = sorted({*state.camera_names(), *config.cameras}, key=len, reverse=True)
+    found = [
+        *_of_page(state, names),
+        *(_lost_regressors(state, config) if state.in_contact and not state.final else ()),
+        *_coverage(state, config.alarms.coverage_below),
+        *_disks(disks),
+    ]
+    return [alarm for alarm in found if LEVELS.index(alarm.level) <= enough]
+
+
+def unknown_keys(state: LineState, active: Iterable[str], *, disks_known: bool) -> frozenset[str]:
+    """Of the alarms that are `active`, those of which this look says nothing."""
+    line_known = state.in_contact or state.final
+    return frozenset(
+        key for key in active if not (disks_known if key.startswith(DISK) else line_known or key == NO_CONTACT)
+    )
+
+
+def _of_page(state: LineState, names: Sequence[str]) -> Iterator[Seen]:
+    for alarm in alarms(state, most=MOST_SEEN):
+        if alarm.key == "coverage" or (alarm.key.startswith("regressor-") and alarm.key.endswith("-left")):
+            continue  # told below, with a limit and for as long as it lasts
+        yield Seen(alarm.key, alarm.level, alarm.text, alarm.fix, _camera(alarm.key, names))
+
+
+def _camera(key: str, names: Sequence[str]) -> str:
+    heads = ("camera-{}-", "stalled-camera/{}", "stalled-segmenter/{}", "uncommitted-segmenter/{}")
+    for name in names:
+        for head in heads:
+            wanted = head.format(name)
+            if key == wanted or (head.endswith("-") and key.startswith(wanted)):
+                return name
+    return ""
+
+
+def _lost_regressors(state: LineState, config: LineConfig) -> Iterator[Seen]:
+    own = {*(f"r{n}" for n in range(1, config.regressor.processes + 1)), *config.access.regressors}
+    for name, node in state.role("regressor").items():
+        if node.state == "gone" and (name in own or node.away_s < FORGOTTEN_AFTER_S):
+            yield Seen(
+                f"regressor-{name}-lost",
+                "warning",
+                f"Regressor {name} is gone; the others take over its work.",
+                "Look at its computer and its log; start it again.",
+            )
+        elif node.state == "silent":
+            yield Seen(
+                f"regressor-{name}-quiet",
+                "warning",
+                f"Regressor {name} says nothing.",
+                "Look at its computer and the network; start it again.",
+            )
+
+
+def _coverage(state: LineState, limit: float) -> Iterator[Seen]:
+    totals = state.totals
+    if totals is None or totals.coverage is None or totals.count < ENOUGH_TUBERS or totals.coverage >= limit:
+        return
+    if not (state.in_contact or state.final):
+        return
+    yield Seen(
+        f"coverage-{totals.run}",
+        "warning",
+        f"Only {100 * totals.coverage:.1f} % of this load's belt was looked at; the limit is {100 * limit:g} %.",
+        "See on the page which camera dropped frames or was away.",
+    )
+
+
+def _disks(findings: Sequence[Finding]) -> Iterator[Seen]:
+    for finding in findings:
+        if finding.level is not Level.OK:
+            level = "trouble" if finding.level is Level.FAULT else "warning"
+            yield Seen(f"{DISK}{finding.check}", level, f"The {finding.check}: {finding.text}.", finding.fix)
+
+
+def disk_stands_still(seconds: float) -> Finding:
+    """The finding where a look at the disks does not come back."""
+    fix = "see the kernel's log (dmesg); a disk that fails must be replaced"
+    return Finding("disks", Level.FAULT, f"a file could not be written for {span(seconds)}", fix)
