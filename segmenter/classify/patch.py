@@ -78,6 +78,14 @@ class Patch:
         self._seen += observation.seen
         self._inside += observation.inside
 
+    def spread(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """(48, 48) float32 each: standard deviation over the observations in millimetres, how many saw a cell (at least
+        1), share of a cell that is the instance.
+        """
+        count = np.maximum(self._seen, np.float32(1))
+        mean_mm = self._height / count
+        return np.sqrt(np.maximum(self._square / count - mean_mm * mean_mm, 0)), count, self._inside / count
+
     def channels(self) -> NDArray[np.float32]:
         """(10, 48, 48) float32 as the network takes it; there must be an observation."""
         sums = (image[None] for image in (self._height, self._square, self._seen, self._inside))

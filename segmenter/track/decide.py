@@ -88,8 +88,8 @@ class TrackDecider:
         reason = shape_refusal(track, width_m=width_m, in_view=in_view, settings=self._settings)
         if reason is None:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
-            track.log_odds = self._perception.classify(track.patch)
-            reason = class_refusal(track.log_odds, self._settings)
+            track.answer = self._perception.classify(track.patch)
+            reason = class_refusal(track.answer, self._settings)
         if reason is not None:
             return RefusedTrack(reason)
         message = _message(track, at, now, length_m=length_m, width_m=width_m)
@@ -101,7 +101,7 @@ class TrackDecider:
             _view(candidate, rank, message.track_id, now.frame, self._belt_sd_m)
             for rank, candidate in enumerate(chosen)
         )
-        return ClosedTrack(message, views)
+        return ClosedTrack(message, views, track.answer)
 
     def _book(self, track: TrackState, decision: Decision) -> None:
         if isinstance(decision, RefusedTrack):

@@ -1,0 +1,59 @@
+"""What a patch says of its track, and how noisy the patch is that says it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from segmenter.classify.patch import Patch
+
+SURE = 0.8
+"""Share of a cell that must be the instance's to be measured: the rim's spread is the rim's, not the camera's."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatchNoise:
+    """How noisy a patch is, inside its instance.
+
+    Attributes:
+        spread_mm: median over its cells of the standard deviation from observation to observation.
+        error_mm: median standard error of the averaged heights.
+        hole_share: share of cells times observations without depth.
+        observations: how many were averaged.
+    """
+
+    spread_mm: float
+    error_mm: float
+    hole_share: float
+    observations: int
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """The network's answer for a patch: how much likelier it is for a tuber than for a clod, as a natural logarithm."""
+
+    log_odds: float
+    noise: PatchNoise
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What is believed of a track: log-odds of tuber against other on this belt, and the evidence of its patch."""
+
+    log_odds: float
+    evidence: Evidence
+
+
+def noise_of(patch: Patch) -> PatchNoise:
+    """How noisy a patch of at least one observation is."""
+    spread_mm, count, inside = patch.spread()
+    sure = inside > SURE
+    if not sure.any():
+        return PatchNoise(0.0, 0.0, 1.0, patch.observations)
+    return PatchNoise(
+        spread_mm=float(np.median(spread_mm[sure])),
+        error_mm=float(np.median(spread_mm[sure] / np.sqrt(count[sure]))),
+        hole_share=float(1 - count[sure].mean() / patch.observations),
+        observations=patch.observations,
+    )
