@@ -1,9 +1,9 @@
 """Tubers lost and clods counted by the classifier's rule: cameras from good to harsh over belts with and without clods.
 
-    python -m benchmarks clods --out runs/clods --seeds tuning [--judge]
+    python -m benchmarks clods --out runs/clods --seeds judging
 
 The segmenter's core runs once per camera and refuses nothing; what the network said of each track, and how noisy its
-patch was, is kept as OUT/<belt>-<camera>.json. The rule is judged on these numbers alone, in milliseconds.
+patch was, is kept as OUT/<belt>.json. The rule is judged on these numbers alone, in a second.
 """
 
 from __future__ import annotations
@@ -11,23 +11,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from math import exp, log
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
-import numpy as np
-
-from camera_sim.sim.conditions import FINE_SHARE, MID_SHARE, draw_conditions
-from camera_sim.sim.presets import PRESETS
-from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named
-from camera_sim.sim.source import EPOCH_NS, crossing_place, simulated_sources, truth_of
-from camera_sim.sim.stereo import EASY, FIELD, NoiseBank, StereoNoise, measure
-from camera_sim.sim.stereo_faults import bowed_field
-from camera_sim.sim.world import World, render
-from conveyor.messages import Frame
-from segmenter.pipeline import ClosedTrack, Segmenter, Settings
-from segmenter.studies.distractors import WITHIN_M
+from benchmarks.clods_belts import Body, Passage, passages
+from segmenter.classify.evidence import Evidence, PatchNoise, tempered
+from segmenter.classify.prior import Prior
 from segmenter.track.counting import CountSettings
 
 CLEAN, CLODDY = "touching", "distractors"
@@ -49,125 +41,87 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
 }
 """(scene, preset, seed, tubers) of each belt; what was tuned on the first was judged once on the second."""
 
-NOISY_PX = 0.12
-"""Local noise of the worst camera that was measured (D435 at 0.45 m)."""
+NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
+REFUSED_BELOW = CountSettings().reject_below
+
+
+class Belief(Protocol):
+    """What a rule believes of a belt; fed with the tracks in their order."""
+
+    def log_odds(self, evidence: float) -> float:
+        """Log-odds of tuber against other for a body."""
+        ...
+
+
+@dataclass(slots=True)
+class FirstPrior:
+    """The rule to compare with: begins with one other in 17 and counts each track for both sides by its odds."""
+
+    others: float = 0.5
+    tubers: float = 8.0
+
+    def log_odds(self, evidence: float) -> float:
+        """Log-odds of tuber against other for a body."""
+        odds = evidence + log(self.tubers / self.others)
+        other = 1 / (1 + exp(min(max(odds, -50.0), 50.0)))
+        self.others = 0.5 + (self.others - 0.5) * 0.995 + other
+        self.tubers = 8.0 + (self.tubers - 8.0) * 0.995 + 1 - other
+        return odds
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
-    """One classified track in the order of decisions: what it truly is ('tuber', a distractor's kind, or 'part' of a
-    tuber that is counted already), and what was said of it; `log_odds` None where nothing was.
-    """
+class Tally:
+    """Tubers that crossed and were refused, others of a tuber's size and those counted."""
 
-    kind: str
-    log_odds: float | None
-    spread_mm: float = 0.0
-    error_mm: float = 0.0
-    hole_share: float = 0.0
-    observations: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Passage:
-    """One belt under one camera: all tracks of a tuber's size and shape, and how many tubers crossed."""
-
-    scene: str
-    preset: str
-    seed: int
-    camera: str
-    local_px: float
     tubers: int
-    bodies: tuple[Body, ...]
+    lost: int
+    others: int
+    counted: int
 
 
-def cameras(seed: int) -> dict[str, tuple[float, StereoNoise]]:
-    """(local noise in pixels, camera) by name; the last is drawn as those of `harsh` are, at its true scale."""
-    drawn = draw_conditions("harsh", np.random.default_rng([seed, 77]))
-    noisy = replace(
-        FIELD, fine_px=FINE_SHARE * NOISY_PX, mid_px=MID_SHARE * NOISY_PX, bare=0.05, blob_px=5, islands=10.0
-    )
-    return {
-        "easy": (0.026, EASY),
-        "field": (0.032, FIELD),
-        "noisy": (NOISY_PX, noisy),
-        "harsh": (drawn.local_px or 0.0, replace(drawn.preset.noise, drift_px=0.0, scale=1.0)),
-    }
+Rule = tuple[Callable[[], Belief], Callable[[Body], float]]
 
 
-def passages(scene: str, preset: str, seed: int, tubers: int) -> Iterator[Passage]:
-    """One belt under each camera; a frame is rendered once for all of them."""
-    layout = layout_named(scene)
-    settings = in_its_world(SceneSettings(scene=scene, seed=seed, tubers=tubers, preset=PRESETS[preset]), layout)
-    world = build_world(settings, layout)
-    (source,) = simulated_sources(world, settings, layout)
-    truth = truth_of(world, [source])
-    crossing = [body for body in world.bodies if _is_in(truth, body.kind, world, body)]
-    own = cameras(seed)
-    if settings.conditions is not None:
-        own = {"own": (settings.conditions.local_px or 0.0, settings.preset.noise)}
-    every = Settings(count=CountSettings(reject_below=-np.inf))
-    cores = {name: Segmenter(every) for name in own}
-    closed: dict[str, list[ClosedTrack]] = {name: [] for name in own}
-    for frames in _frames(world, settings, {name: noise for name, (_, noise) in own.items()}):
-        for name, frame in frames.items():
-            closed[name] += cores[name].step(frame).closed
-    places = np.array([crossing_place(world, body, world.cameras[0].name)[:2] for body in crossing]).reshape(-1, 2)
-    kinds = [body.kind for body in crossing]
-    for name, core in cores.items():
-        tracks = closed[name] + core.finish()
-        bodies = _labelled(tracks, places, kinds)
-        yield Passage(scene, preset, seed, name, own[name][0], kinds.count("tuber"), bodies)
+def _as_said(body: Body) -> float:
+    return body.log_odds or 0.0
 
 
-def _is_in(truth: dict[str, Any], kind: str, world: World, body: Any) -> bool:
-    """The body is one of those that cross the camera's centre row."""
-    x_m, y_m = crossing_place(world, body, world.cameras[0].name)[:2]
-    rows = truth["tubers"] if kind == "tuber" else truth["distractor_places"]
-    return any(abs(row["place_x_m"] - x_m) < 1e-4 and abs(row["place_y_m"] - y_m) < 1e-4 for row in rows)
+def _tempered(body: Body) -> float:
+    noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
+    return tempered(Evidence(body.log_odds or 0.0, noise))
 
 
-def _frames(world: World, settings: SceneSettings, noises: dict[str, StereoNoise]) -> Iterator[dict[str, Frame]]:
-    """Each frame as every camera measures it."""
-    pose = world.cameras[0]
-    k = pose.optics.intrinsics
-    bank = NoiseBank(np.random.default_rng([settings.seed, 20, 1]), height=k.height, width=k.width)
-    bow = bowed_field(np.random.default_rng([settings.seed, 20, 3]), height=k.height, width=k.width)
-    (source,) = simulated_sources(world, settings, layout_named(settings.scene))
-    d = source.description
-    for seq in range(int((world.motion.duration_s - pose.phase_s) * pose.fps)):
-        time_s = pose.phase_s + seq / pose.fps
-        travel_m = world.motion.travel_at(time_s)
-        true_m = (1 / render(world, pose, travel_m, time_s=time_s).inverse_depth).astype(np.float32)
-        frames = {}
-        for number, (name, noise) in enumerate(noises.items()):
-            depth = measure(
-                true_m, focal_px=k.fx, unit_m=settings.unit_m, noise=noise, bank=bank,
-                rng=np.random.default_rng([settings.seed, 20, 2, seq, number]), bow=bow if noise.bow_px else None,
-            )  # fmt: skip
-            frames[name] = Frame(
-                camera=d.name, run="clods", seq=seq, captured_ns=EPOCH_NS + round(time_s * 1e9),
-                travel_m=round(travel_m, 5), depth_scale_m=d.depth_scale_m, intrinsics=k,
-                belt_distance_m=d.belt_distance_m, depth=depth, belt_from_camera=d.belt_from_camera,
-                mask=None, color_jpeg=None,
-            )  # fmt: skip
-        yield frames
+RULES: dict[str, Rule] = {"before": (FirstPrior, _as_said), "now": (Prior, _tempered)}
 
 
-def _labelled(tracks: list[ClosedTrack], places: Any, kinds: list[str]) -> tuple[Body, ...]:
-    """What each track is: the nearest body within reach; a second track of one body is a part of it."""
-    taken: set[int] = set()
-    bodies = []
-    for closed in tracks:
-        away = np.hypot(places[:, 0] - closed.track.place_x_m, places[:, 1] - closed.track.y_m)
-        nearest = int(away.argmin())
-        kind = kinds[nearest] if away[nearest] <= WITHIN_M and nearest not in taken else "part"
-        taken.add(nearest)
-        answer = closed.answer
-        if answer is None:
-            bodies.append(Body(kind, None))
-        else:
-            bodies.append(Body(kind, answer.evidence.log_odds, **asdict(answer.evidence.noise)))
-    return tuple(bodies)
+def tally(over: Iterable[Passage], rule: Rule) -> Tally:
+    """What the rule makes of passages, each a belt of its own; what was not classified is counted."""
+    tubers = lost = others = counted = 0
+    for passage in over:
+        belief, said = rule[0](), rule[1]
+        tubers += passage.tubers
+        for body in passage.bodies:
+            refused = body.log_odds is not None and belief.log_odds(said(body)) < REFUSED_BELOW
+            lost += refused and body.kind == "tuber"
+            others += body.kind not in ("tuber", "part")
+            counted += not refused and body.kind not in ("tuber", "part")
+    return Tally(tubers, lost, others, counted)
+
+
+def table(of: Sequence[Passage]) -> str:
+    """Markdown: by belt and local noise, what each rule lost of the tubers and counted of the others."""
+    lines = [
+        "| belt, camera's local noise | tubers | lost before | lost now | others | counted before | counted now |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for scene, belt in ((CLEAN, "clean"), (CLODDY, "cloddy")):
+        of_scene = [passage for passage in of if passage.scene == scene]
+        for name, low, high in (*NOISE_CLASSES, ("all", 0.0, 1.0)):
+            some = [passage for passage in of_scene if low < passage.local_px <= high]
+            before, now = (tally(some, rule) for rule in RULES.values())
+            cells = (before.tubers, before.lost, now.lost, before.others, before.counted, now.counted)
+            lines.append(f"| {belt}, {name} | " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def kept(out: Path, belt: tuple[str, str, int, int]) -> list[Passage]:
@@ -182,11 +136,11 @@ def kept(out: Path, belt: tuple[str, str, int, int]) -> list[Passage]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Make what is not kept yet."""
+    """Make what is not kept yet, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks clods", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/clods"))
     parser.add_argument("--seeds", choices=sorted(BELTS), default="judging")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
-    for belt in BELTS[given.seeds]:
-        kept(given.out, belt)
+    of = [passage for belt in BELTS[given.seeds] for passage in kept(given.out, belt)]
+    sys.stdout.write(table(of))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from segmenter.classify.classifier import Classifier
-from segmenter.classify.evidence import Answer, Evidence, noise_of
+from segmenter.classify.evidence import Answer, Evidence, noise_of, tempered
 from segmenter.classify.patch import COARSEST_MM, LEAST_OBSERVATIONS, Patch, observe_instance
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
@@ -95,4 +95,4 @@ class Perception:
         if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
         evidence = Evidence(self._classifier.log_odds(patch), noise_of(patch))
-        return Answer(self._prior.log_odds(evidence.log_odds), evidence)
+        return Answer(self._prior.log_odds(tempered(evidence)), evidence)
