@@ -30,7 +30,7 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "harsh", 7103, 60),
         (CLODDY, "easy", 7104, 60),
     ),
-    "judging": (
+    "first": (
         (CLODDY, "field", 8102, 60),
         (CLEAN, "field", 8101, 60),
         (CLEAN, "harsh", 8103, 60),
@@ -38,8 +38,19 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "easy", 8105, 60),
         (CLODDY, "field", 8106, 60),
     ),
+    "judging": (
+        (CLODDY, "field", 8202, 60),
+        (CLEAN, "field", 8201, 60),
+        (CLEAN, "harsh", 8203, 60),
+        (CLODDY, "easy", 8204, 60),
+        (CLEAN, "easy", 8205, 60),
+        (CLODDY, "field", 8206, 60),
+        (CLEAN, "harsh", 8207, 60),
+        (CLEAN, "field", 8208, 60),
+    ),
 }
-"""(scene, preset, seed, tubers) of each belt; what was tuned on the first was judged once on the second."""
+"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the one that
+stands was tuned on both and judged on `judging`."""
 
 NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
 REFUSED_BELOW = CountSettings().reject_below

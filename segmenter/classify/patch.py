@@ -82,9 +82,10 @@ class Patch:
         """(48, 48) float32 each: standard deviation over the observations in millimetres, how many saw a cell (at least
         1), share of a cell that is the instance.
         """
-        count = np.maximum(self._seen, np.float32(1))
+        count: NDArray[np.float32] = np.maximum(self._seen, np.float32(1)).astype(np.float32)
         mean_mm = self._height / count
-        return np.sqrt(np.maximum(self._square / count - mean_mm * mean_mm, 0)), count, self._inside / count
+        spread_mm: NDArray[np.float32] = np.sqrt(np.maximum(self._square / count - mean_mm * mean_mm, 0))
+        return spread_mm, count, (self._inside / count).astype(np.float32)
 
     def channels(self) -> NDArray[np.float32]:
         """(10, 48, 48) float32 as the network takes it; there must be an observation."""

@@ -42,14 +42,14 @@ LARGEST = 50.0
 
 def _shares() -> NDArray[np.float64]:
     """(24,) possible shares of others, the first that of a clean belt."""
-    return np.geomspace(CLEAN_SHARE, MOST_SHARE, SHARES)
+    return np.asarray(np.geomspace(CLEAN_SHARE, MOST_SHARE, SHARES), np.float64)
 
 
 def _before() -> NDArray[np.float64]:
     """(24,) log of how likely each share is before anything was seen."""
     belief = np.full(SHARES, (1 - CLEAN_BELIEF) / (SHARES - 1))
     belief[0] = CLEAN_BELIEF
-    return np.log(belief)
+    return np.asarray(np.log(belief), np.float64)
 
 
 @dataclass(slots=True)
