@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from benchmarks.clods_belts import Body, Passage, passages
-from segmenter.classify.evidence import Evidence, PatchNoise, tempered
+from segmenter.classify.evidence import Evidence, PatchNoise, shrunk
 from segmenter.classify.prior import Prior
 from segmenter.track.counting import CountSettings
 
@@ -59,8 +59,8 @@ REFUSED_BELOW = CountSettings().reject_below
 class Belief(Protocol):
     """What a rule believes of a belt; fed with the tracks in their order."""
 
-    def log_odds(self, evidence: float) -> float:
-        """Log-odds of tuber against other for a body."""
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
         ...
 
 
@@ -71,9 +71,9 @@ class FirstPrior:
     others: float = 0.5
     tubers: float = 8.0
 
-    def log_odds(self, evidence: float) -> float:
-        """Log-odds of tuber against other for a body."""
-        odds = evidence + log(self.tubers / self.others)
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
+        odds = (body.log_odds or 0.0) + log(self.tubers / self.others)
         other = 1 / (1 + exp(min(max(odds, -50.0), 50.0)))
         self.others = 0.5 + (self.others - 0.5) * 0.995 + other
         self.tubers = 8.0 + (self.tubers - 8.0) * 0.995 + 1 - other
@@ -90,29 +90,32 @@ class Tally:
     counted: int
 
 
-Rule = tuple[Callable[[], Belief], Callable[[Body], float]]
+class LinePrior:
+    """The rule of a line, as `Perception` has it."""
+
+    def __init__(self) -> None:
+        self._prior = Prior()
+
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
+        noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
+        evidence = Evidence(body.log_odds or 0.0, noise)
+        odds = self._prior.log_odds(shrunk(evidence))
+        self._prior.learn(evidence.log_odds)
+        return odds
 
 
-def _as_said(body: Body) -> float:
-    return body.log_odds or 0.0
+RULES: dict[str, Callable[[], Belief]] = {"before": FirstPrior, "now": LinePrior}
 
 
-def _tempered(body: Body) -> float:
-    noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
-    return tempered(Evidence(body.log_odds or 0.0, noise))
-
-
-RULES: dict[str, Rule] = {"before": (FirstPrior, _as_said), "now": (Prior, _tempered)}
-
-
-def tally(over: Iterable[Passage], rule: Rule) -> Tally:
+def tally(over: Iterable[Passage], rule: Callable[[], Belief]) -> Tally:
     """What the rule makes of passages, each a belt of its own; what was not classified is counted."""
     tubers = lost = others = counted = 0
     for passage in over:
-        belief, said = rule[0](), rule[1]
+        belief = rule()
         tubers += passage.tubers
         for body in passage.bodies:
-            refused = body.log_odds is not None and belief.log_odds(said(body)) < REFUSED_BELOW
+            refused = body.log_odds is not None and belief.judge(body) < REFUSED_BELOW
             lost += refused and body.kind == "tuber"
             others += body.kind not in ("tuber", "part")
             counted += not refused and body.kind not in ("tuber", "part")

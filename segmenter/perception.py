@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from segmenter.classify.classifier import Classifier
-from segmenter.classify.evidence import Answer, Evidence, noise_of, tempered
+from segmenter.classify.evidence import Answer, Evidence, noise_of, shrunk
 from segmenter.classify.patch import COARSEST_MM, LEAST_OBSERVATIONS, Patch, observe_instance
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
@@ -95,4 +95,7 @@ class Perception:
         if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
         evidence = Evidence(self._classifier.log_odds(patch), noise_of(patch))
-        return Answer(self._prior.log_odds(tempered(evidence)), evidence)
+        log_odds = self._prior.log_odds(shrunk(evidence))
+        # What is doubtful of one track for its noise still counts for the belt: all tracks together show clods.
+        self._prior.learn(evidence.log_odds)
+        return Answer(log_odds, evidence)
