@@ -2,8 +2,8 @@
 
 The classifier says how much likelier a patch is for a tuber than for a clod or a stone. What to believe also depends on
 the share of others on this belt, which is not known. It is estimated as that of a mixture: each track makes every
-possible share more or less likely (Bayes). Most likely a belt is clean; until its tracks have shown that it is not, strong
-evidence alone refuses one of them.
+possible share more or less likely (Bayes). Most likely a belt is clean; until its tracks have shown that it is not,
+only strong evidence refuses one of them.
 
 A camera that is worse than those in training makes ordinary tubers look a little like clods, all of them; a cloddy belt
 has some that look very much like clods. So a mild answer says nothing of the belt, and no single track proves much.
