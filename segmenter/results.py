@@ -6,14 +6,19 @@ from dataclasses import dataclass
 
 from conveyor.messages import Track, View
 from conveyor.reasons import FrameDrop, TrackRefusal
+from segmenter.classify.evidence import Answer
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedTrack:
-    """A counted track, its views not yet weighed, and the views to weigh, best first."""
+    """A counted track, its views not yet weighed, and the views to weigh, best first.
+
+    `answer`: what is believed of it; None without a classifier, and where too little was seen.
+    """
 
     track: Track
     views: tuple[View, ...]
+    answer: Answer | None = None
 
 
 @dataclass(frozen=True, slots=True)

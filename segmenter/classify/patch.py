@@ -78,6 +78,15 @@ class Patch:
         self._seen += observation.seen
         self._inside += observation.inside
 
+    def spread(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """(48, 48) float32 each: standard deviation over the observations in millimetres, how many saw a cell (at least
+        1), share of a cell that is the instance.
+        """
+        count: NDArray[np.float32] = np.maximum(self._seen, np.float32(1)).astype(np.float32)
+        mean_mm = self._height / count
+        spread_mm: NDArray[np.float32] = np.sqrt(np.maximum(self._square / count - mean_mm * mean_mm, 0))
+        return spread_mm, count, (self._inside / count).astype(np.float32)
+
     def channels(self) -> NDArray[np.float32]:
         """(10, 48, 48) float32 as the network takes it; there must be an observation."""
         sums = (image[None] for image in (self._height, self._square, self._seen, self._inside))

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conveyor.reasons import TrackRefusal
+from segmenter.classify.evidence import Answer
 from segmenter.track.constants import NEAR_ROW_M, ROUND_FILL, VANISHED_FRAMES
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import State, TrackState
@@ -156,9 +157,9 @@ def _apart(track: TrackState) -> int:
     return sum(not h.ends_cut for h in track.hits)
 
 
-def class_refusal(log_odds: float | None, settings: CountSettings) -> TrackRefusal | None:
+def class_refusal(answer: Answer | None, settings: CountSettings) -> TrackRefusal | None:
     """Why what was seen is no tuber; None where it is one, where the classifier is unsure, and without one."""
-    return TrackRefusal.DISTRACTOR if log_odds is not None and log_odds < settings.reject_below else None
+    return TrackRefusal.DISTRACTOR if answer is not None and answer.log_odds < settings.reject_below else None
 
 
 def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> bool:

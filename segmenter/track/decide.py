@@ -92,8 +92,8 @@ class TrackDecider:
         reason = shape_refusal(track, width_m=width_m, in_view=in_view, settings=self._settings)
         if reason is None:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
-            track.log_odds = self._perception.classify(track.patch)
-            reason = class_refusal(track.log_odds, self._settings)
+            track.answer = self._perception.classify(track.patch)
+            reason = class_refusal(track.answer, self._settings)
         if reason is not None:
             return RefusedTrack(reason)
         track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
@@ -107,7 +107,7 @@ class TrackDecider:
             check_part(message)
         except UnsendableError:
             return RefusedTrack(TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
-        return ClosedTrack(message, views)
+        return ClosedTrack(message, views, track.answer)
 
     def _book(self, track: TrackState, decision: Decision) -> None:
         if isinstance(decision, RefusedTrack):

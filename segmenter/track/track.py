@@ -7,6 +7,7 @@ from enum import StrEnum
 from statistics import median
 
 from conveyor.reasons import TrackRefusal
+from segmenter.classify.evidence import Answer
 from segmenter.classify.patch import Patch
 from segmenter.track.constants import CUT_TRUST, ODD_AREA, ODD_TRUST, TRUST_CAP
 from segmenter.track.views import ViewShelf
@@ -51,7 +52,7 @@ class TrackState:
 
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
-    `log_odds` is what the classifier said of its patch, tuber against other; None before, and without a classifier.
+    `answer` is what the classifier said of its patch; None before, and without a classifier.
     """
 
     number: int
@@ -72,7 +73,7 @@ class TrackState:
     reason: TrackRefusal | None = None
     hits: list[Hit] = field(default_factory=list)
     patch: Patch = field(default_factory=Patch)
-    log_odds: float | None = None
+    answer: Answer | None = None
 
     def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""

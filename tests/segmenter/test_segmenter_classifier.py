@@ -17,8 +17,8 @@ from conveyor.config import parse_config
 from conveyor.errors import ConfigError, InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from segmenter.classify.classifier import Classifier
+from segmenter.classify.evidence import Answer, Evidence, PatchNoise, noise_of
 from segmenter.classify.patch import LEAST_OBSERVATIONS, Observation, Patch, observe_instance
-from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import SplitSettings, given, split
@@ -29,6 +29,7 @@ from segmenter.studies.distractors import LoadScore, LoadTruth
 from segmenter.track.counting import CountSettings, class_refusal
 
 ROOT = Path(__file__).resolve().parents[2]
+QUIET = PatchNoise(spread_mm=1.5, error_mm=0.3, hole_share=0.05, observations=28)
 BELT_POSE = straight_down_belt_from_camera(0.46)
 
 
@@ -91,33 +92,24 @@ def test_a_patch_shows_the_same_millimetres_whatever_the_camera() -> None:
         assert observation.height_mm[20:28, 20:28] == pytest.approx(25.0, abs=0.5)
 
 
+def answer(log_odds: float) -> Answer:
+    return Answer(log_odds, Evidence(log_odds, QUIET))
+
+
 def test_only_sure_answers_reject() -> None:
     settings = CountSettings(reject_below=-1.5)
     assert class_refusal(None, settings) is None
-    assert class_refusal(-1.4, settings) is None
-    assert class_refusal(-1.6, settings) == "distractor"
+    assert class_refusal(answer(-1.4), settings) is None
+    assert class_refusal(answer(-1.6), settings) == "distractor"
 
 
-def test_the_same_patch_is_a_clod_on_a_cloddy_belt_and_a_tuber_on_a_clean_one() -> None:
-    """One in 17 before anything was seen; sure words move it towards the belt's own share, old ones fade."""
-    assert Prior().log_odds(0.0) == pytest.approx(np.log(16))
-    clean, cloddy = Prior(), Prior()
-    for n in range(300):
-        clean.log_odds(6.0)
-        cloddy.log_odds(-12.0 if n % 4 == 0 else 6.0)
-    assert clean.log_odds(-3.0) > 0.7
-    assert cloddy.log_odds(-3.0) < -1.0
-    assert cloddy.others / (cloddy.others + cloddy.tubers) == pytest.approx(0.25, abs=0.05)
-    for _ in range(600):
-        cloddy.log_odds(8.0)
-    assert cloddy.log_odds(-3.0) > 0.0
-
-
-def test_answers_beyond_all_measure_do_no_harm() -> None:
-    prior = Prior()
-    assert prior.log_odds(1e4) > 1e3
-    assert prior.log_odds(-1e4) < -1e3
-    assert np.isfinite([prior.others, prior.tubers]).all()
+@pytest.mark.parametrize("noise_mm", [0.5, 1.0, 2.0])
+def test_the_noise_of_a_patch_is_that_of_its_frames(noise_mm: float) -> None:
+    """Cells of 2 mm over a raster of 1 mm average four readings."""
+    noise = noise_of(patch_of(body(rough_mm=0.0), noise_mm=noise_mm, observations=20))
+    assert noise.spread_mm == pytest.approx(noise_mm / 2, rel=0.15)
+    assert noise.error_mm == pytest.approx(noise.spread_mm / np.sqrt(20), rel=0.02)
+    assert (noise.hole_share, noise.observations) == (pytest.approx(0.0, abs=0.01), 20)
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])

@@ -1,0 +1,160 @@
+"""Tubers lost and clods counted by the classifier's rule: cameras from good to harsh over belts with and without clods.
+
+    python -m benchmarks clods --out runs/clods --seeds judging
+
+The segmenter's core runs once per camera and refuses nothing; what the network said of each track, and how noisy its
+patch was, is kept as OUT/<belt>.json. The rule is judged on these numbers alone, in a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from math import exp, log
+from pathlib import Path
+from typing import Protocol
+
+from benchmarks.clods_belts import Body, Passage, passages
+from segmenter.classify.evidence import Evidence, PatchNoise, shrunk
+from segmenter.classify.prior import Prior
+from segmenter.track.counting import CountSettings
+
+CLEAN, CLODDY = "touching", "distractors"
+BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
+    "tuning": (
+        (CLODDY, "field", 7102, 60),
+        (CLEAN, "field", 7101, 60),
+        (CLEAN, "harsh", 7103, 60),
+        (CLODDY, "easy", 7104, 60),
+    ),
+    "first": (
+        (CLODDY, "field", 8102, 60),
+        (CLEAN, "field", 8101, 60),
+        (CLEAN, "harsh", 8103, 60),
+        (CLODDY, "easy", 8104, 60),
+        (CLEAN, "easy", 8105, 60),
+        (CLODDY, "field", 8106, 60),
+    ),
+    "judging": (
+        (CLODDY, "field", 8202, 60),
+        (CLEAN, "field", 8201, 60),
+        (CLEAN, "harsh", 8203, 60),
+        (CLODDY, "easy", 8204, 60),
+        (CLEAN, "easy", 8205, 60),
+        (CLODDY, "field", 8206, 60),
+        (CLEAN, "harsh", 8207, 60),
+        (CLEAN, "field", 8208, 60),
+    ),
+}
+"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the one that
+stands was tuned on both and judged on `judging`."""
+
+NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
+REFUSED_BELOW = CountSettings().reject_below
+
+
+class Belief(Protocol):
+    """What a rule believes of a belt; fed with the tracks in their order."""
+
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
+        ...
+
+
+@dataclass(slots=True)
+class FirstPrior:
+    """The rule to compare with: begins with one other in 17 and counts each track for both sides by its odds."""
+
+    others: float = 0.5
+    tubers: float = 8.0
+
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
+        odds = (body.log_odds or 0.0) + log(self.tubers / self.others)
+        other = 1 / (1 + exp(min(max(odds, -50.0), 50.0)))
+        self.others = 0.5 + (self.others - 0.5) * 0.995 + other
+        self.tubers = 8.0 + (self.tubers - 8.0) * 0.995 + 1 - other
+        return odds
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Tubers that crossed and were refused, others of a tuber's size and those counted."""
+
+    tubers: int
+    lost: int
+    others: int
+    counted: int
+
+
+class LinePrior:
+    """The rule of a line, as `Perception` has it."""
+
+    def __init__(self) -> None:
+        self._prior = Prior()
+
+    def judge(self, body: Body) -> float:
+        """Log-odds of tuber against other for a body; it counts for those after it."""
+        noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
+        evidence = Evidence(body.log_odds or 0.0, noise)
+        odds = self._prior.log_odds(shrunk(evidence))
+        self._prior.learn(evidence.log_odds)
+        return odds
+
+
+RULES: dict[str, Callable[[], Belief]] = {"before": FirstPrior, "now": LinePrior}
+
+
+def tally(over: Iterable[Passage], rule: Callable[[], Belief]) -> Tally:
+    """What the rule makes of passages, each a belt of its own; what was not classified is counted."""
+    tubers = lost = others = counted = 0
+    for passage in over:
+        belief = rule()
+        tubers += passage.tubers
+        for body in passage.bodies:
+            refused = body.log_odds is not None and belief.judge(body) < REFUSED_BELOW
+            lost += refused and body.kind == "tuber"
+            others += body.kind not in ("tuber", "part")
+            counted += not refused and body.kind not in ("tuber", "part")
+    return Tally(tubers, lost, others, counted)
+
+
+def table(of: Sequence[Passage]) -> str:
+    """Markdown: by belt and local noise, what each rule lost of the tubers and counted of the others."""
+    lines = [
+        "| belt, camera's local noise | tubers | lost before | lost now | others | counted before | counted now |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for scene, belt in ((CLEAN, "clean"), (CLODDY, "cloddy")):
+        of_scene = [passage for passage in of if passage.scene == scene]
+        for name, low, high in (*NOISE_CLASSES, ("all", 0.0, 1.0)):
+            some = [passage for passage in of_scene if low < passage.local_px <= high]
+            before, now = (tally(some, rule) for rule in RULES.values())
+            cells = (before.tubers, before.lost, now.lost, before.others, before.counted, now.counted)
+            lines.append(f"| {belt}, {name} | " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def kept(out: Path, belt: tuple[str, str, int, int]) -> list[Passage]:
+    """The passages of a belt, made now where they are not in `out`."""
+    path = out / f"{'-'.join(str(part) for part in belt)}.json"
+    if not path.is_file():
+        sys.stderr.write(f"{path.stem} ...\n")
+        rows = [asdict(passage) for passage in passages(*belt)]
+        path.write_text(json.dumps(rows) + "\n", encoding="utf-8")
+    rows = json.loads(path.read_text(encoding="utf-8"))
+    return [Passage(**{**row, "bodies": tuple(Body(**body) for body in row["bodies"])}) for row in rows]
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Make what is not kept yet, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks clods", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/clods"))
+    parser.add_argument("--seeds", choices=sorted(BELTS), default="judging")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    of = [passage for belt in BELTS[given.seeds] for passage in kept(given.out, belt)]
+    sys.stdout.write(table(of))
