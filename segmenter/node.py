@@ -256,6 +256,9 @@ class SegmenterNode:
         counters.gauge("views_duplicate_answers", camera_run.dispatcher.duplicates)
         counters.gauge("log_uncommitted", camera_run.log.uncommitted)
         counters.gauge("log_committed", camera_run.log.committed)
+        counters.gauge("views_per_tuber", camera_run.budget.views)
+        counters.gauge("views_per_tuber_reduced", camera_run.budget.reduced)
+        counters.gauge("regressors_busy_share", camera_run.budget.share)
         counters.gauge("tracks_waiting", len(camera_run.weighing))
         for reason, n in camera_run.dispatcher.requeued.items():
             counters.gauge(f"views_requeued_{reason}", n)
