@@ -13,7 +13,8 @@ from itertools import takewhile
 
 MOST_SENT = 1024
 """Views remembered per regressor; older ones are forgotten, and left to the deadline."""
-LEAST_PATIENCE_S = 0.3
+LEAST_PATIENCE_S = 0.5
+"""A busy machine pauses a process for so long now and then: less sends views again that are only late."""
 SMOOTHING, SPREAD_SMOOTHING = 1 / 8, 1 / 4
 SMOOTHED_TIMES, SPREAD_TIMES = 3.0, 4.0
 """Patience in units of the smoothed answer time and of its mean deviation."""

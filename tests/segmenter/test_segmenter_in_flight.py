@@ -73,4 +73,6 @@ def test_patience_is_several_times_what_answers_take(usual_s: float) -> None:
         flight.answered("a", str(n), n + usual_s)
     assert flight.patience_s("a", at_most_s=5.0) == pytest.approx(max(LEAST_PATIENCE_S, 3 * usual_s), rel=0.02)
     flight.missed("a")
-    assert flight.patience_s("a", at_most_s=5.0) == pytest.approx(min(2 * max(0.3, 3 * usual_s), 5.0), rel=0.02)
+    assert flight.patience_s("a", at_most_s=5.0) == pytest.approx(
+        min(2 * max(LEAST_PATIENCE_S, 3 * usual_s), 5.0), rel=0.02
+    )
