@@ -98,7 +98,7 @@ class SegmenterConfig(Section):
     max_attempts: int = Field(5, ge=1, le=50, description="then the view is lost, with its reason")
     max_pending_views: int = Field(256, ge=8, le=4096, description="views waiting for a regressor")
     spare_wait_s: float = Field(
-        5.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
+        1.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
     )
     spare_grace_s: float = Field(
         0.25, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
