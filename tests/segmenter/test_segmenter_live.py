@@ -146,7 +146,7 @@ def test_a_live_regressor_that_went_silent_is_given_up_after_several_times_its_u
         assert dispatcher.answer(sent.view_id, regressor="a", usable=True)
     dispatcher.offer(view(99, 0))
     dispatcher.assign(100.0)
-    dispatcher.expire(100.49)
+    dispatcher.expire(100.99)
     assert not dispatcher.requeued
-    dispatcher.expire(100.51)
+    dispatcher.expire(101.01)
     assert dispatcher.requeued == {Requeue.DEADLINE: 1}
