@@ -30,7 +30,11 @@ BATCH_ENTRIES = 2000
 TOTALS_EVERY_S = 0.5
 COMMITTED_EVERY_S = 1.0
 GOODBYE_S = 2.0
-"""How long the final acknowledgements stay available before the process leaves."""
+"""How long the final acknowledgements stay available for a segmenter that does not say it has them."""
+LOOK_S = 0.02
+ACKNOWLEDGE_AGAIN_S = 0.2
+LAST_WORDS_S = 0.3
+"""For what was published last (tubers, totals) to reach its listeners."""
 
 COUNTED = (
     *Taken,
@@ -227,12 +231,24 @@ class AggregatorNode:
 
     def _leave(self) -> None:
         """Stay until the segmenters have their last acknowledgement, then mark the run as finished."""
-        deadline_s = time.monotonic() + GOODBYE_S
-        while time.monotonic() < deadline_s and self._segmenters.names() and not self._node.stop.is_set():
-            self._acknowledge()
-            self._node.stop.wait(0.2)
-        self._node.stop.wait(0.3)
+        deadline_s, due_s = time.monotonic() + GOODBYE_S, 0.0
+        while (now_s := time.monotonic()) < deadline_s and self._unacknowledged() and not self._node.stop.is_set():
+            if now_s >= due_s:
+                self._acknowledge()
+                due_s = now_s + ACKNOWLEDGE_AGAIN_S
+            self._node.stop.wait(LOOK_S)
+        self._node.stop.wait(LAST_WORDS_S)
         self._finish(time.monotonic())
+
+    def _unacknowledged(self) -> set[str]:
+        """Cameras whose segmenter lives and has not said that it holds the last acknowledgement."""
+        applied = self._core.applied()
+        told = {
+            sheet.name
+            for sheet in self._sheets.latest().values()
+            if sheet.run == self._run and sheet.gauges.get("log_committed", -1.0) >= applied.get(sheet.name, 0)
+        }
+        return (set(self._segmenters.names()) & applied.keys()) - told
 
     def _finish(self, now_s: float) -> None:
         self._ledger.finish(self._run, self._reporter.summary_text(now_s), sights=self._core.cameras.sights)

@@ -131,11 +131,16 @@ class SegmenterConfig(Section):
     max_age_ms: float = Field(500.0, ge=50, le=60000, description="live: frames older than this are dropped, counted")
     ring: int = Field(3, ge=1, le=64, description="live: newest frames kept while busy")
     credits: int = Field(2, ge=1, le=16, description="views in flight per regressor, more for a quick one, 16 at most")
-    job_deadline_s: float = Field(5.0, ge=0.2, le=120, description="a view not answered by then goes to another one")
+    job_deadline_s: float = Field(
+        5.0, ge=0.2, le=120, description="a view not answered by then goes to another one; live: sooner"
+    )
     max_attempts: int = Field(5, ge=1, le=50, description="then the view is lost, with its reason")
     max_pending_views: int = Field(256, ge=8, le=4096, description="views waiting for a regressor")
     spare_wait_s: float = Field(
-        5.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
+        1.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
+    )
+    spare_grace_s: float = Field(
+        0.25, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
     )
     weigh_deadline_s: float = Field(
         60.0,

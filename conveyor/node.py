@@ -58,6 +58,7 @@ class Node:
         self._started = time.monotonic()
         self._progressed = time.monotonic()
         self._stalled = False
+        self._reporting = threading.Lock()
         self._reporter: threading.Thread | None = None
         self._left = threading.Event()
 
@@ -139,12 +140,17 @@ class Node:
             self._put_off_watchdog()
             self._watch_progress()
             self._watch_name()
-            self._publish_counters()
+            self.report_now()
             if time.monotonic() - given_back >= GIVE_BACK_EVERY_S:
                 given_back = time.monotonic()
                 give_back()
         faulthandler.cancel_dump_traceback_later()
-        self._publish_counters()
+        self.report_now()
+
+    def report_now(self) -> None:
+        """Publish the counters now, for a level that somebody waits for; otherwise they go out once a second."""
+        with self._reporting:  # an older snapshot must not come after a newer one
+            self._publish_counters()
 
     def _put_off_watchdog(self) -> None:
         """Its thread is one of C: it needs no interpreter lock to end a process in which nothing else runs."""

@@ -68,6 +68,7 @@ class ViewLoss(Reason):
     """Why a view was not weighed. A regressor's own refusal is 'refused_' and its reason."""
 
     SHED = "shed", "a spare view that would have waited too long; its tuber has another one"
+    LATE = "late", "live: a spare view not answered spare_grace_s after its tuber's first answer"
     OVERLOAD = "overload", "more tubers than the regressors can weigh; weighed by volume"
     MAX_ATTEMPTS = "max_attempts", "no regressor answered in max_attempts attempts"
     WEIGH_DEADLINE = "weigh_deadline", "no answer within weigh_deadline_s"
@@ -79,7 +80,8 @@ class Requeue(Reason):
     """Why a view went back into the queue."""
 
     REGRESSOR_LEFT = "regressor_left", "its regressor left"
-    DEADLINE = "deadline", "its regressor did not answer within job_deadline_s"
+    DEADLINE = "deadline", "its regressor did not answer within job_deadline_s, or live in several times its usual time"
+    LOST_ON_THE_WAY = "lost_on_the_way", "its regressor answered a later one: this one never arrived"
 
 
 def markdown_table(reasons: Iterable[Reason]) -> str:

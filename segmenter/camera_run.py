@@ -12,6 +12,7 @@ from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from segmenter.dispatch.thinning import Thinning
+from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.results import ClosedTrack, StepResult
@@ -20,6 +21,8 @@ from segmenter.tracklog import TrackLog
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000
+LIVE_MARK_EVERY_NS = 250_000_000
+"""A tuber is committed with the next mark of every camera: in a replay that costs nothing, live it is the latency."""
 MARK_TURN_M = 0.004
 """Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
@@ -34,6 +37,11 @@ class RunSettings:
     weigh_deadline_s: float
     max_pending_views: int
     window: int
+    mark_every_ns: int = MARK_EVERY_NS
+    spare_grace_s: float | None = None
+    """A weighed tuber waits this long for its other views; None: until they are answered or lost."""
+    fewer_views: bool = False
+    """Weigh fewer views of each tuber while the regressors are busy all the time."""
     replays: bool = False
     """The camera goes back to its first frame for a segmenter that starts again."""
 
@@ -48,7 +56,8 @@ class CameraRun:
         self.log = TrackLog(log_path, camera=camera, run=run)
         self.frames = FrameBalance()
         self.dispatcher = Dispatcher(settings.dispatch)
-        self.weighing = Weighing(settings.weigh_deadline_s)
+        self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
+        self.budget = ViewBudget(settings.core.views_per_tuber)
         self.core = Segmenter(settings.core)
         self._thinning = Thinning()
         self.ended = False
@@ -56,6 +65,7 @@ class CameraRun:
         self._marked: tuple[int, float] | None = None
         self._marked_speed = 0.0
         self._newest_ns = 0
+        self._now_s = 0.0
         self._heard_s: float | None = None
         self._base_views: dict[str, int] = {}
         self._base_tracks: dict[str, int] = {}
@@ -133,14 +143,20 @@ class CameraRun:
             weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
         )
         if known and usable:
-            self.weighing.weighed(weight)
+            self.weighing.weighed(weight, self._now_s)
 
     def tick(self, now_s: float, regressors: set[str]) -> list[tuple[str, View]]:
         """Move everything on; returns the views to send, each with its regressor."""
+        self._now_s = now_s
         self.dispatcher.present(regressors)
         self.dispatcher.expire(now_s)
+        if self.settings.fewer_views:
+            busy, of = self.dispatcher.busy
+            self.budget.step(now_s, busy=busy, of=of)
         for track_id in self.weighing.overdue(now_s):
             self.dispatcher.cancel(track_id, ViewLoss.WEIGH_DEADLINE)
+        for track_id in self.weighing.weighed_enough(now_s):
+            self.dispatcher.cancel(track_id, ViewLoss.LATE)
         for loss in self.dispatcher.take_losses():
             self.weighing.lost(loss)
         items: list[Track | Mark] = list(self.weighing.take_done())
@@ -180,8 +196,8 @@ class CameraRun:
     def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
         for track in closed:
             self.weighing.add(track, now_s)
-            for view in track.views:
-                self.dispatcher.offer(view, now_s=now_s)
+            for n, view in enumerate(track.views):
+                self.dispatcher.offer(view, now_s=now_s, spare=n >= self.budget.views)
 
     def _mark_due(self) -> Mark | None:
         if self.log.last_mark is not None and self.log.last_mark.final:
@@ -192,7 +208,7 @@ class CameraRun:
             return None
         if self._marked is not None:
             waited_ns, moved_m = self._newest_ns - self._marked[0], abs(self.core.travel_m - self._marked[1])
-            if waited_ns < MARK_EVERY_NS and moved_m < MARK_EVERY_M and not self._belt_turned():
+            if waited_ns < self.settings.mark_every_ns and moved_m < MARK_EVERY_M and not self._belt_turned():
                 return None
             self._marked_speed = (self.core.travel_m - self._marked[1]) / max(waited_ns, 1)
         self._marked = (self._newest_ns, self.core.travel_m)

@@ -60,6 +60,7 @@ class SegmenterNode:
         self._belt = BeltWatch()
         self._belt_told: set[str] = set()
         self._aggregator_came = threading.Event()
+        self._told_finished = ""
 
     def run(self) -> None:
         """Work until stopped."""
@@ -128,6 +129,7 @@ class SegmenterNode:
         if now_s - self._reported_s >= REPORT_EVERY_S:
             self._reported_s = now_s
             self._report()
+        self._tell_finished()
 
     def _take_frame(self, frame: Frame, now_s: float) -> None:
         counters = self._node.counters
@@ -239,6 +241,13 @@ class SegmenterNode:
             self._works[regressor] = LatestPublisher(self._node, topics.VIEW, regressor=regressor)
         return self._works[regressor]
 
+    def _tell_finished(self) -> None:
+        """The aggregator stays until each segmenter has its last acknowledgement: told once, at once."""
+        if self._current.log.finished and self._told_finished != self._current.run:
+            self._told_finished = self._current.run
+            self._report()
+            self._node.report_now()
+
     def _report(self) -> None:
         """Balance sheets as gauges: they are levels of one run, and a new run starts them at zero."""
         camera_run, counters = self._current, self._node.counters
@@ -249,6 +258,10 @@ class SegmenterNode:
         counters.gauge("frames_ahead", camera_run.frames.ahead)
         counters.gauge("views_duplicate_answers", camera_run.dispatcher.duplicates)
         counters.gauge("log_uncommitted", camera_run.log.uncommitted)
+        counters.gauge("log_committed", camera_run.log.committed)
+        counters.gauge("views_per_tuber", camera_run.budget.views)
+        counters.gauge("views_per_tuber_reduced", camera_run.budget.reduced)
+        counters.gauge("regressors_busy_share", camera_run.budget.share)
         counters.gauge("tracks_waiting", len(camera_run.weighing))
         for reason, n in camera_run.dispatcher.requeued.items():
             counters.gauge(f"views_requeued_{reason}", n)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from conveyor.config import LineConfig
-from segmenter.camera_run import RunSettings
+from segmenter.camera_run import LIVE_MARK_EVERY_NS, MARK_EVERY_NS, RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.frame.instances import SplitSettings
 from segmenter.perception import PerceptionSettings
@@ -46,6 +46,9 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
         weigh_deadline_s=s.weigh_deadline_s,
         max_pending_views=s.max_pending_views,
         window=c.window,
+        mark_every_ns=MARK_EVERY_NS if waits else LIVE_MARK_EVERY_NS,
+        spare_grace_s=None if waits else s.spare_grace_s,
+        fewer_views=not waits,
         replays=waits,
     )
 

@@ -13,6 +13,9 @@ or lost. Only where the regressors cannot weigh even one view of each tuber, the
 Where the camera waits (a replay), a slow machine must not decide what is weighed: that a regressor did not answer in
 time counts as an attempt only where it never answered again and left.
 
+A view that is lost on its way is known with the next answer of its regressor (`InFlight`), and goes to the next one.
+On a live line a regressor is given little more time than its answers take; `deadline_s` is the most it gets.
+
 The law, at every moment: sent = weighed + lost + outstanding, where outstanding is queued, kept as a fallback or held
 by a regressor.
 """
@@ -27,6 +30,7 @@ from dataclasses import dataclass, field
 
 from conveyor.messages import View
 from conveyor.reasons import Requeue, ViewLoss
+from segmenter.dispatch.in_flight import InFlight
 from segmenter.dispatch.throughput import Throughput
 
 FIRSTS_PER_SPARE = 8
@@ -98,6 +102,8 @@ class Dispatcher:
     pace: Throughput = field(default_factory=Throughput)
     pressed: bool = False
     """So many tubers wait for their first view that it takes too long, though no spare view is weighed any more."""
+    in_flight: InFlight = field(default_factory=InFlight)
+    _now_s: float = 0.0
     _jobs: dict[str, _Job] = field(default_factory=dict)
     _tubers: dict[str, _Tuber] = field(default_factory=dict)
     _queue: list[tuple[tuple[int, int], str]] = field(default_factory=list)
@@ -116,13 +122,21 @@ class Dispatcher:
         """Views a second that the regressors get done, as measured; None where that is not known (yet, or any more)."""
         return self.pace.total_per_s(name for name in self._held if name not in self._suspects)
 
+    @property
+    def busy(self) -> tuple[int, int]:
+        """(regressors with work in hand or standing still, all of them)."""
+        return sum(bool(held) or name in self._suspects for name, held in self._held.items()), len(self._held)
+
     def balance(self) -> dict[str, int]:
         """sent = weighed + lost by reason + outstanding."""
         losses = {f"lost_{reason}": n for reason, n in sorted(self.lost.items())}
         return {"sent": self.sent, "weighed": self.weighed, "outstanding": self.outstanding, **losses}
 
-    def offer(self, view: View, *, now_s: float = 0.0) -> None:
-        """Take a view to be weighed; a tuber's best one comes first. One that is offered twice counts once."""
+    def offer(self, view: View, *, now_s: float = 0.0, spare: bool = False) -> None:
+        """Take a view to be weighed; a tuber's best one comes first. One that is offered twice counts once.
+
+        `spare`: shed it at once, unless it is the one to be kept as the fallback view.
+        """
         if view.view_id in self._jobs:
             return
         tuber = self._tubers.setdefault(view.track_id, _Tuber())
@@ -130,7 +144,10 @@ class Dispatcher:
         tuber.jobs.append(job)
         self._jobs[view.view_id] = job
         self.sent += 1
-        self._enqueue(job)
+        if spare and not job.first:
+            self._keep_or_shed(job)
+        else:
+            self._enqueue(job)
 
     def present(self, names: set[str]) -> None:
         """Take note of the regressors alive: new ones get work, what missing ones held goes back into the queue."""
@@ -143,11 +160,13 @@ class Dispatcher:
             for view_id in sorted(self._suspects.pop(name, set()) - held):
                 self._blame(view_id)
             self.pace.gone(name)
+            self.in_flight.gone(name)
         for name in sorted(names - set(self._held)):
             self._held[name] = set()
 
     def assign(self, now_s: float) -> list[tuple[str, View]]:
         """Views to send now, each to the regressor with the fewest in hand. Call after `expire`."""
+        self._now_s = now_s
         sending = []
         while self._queue:
             name = self._freest()
@@ -157,8 +176,9 @@ class Dispatcher:
             job = self._jobs.get(view_id)
             if job is None or job.key != key or job.regressor is not None or job.fallback:
                 continue
-            job.regressor, job.deadline_s = name, now_s + self.settings.deadline_s
+            job.regressor, job.deadline_s = name, now_s + self._patience_s(name)
             job.attempts += 1
+            self.in_flight.sent(name, view_id, now_s)
             self._held[name].add(view_id)
             sending.append((name, job.view))
         return sending
@@ -168,6 +188,8 @@ class Dispatcher:
         self._suspects.pop(regressor, None)
         if regressor in self._held:
             self.pace.answered(regressor)
+        for lost_id in self.in_flight.answered(regressor, view_id, self._now_s):
+            self._lost_on_the_way(lost_id, regressor)
         job = self._jobs.get(view_id)
         if job is None:
             self.duplicates += 1
@@ -188,9 +210,12 @@ class Dispatcher:
 
         A regressor that missed a deadline gets one view at a time until it answers.
         """
+        self._now_s = now_s
         self.pace.step(now_s, [name for name, held in self._held.items() if held and name not in self._suspects])
         for name, held in self._held.items():
             late = [view_id for view_id in held if now_s >= self._jobs[view_id].deadline_s]
+            if late:
+                self.in_flight.missed(name)
             for view_id in sorted(late):
                 job = self._jobs[view_id]
                 # What a regressor that is known to stand still does not answer says nothing of the view.
@@ -213,6 +238,21 @@ class Dispatcher:
         """Views lost since the last call."""
         losses, self._fresh_losses = self._fresh_losses, []
         return losses
+
+    def _patience_s(self, name: str) -> float:
+        """How long a regressor may take for an answer; where the camera waits, a slow one is given its time."""
+        if self.settings.shed_over is None:
+            return self.settings.deadline_s
+        return self.in_flight.patience_s(name, at_most_s=self.settings.deadline_s)
+
+    def _lost_on_the_way(self, view_id: str, name: str) -> None:
+        """The regressor has answered what was sent to it after this view."""
+        job = self._jobs.get(view_id)
+        if job is None or job.regressor != name:
+            return
+        self._held[name].discard(view_id)
+        job.attempts -= self.settings.shed_over is None
+        self._give_back(job, Requeue.LOST_ON_THE_WAY)
 
     def _shed(self, now_s: float, limit: int) -> None:
         """Give up what would wait too long: spare views from the highest rank down and newest first, then tubers."""

@@ -17,6 +17,7 @@ class _Waiting:
     deadline_s: float
     answers: dict[str, WeighedView] = field(default_factory=dict)
     losses: Counter[str] = field(default_factory=Counter)
+    first_answer_s: float | None = None
 
     @property
     def done(self) -> bool:
@@ -24,10 +25,16 @@ class _Waiting:
 
 
 class Weighing:
-    """Collects answers and losses per track; a track whose views are all accounted for comes out once."""
+    """Collects answers and losses per track; a track whose views are all accounted for comes out once.
 
-    def __init__(self, deadline_s: float) -> None:
+    Args:
+        deadline_s: how long a track waits in all.
+        spare_grace_s: how much longer one waits that has an answer; None: until all are there.
+    """
+
+    def __init__(self, deadline_s: float, *, spare_grace_s: float | None = None) -> None:
         self._deadline_s = deadline_s
+        self._spare_grace_s = spare_grace_s
         self._waiting: dict[str, _Waiting] = {}
         self._touched: set[str] = set()
         self._added = 0
@@ -41,12 +48,14 @@ class Weighing:
         self._touched.add(closed.track.track_id)
         self._added += 1
 
-    def weighed(self, weight: Weight) -> None:
+    def weighed(self, weight: Weight, now_s: float = 0.0) -> None:
         """Take an answer that can be used."""
         waiting = self._waiting.get(weight.track_id)
         if waiting is None or weight.weight_g is None or weight.low_g is None or weight.high_g is None:
             return
         self._touched.add(weight.track_id)
+        if waiting.first_answer_s is None:
+            waiting.first_answer_s = now_s
         waiting.answers[weight.view_id] = WeighedView(
             view_id=weight.view_id,
             seq=weight.seq,
@@ -68,6 +77,16 @@ class Weighing:
     def overdue(self, now_s: float) -> list[str]:
         """Tracks whose weights have been waited for long enough."""
         return [track_id for track_id, waiting in self._waiting.items() if now_s >= waiting.deadline_s]
+
+    def weighed_enough(self, now_s: float) -> list[str]:
+        """Tracks that have an answer and have waited for the others for `spare_grace_s`."""
+        if self._spare_grace_s is None:
+            return []
+        return [
+            track_id
+            for track_id, waiting in self._waiting.items()
+            if waiting.first_answer_s is not None and now_s - waiting.first_answer_s >= self._spare_grace_s
+        ]
 
     def take_done(self) -> list[Track]:
         """Tracks whose views are all weighed or lost, in the order in which they were closed; each comes out once."""

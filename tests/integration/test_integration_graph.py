@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from segmenter.log_store import LogStore
 from tests.belts import replay, tuberline
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
@@ -80,3 +81,14 @@ def test_a_second_run_into_the_same_folder_is_refused(run_dir: Path, recording: 
     assert done.returncode == 2
     assert "already holds a run" in done.stderr
     assert (run_dir / "summary.json").read_bytes() == before
+
+
+def test_every_segmenter_has_its_last_acknowledgement(run_dir: Path) -> None:
+    """The aggregator leaves once they said so, and not before: nothing is left to be sent to a next one."""
+    logs = sorted((run_dir / "state").glob("*.db"))
+    assert len(logs) == 2
+    for path in logs:
+        _, camera, run = path.stem.split(".", 2)
+        with LogStore(path, camera=camera, run=run) as store:
+            stored = store.load()
+        assert stored.committed == stored.newest > 0

@@ -24,15 +24,14 @@ def test_the_page_has_words_for_every_dropped_frame_and_lost_view() -> None:
 
 def test_values_are_those_of_ledgers_written_before() -> None:
     assert {str(reason) for reason in FrameDrop} == {
-        "blind", "frozen", "no_belt", "too_old", "overwritten", "overload", "camera_changed",
+        "blind", "frozen", "camera_changed", "no_belt", "too_old", "overwritten", "overload",
     }  # fmt: skip
     assert {str(reason) for reason in TrackRefusal} == {
         "before_start", "not_crossed", "born_late", "vanished", "few_frames", "fragment", "small", "tiny", "flat",
-        "outside", "duplicate", "thin", "sliver", "distractor", "no_view", "restart",
-        "out_of_range",
+        "outside", "duplicate", "thin", "sliver", "distractor", "out_of_range", "no_view", "restart",
     }  # fmt: skip
     assert {str(reason) for reason in ViewLoss} == {
-        "shed", "overload", "max_attempts", "weigh_deadline", "restart", "refused",
+        "shed", "late", "overload", "max_attempts", "weigh_deadline", "restart", "refused",
     }  # fmt: skip
-    assert {str(reason) for reason in Requeue} == {"regressor_left", "deadline"}
+    assert {str(reason) for reason in Requeue} == {"regressor_left", "deadline", "lost_on_the_way"}
     assert {str(reason) for reason in InstanceRefusal} == {"small", "flat"}

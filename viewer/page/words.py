@@ -59,6 +59,11 @@ VIEW_LOSSES: dict[str, Words] = {
         "left out: too few weighing computers",
         "Start another regressor on any computer of the line.",
     ),
+    ViewLoss.LATE: Words(
+        "has busy weighing computers: some second views of tubers come too late",
+        "left out: answered too late",
+        "Start another regressor on any computer of the line, if it stays so.",
+    ),
     ViewLoss.OVERLOAD: Words(
         "has more tubers than can be weighed: the newest are weighed by their volume alone",
         "not weighed: more tubers than the weighing computers manage",

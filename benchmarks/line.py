@@ -1,0 +1,218 @@
+"""A live line at stated rates: CPU and memory per process, frames and views lost by reason, latency by hop.
+
+    python -m benchmarks line --seconds 60 --cameras 2 --fps 15 --tubers-per-s 20 [--out FOLDER]
+
+A simulated recording, its belt as fast as the asked rate needs, is laid end to end and played in real time by cameras
+that wait for nobody; router, segmenters, regressors and aggregator are the real processes, all on this machine. What
+else runs on the machine decides the figures: the load average stands beside them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.line_table import markdown
+from benchmarks.line_watch import TOTAL, Watcher, latencies_s, percentile
+from benchmarks.site_command import tuberline
+from benchmarks.soak import loop, sample
+from camera_sim.sim.presets import PRESETS
+from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
+from conveyor.config import LineConfig, dump_toml
+from conveyor.errors import TuberlineError
+from conveyor.messages import Counters
+from tuberline.processes import line_processes
+from tuberline.replayer import prepare_out, recording_cameras, replay_config
+from tuberline.supervisor import Supervisor
+
+RUN = "bench"
+START_LIMIT_S = 120.0
+TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+SCENES = {1: "touching", 2: "two-cameras"}
+GUESS_MPS = 0.31
+
+
+@dataclass(slots=True)
+class Usage:
+    """What one process took in the measured time."""
+
+    cpu_percent: float
+    rss_mib: float
+    restarts: int
+
+
+@dataclass(slots=True)
+class Measured:
+    """What was seen of the line in `seconds`."""
+
+    seconds: float
+    usage: dict[str, Usage] = field(default_factory=dict)
+    load_average: tuple[float, float] = (0.0, 0.0)
+    """At the start and the end; the line's own processes are in it."""
+    sheets: dict[str, Counters] = field(default_factory=dict)
+    latencies: dict[str, list[float]] = field(default_factory=dict)
+    tubers: int = 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the line and tell what was measured."""
+    options = _options(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        recording = options.recording or Path(folder) / "belt"
+        if options.recording is None:
+            simulated(recording, options)
+        looped = loop(recording, Path(folder) / "looped", for_s=options.seconds + options.warm_up_s + START_LIMIT_S)
+        out = options.out or Path(folder) / "out"
+        config = live_config(looped, out, options)
+        measured = measure(config, out, warm_up_s=options.warm_up_s, seconds=options.seconds)
+        report = told(measured, options)
+        (out / "line.json").write_text(json.dumps(report, indent=1) + "\n")
+        print(markdown(report))
+    return 0
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="measured for so long, after the warm-up")
+    parser.add_argument("--warm-up-s", type=float, default=12.0)
+    parser.add_argument("--cameras", type=int, choices=sorted(SCENES), default=2)
+    parser.add_argument("--fps", type=float, default=15.0)
+    parser.add_argument("--tubers-per-s", type=float, default=20.0, help="in the mean; sets the belt's speed")
+    parser.add_argument("--tubers", type=int, default=200, help="of the recording that is repeated")
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--regressors", type=int, default=2)
+    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32")
+    parser.add_argument("--centroids", type=int, choices=(64,))
+    parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
+    parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")
+    return parser.parse_args(arguments)
+
+
+def simulated(path: Path, options: argparse.Namespace) -> None:
+    """A belt that brings the asked tubers a second when it is repeated."""
+    layout = layout_named(SCENES[options.cameras])
+    settings = SceneSettings(
+        scene=SCENES[options.cameras],
+        seed=options.seed,
+        tubers=options.tubers,
+        preset=PRESETS["easy"],
+        fps=options.fps,
+        speed_mps=GUESS_MPS,
+    )
+    world = build_world(settings, layout)
+    lap_s = world.motion.duration_s
+    speed_mps = GUESS_MPS * options.tubers_per_s * lap_s / options.tubers
+    if not 0.05 <= speed_mps <= 1.2:
+        raise TuberlineError(
+            f"--tubers-per-s {options.tubers_per_s:g} needs a belt of {speed_mps:.2f} m/s; allowed are 0.05 to 1.2: "
+            "ask for another rate"
+        )
+    tuberline(
+        "simulate", "--out", path, "--seed", str(options.seed), "--scene", SCENES[options.cameras],
+        "--tubers", str(options.tubers), "--fps", f"{options.fps:g}", "--speed-mps", f"{speed_mps:.4f}",
+    )  # fmt: skip
+
+
+def live_config(recording: Path, out: Path, options: argparse.Namespace) -> LineConfig:
+    """The line as `tuberline run` would have it, its cameras played from `recording`."""
+    prepare_out(out)
+    names = recording_cameras(recording)
+    regressor: dict[str, Any] = {"processes": options.regressors, "precision": options.precision}
+    if options.centroids:
+        regressor["centroids"] = options.centroids
+    live: Mapping[str, Any] = {
+        "cameras": {name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False} for name in names},
+        "segmenter": {"weigh_deadline_s": 60.0},
+        "regressor": regressor,
+        "aggregator": {"exit_when_final": False, "camera_stall_s": 10.0},
+    }
+    return replay_config(
+        recording, names, out=out, speed=1.0, weights=None, regressors=options.regressors, rrd=None, settings=live
+    )
+
+
+def measure(config: LineConfig, out: Path, *, warm_up_s: float, seconds: float) -> Measured:
+    """Start the line, wait until tubers are committed and the warm-up is over, then watch for `seconds`."""
+    config_path = out / "line.toml"
+    config_path.write_text(dump_toml(config))
+    specs = line_processes(config, config_path=config_path, run=RUN)
+    measured = Measured(seconds)
+    with Supervisor(specs, log_dir=out / "logs") as supervisor, Watcher(config.link, line=config.name) as watcher:
+        deadline = time.monotonic() + START_LIMIT_S
+        while not watcher.stamps.committed:
+            if time.monotonic() > deadline:
+                raise TuberlineError(f"no tuber was committed within {START_LIMIT_S:g} s; logs are in {out / 'logs'}")
+            time.sleep(0.1)
+        time.sleep(warm_up_s)
+        from_ns, load_before = time.time_ns(), os.getloadavg()[0]
+        before = {spec.name: cpu_s(supervisor.pid(spec.name)) for spec in specs}
+        begun = time.monotonic()
+        time.sleep(seconds)
+        measured.seconds = time.monotonic() - begun
+        for spec in specs:
+            pid = supervisor.pid(spec.name)
+            used_s = cpu_s(pid) - before[spec.name]
+            seen = sample(pid, 0.0) if pid is not None else None
+            measured.usage[spec.name] = Usage(
+                100 * used_s / measured.seconds, seen.rss_mib if seen else 0.0, supervisor.restarts[spec.name]
+            )
+        measured.load_average = (load_before, os.getloadavg()[0])
+        measured.sheets = watcher.observer.nodes()
+        measured.latencies = latencies_s(watcher.stamps, from_ns=from_ns)
+        measured.tubers = sum(1 for committed_ns, _ in watcher.stamps.committed if committed_ns >= from_ns)
+    return measured
+
+
+def cpu_s(pid: int | None) -> float:
+    """CPU seconds a process has used; 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
+
+
+def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
+    """Everything that was measured, as plain values."""
+    hops = {
+        hop: {"p50_s": percentile(values, 0.5), "p99_s": percentile(values, 0.99), "n": len(values)}
+        for hop, values in measured.latencies.items()
+        if values
+    }
+    return {
+        "machine": {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()},
+        "asked": {
+            name: getattr(options, name)
+            for name in ("cameras", "fps", "tubers_per_s", "regressors", "precision", "centroids", "seed", "seconds")
+        },
+        "load_average": measured.load_average,
+        "tubers_per_s": measured.tubers / measured.seconds,
+        "cpu_percent": sum(usage.cpu_percent for usage in measured.usage.values()),
+        "processes": {
+            name: {"cpu_percent": usage.cpu_percent, "rss_mib": usage.rss_mib, "restarts": usage.restarts}
+            for name, usage in measured.usage.items()
+        },
+        "segmenters": {name: sheet(c) for name, c in measured.sheets.items() if c.role == "segmenter"},
+        "latency": hops,
+        "crossing_to_ledger": hops.get(TOTAL, {}),
+    }
+
+
+def sheet(counters: Counters) -> dict[str, float]:
+    """A segmenter's books since its start, and how many views it weighs per tuber."""
+    wanted = ("frames_", "views_", "tracks_counted", "regressors_busy_share", "frame_age_max_ms")
+    books = {name: level for name, level in counters.gauges.items() if name.startswith(wanted)}
+    tracks = books.get("tracks_counted", 0.0)
+    return {**books, "views_weighed_per_track": books.get("views_weighed", 0.0) / tracks if tracks else 0.0}
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

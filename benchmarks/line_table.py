@@ -1,0 +1,50 @@
+"""The tables of `benchmarks line` for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def markdown(report: Mapping[str, Any]) -> str:
+    """The report as Markdown."""
+    asked, machine = report["asked"], report["machine"]
+    before, after = report["load_average"]
+    lines = [
+        f"{asked['cameras']} cameras at {asked['fps']:g} frames/s, {asked['tubers_per_s']:g} tubers/s asked for, "
+        f"{report['tubers_per_s']:.1f} committed; {asked['regressors']} regressors, {asked['precision']}, "
+        f"centroids {asked['centroids'] or 128}; {asked['seconds']:g} s, seed {asked['seed']}. "
+        f"{machine['cores']} cores {machine['machine']}, Python {machine['python']}, load average {before:.1f} at the "
+        f"start and {after:.1f} at the end.",
+        "",
+        "| process | CPU % of one core | RSS MiB | restarts |",
+        "| --- | --- | --- | --- |",
+        *(
+            f"| {name} | {p['cpu_percent']:.0f} | {p['rss_mib']:.0f} | {p['restarts']} |"
+            for name, p in report["processes"].items()
+        ),
+        f"| all | {report['cpu_percent']:.0f} | {sum(p['rss_mib'] for p in report['processes'].values()):.0f} | |",
+        "",
+        "| hop, until | p50 s | p99 s | tubers |",
+        "| --- | --- | --- | --- |",
+        *(f"| {hop} | {t['p50_s']:.2f} | {t['p99_s']:.2f} | {t['n']} |" for hop, t in report["latency"].items()),
+        "",
+    ]
+    for name, books in report["segmenters"].items():
+        lines.append(f"{name}: {_books(books)}.")
+    return "\n".join(lines) + "\n"
+
+
+def _books(books: Mapping[str, float]) -> str:
+    """What was received and processed, every loss by its reason, the views per tuber."""
+    losses = {
+        name: n
+        for name, n in books.items()
+        if n and name.startswith(("frames_dropped_", "frames_gaps", "views_lost_", "views_requeued_"))
+    }
+    said = [f"frames {books.get('frames_processed', 0):.0f} of {books.get('frames_published', 0):.0f} processed"]
+    said += [f"{name} {n:.0f}" for name, n in sorted(losses.items())]
+    said.append(f"views weighed {books.get('views_weighed', 0):.0f} of {books.get('views_sent', 0):.0f}")
+    said.append(f"{books['views_weighed_per_track']:.2f} per track, now {books.get('views_per_tuber', 0):.0f}")
+    said.append(f"regressors busy {100 * books.get('regressors_busy_share', 0):.0f} %")
+    return ", ".join(said)

@@ -1,0 +1,54 @@
+"""How many views of each tuber are weighed on a live line: fewer while the regressors have hardly a free moment.
+
+Regressors that are busy all the time make every tuber wait, and on one machine they take the time that looking needs.
+The second and third view add little: 3 views of a tuber have most of their errors in common.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+BUSY_SHARE = 0.8
+"""Busier than this, one view less; tuned on two cameras on two cores. Lower saves earlier, and weighs less."""
+CALM_SHARE = 0.65
+"""One view more where that would leave them no busier than this: the distance keeps it from going to and fro."""
+REMEMBER_S = 1.5
+"""What was measured this long ago counts a third."""
+SETTLE_S = 3.0
+"""After a change the share is measured anew for this long."""
+
+
+@dataclass(slots=True)
+class ViewBudget:
+    """Views per tuber, between one and `most`. Pure: time comes in as a number."""
+
+    most: int
+    views: int = 0
+    share: float = 0.0
+    """Of the regressors, how many have work in hand, on average."""
+    reduced: int = 0
+    """How often the number went down."""
+    _now_s: float | None = None
+    _changed_s: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self.views = self.most
+
+    def step(self, now_s: float, *, busy: int, of: int) -> None:
+        """Time went on; `busy` of the regressors had work in hand."""
+        elapsed_s = 0.0 if self._now_s is None else max(0.0, now_s - self._now_s)
+        self._now_s = now_s
+        if of == 0 or elapsed_s == 0.0:
+            return
+        self.share += (1.0 - math.exp(-elapsed_s / REMEMBER_S)) * (busy / of - self.share)
+        if now_s - self._changed_s < SETTLE_S:
+            return
+        if self.share > BUSY_SHARE and self.views > 1:
+            self._change(self.views - 1, now_s)
+            self.reduced += 1
+        elif self.views < self.most and self.share * (self.views + 1) / self.views < CALM_SHARE:
+            self._change(self.views + 1, now_s)
+
+    def _change(self, views: int, now_s: float) -> None:
+        self.views, self._changed_s = views, now_s

@@ -1,0 +1,152 @@
+"""A live line's run: a tuber goes to the log with its first answer, spare views are let go, marks come often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conveyor.config import CameraConfig, LineConfig
+from conveyor.messages import TrackEntry
+from conveyor.reasons import Requeue, ViewLoss
+from segmenter.camera_run import LIVE_MARK_EVERY_NS, MARK_EVERY_NS
+from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
+from segmenter.dispatch.view_budget import ViewBudget
+from segmenter.setup import run_settings
+from tests.laws.virtual_overload import VIEWS, FloodedLine
+from tests.segmenter.test_segmenter_dispatch import view
+
+SHIPPED = run_settings(LineConfig(cameras={"front": CameraConfig(waits=False)}), "front")
+REPLAY = run_settings(LineConfig(cameras={"front": CameraConfig(waits=True)}), "front")
+EVERYTHING = replace(SHIPPED, fewer_views=False)
+
+
+def marks_ns(line: FloodedLine, seconds: float) -> list[int]:
+    found: list[TrackEntry] = []
+    line.run.log.commit = lambda n: None  # type: ignore[method-assign]
+    line.run_for(seconds)
+    line.run.log.resend()
+    while entries := line.run.log.due(line.now_s):
+        found += entries
+    return [entry.mark.captured_ns for entry in found if entry.mark is not None]
+
+
+def balanced(line: FloodedLine) -> None:
+    sheet = line.run.counts()["views"]
+    lost = Counter({name.removeprefix("lost_"): n for name, n in sheet.items() if name.startswith("lost_")})
+    assert sheet["sent"] == VIEWS * line.belt.closed == sheet["weighed"] + lost.total() + sheet["outstanding"]
+    for track in line.logged:
+        assert track.views_sent == VIEWS == len(track.views) + sum(track.views_lost.values())
+
+
+def test_a_line_that_waits_keeps_every_view_and_its_marks() -> None:
+    assert (REPLAY.spare_grace_s, REPLAY.fewer_views, REPLAY.mark_every_ns) == (None, False, MARK_EVERY_NS)
+    assert REPLAY.dispatch.shed_over is None
+    assert (SHIPPED.spare_grace_s, SHIPPED.fewer_views, SHIPPED.mark_every_ns) == (0.25, True, LIVE_MARK_EVERY_NS)
+
+
+def test_marks_come_four_times_a_second() -> None:
+    """Law: not rarer than asked for, and not one per frame."""
+    line = FloodedLine(per_s=5.0, takes_s=0.01, workers=2, turn_s=0.05, settings=EVERYTHING)
+    apart_ns = np.diff(marks_ns(line, 5.0))
+    assert set(apart_ns) == {LIVE_MARK_EVERY_NS}
+
+
+@pytest.mark.parametrize("per_s", [5.0, 15.0, 24.0])
+def test_a_tuber_is_logged_with_its_first_answer_and_late_views_are_counted(per_s: float) -> None:
+    """Two regressors for 25 views a second each: enough for three views of 15 tubers, for two of 24."""
+    line = FloodedLine(per_s=per_s, takes_s=0.04, workers=2, turn_s=0.02, settings=EVERYTHING)
+    line.run_for(30.0)
+    balanced(line)
+    assert not line.never_weighed
+    assert line.lost.keys() <= {ViewLoss.LATE, ViewLoss.SHED}
+    assert line.latest_log_s <= 1.0, "of the virtual clock"
+    assert (line.lost == {}) == (VIEWS * per_s <= line.capacity_per_s)
+
+
+def test_without_grace_only_the_first_answer_is_waited_for() -> None:
+    line = FloodedLine(
+        per_s=10.0, takes_s=0.04, workers=1, turn_s=0.05, settings=replace(EVERYTHING, spare_grace_s=0.0)
+    )
+    line.run_for(20.0)
+    balanced(line)
+    assert not line.never_weighed
+    assert line.lost[ViewLoss.LATE] > 0
+
+
+def test_fewer_views_are_weighed_while_regressors_are_busy_and_all_again_afterwards() -> None:
+    line = FloodedLine(per_s=20.0, takes_s=0.04, workers=1, turn_s=0.02, settings=SHIPPED)
+    line.run_for(20.0)
+    balanced(line)
+    assert line.run.budget.views == 1
+    assert line.run.budget.reduced >= 2
+    assert not line.never_weighed
+    line.belt.per_s = 2.0
+    line.belt.closed = int(line.belt.now_s * 2.0)
+    line.run_for(20.0)
+    assert line.run.budget.views == 3
+
+
+@given(
+    most=st.integers(1, 16),
+    seen=st.lists(st.tuples(st.floats(0.0, 5.0), st.integers(0, 4), st.integers(0, 4)), max_size=60),
+)
+def test_the_budget_stays_between_one_view_and_all(most: int, seen: list[tuple[float, int, int]]) -> None:
+    budget, now_s = ViewBudget(most), 0.0
+    for elapsed_s, busy, idle in seen:
+        now_s += elapsed_s
+        budget.step(now_s, busy=busy, of=busy + idle)
+        assert 1 <= budget.views <= most
+        assert 0.0 <= budget.share <= 1.0
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_view_lost_on_the_way_goes_to_the_next_at_the_following_answer(live: bool) -> None:
+    """Views of 13 kB were lost in a full transmit queue, and each held every ledger up for the deadline of 5 s."""
+    dispatcher = Dispatcher(DispatchSettings(credits=4, max_attempts=2, shed_over=100 if live else None))
+    dispatcher.present({"a"})
+    for track in (1, 2, 3):
+        dispatcher.offer(view(track, 0))
+    first, lost, last = (sent.view_id for _, sent in dispatcher.assign(0.0))
+    assert dispatcher.answer(first, regressor="a", usable=True)
+    assert not dispatcher.requeued
+    assert dispatcher.answer(last, regressor="a", usable=True)
+    assert dispatcher.requeued == {Requeue.LOST_ON_THE_WAY: 1}
+    assert [sent.view_id for _, sent in dispatcher.assign(0.01)] == [lost]
+    dispatcher.offer(view(4, 0))
+    [(_, fourth)] = dispatcher.assign(0.02)
+    assert dispatcher.answer(fourth.view_id, regressor="a", usable=True)
+    assert dispatcher.balance().get("lost_max_attempts", 0) == live, "only a live line ends by attempts"
+    assert dispatcher.balance()["outstanding"] == (not live)
+
+
+def test_a_view_beyond_the_budget_stands_in_for_one_that_is_refused() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=4, shed_over=100))
+    dispatcher.present({"a"})
+    for rank in range(3):
+        dispatcher.offer(view(1, rank), spare=rank >= 1)
+    [(_, first)] = dispatcher.assign(0.0)
+    assert first.rank == 0
+    assert dispatcher.balance() == {"sent": 3, "weighed": 0, "outstanding": 2, "lost_shed": 1}
+    assert dispatcher.answer(first.view_id, regressor="a", usable=False)
+    assert [sent.rank for _, sent in dispatcher.assign(0.1)] == [1]
+
+
+def test_a_live_regressor_that_went_silent_is_given_up_after_several_times_its_usual_time() -> None:
+    dispatcher = Dispatcher(DispatchSettings(credits=1, shed_over=100))
+    dispatcher.present({"a"})
+    for track in range(20):
+        dispatcher.offer(view(track, 0))
+        [(_, sent)] = dispatcher.assign(float(track))
+        dispatcher.expire(track + 0.02)
+        assert dispatcher.answer(sent.view_id, regressor="a", usable=True)
+    dispatcher.offer(view(99, 0))
+    dispatcher.assign(100.0)
+    dispatcher.expire(100.99)
+    assert not dispatcher.requeued
+    dispatcher.expire(101.01)
+    assert dispatcher.requeued == {Requeue.DEADLINE: 1}
