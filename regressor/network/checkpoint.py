@@ -107,8 +107,14 @@ class Sidecar(_Part):
 
     @property
     def model_id(self) -> str:
-        """Name and the first eight digits of the hash, as it stands in the ledger."""
-        return f"{self.name}@{self.sha256[:8]}"
+        """Name and the first eight digits of a hash, as it stands in the ledger: of all that makes a weight.
+
+        The tensors' own hash; with a blend of its own, together with rule, blend and intervals.
+        """
+        if self.blend is None:
+            return f"{self.name}@{self.sha256[:8]}"
+        rules = json.dumps([self.sha256, self.volume_rule, self.blend, self.interval], sort_keys=True)
+        return f"{self.name}@{hashlib.sha256(rules.encode()).hexdigest()[:8]}"
 
 
 def save_checkpoint(path: Path, state: dict[str, Tensor], sidecar: Sidecar) -> Sidecar:
