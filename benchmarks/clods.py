@@ -49,8 +49,8 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "field", 8208, 60),
     ),
 }
-"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the one that
-stands was tuned on both and judged on `judging`."""
+"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the next was
+tuned on both and judged on `judging`; two of its constants were then set in sight of all."""
 
 NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
 REFUSED_BELOW = CountSettings().reject_below
