@@ -46,6 +46,7 @@ def oldest_until_final(line: DisturbedLine) -> float:
     return max(oldest_ms)
 
 
+@pytest.mark.slow
 def test_five_times_too_many_frames_are_dropped_and_every_tuber_is_weighed(
     live_recording: Path, tmp_path: Path
 ) -> None:

@@ -28,6 +28,7 @@ def assert_nothing_changed(recording: Path, run_dir: Path, out: Path, trouble: T
     return replayed
 
 
+@pytest.mark.slow
 def test_loss_delay_and_a_short_cut_change_nothing(recording: Path, run_dir: Path, tmp_path: Path) -> None:
     assert_nothing_changed(recording, run_dir, tmp_path / "run", SHORT)
 

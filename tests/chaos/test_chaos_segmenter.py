@@ -12,6 +12,7 @@ from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
 
+@pytest.mark.slow
 def test_a_killed_segmenter_changes_nothing(recording: Path, run_dir: Path, tmp_path: Path) -> None:
     def disturb(line: DisturbedLine) -> None:
         line.wait_count("tracks_counted", 3)

@@ -26,6 +26,7 @@ def at_work(line: DisturbedLine) -> None:
     line.wait_count("views_sent", 3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("lock_holders")
 def test_one_that_holds_the_interpreter_lock_for_3_s_and_one_frozen_for_4_s_change_nothing(
     recording: Path, run_dir: Path, tmp_path: Path

@@ -65,6 +65,7 @@ def frozen_watchers(recording: Path, out: Path, seconds: float) -> dict[str, obj
     return summary
 
 
+@pytest.mark.slow
 def test_frozen_and_killed_watchers_change_nothing(recording: Path, run_dir: Path, tmp_path: Path) -> None:
     frozen_watchers(recording, tmp_path / "run", 4.0)
     assert canonical(tmp_path / "run") == canonical(run_dir)

@@ -31,6 +31,7 @@ def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate(out, scene="singulated", tubers="12", fps="10")
 
 
+@pytest.mark.slow
 def test_weights_change_while_a_belt_passes(belt: Path, tmp_path: Path) -> None:
     newer = scaled_weights(tmp_path / "newer.safetensors", 1.06)
     broken = scaled_weights(tmp_path / "broken.safetensors", 3.0)

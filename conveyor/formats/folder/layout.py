@@ -168,6 +168,6 @@ def _row(path: Path, number: int, cells: list[str]) -> FrameRow:
     if not (0 <= seq <= MAX_COUNT and 0 <= captured_ns <= INT64_MAX and (travel_m is None or abs(travel_m) <= 1e7)):
         raise InputError(
             f"{path} line {number}: seq must be 0 to {MAX_COUNT}, captured_ns 0 to {INT64_MAX} and travel_m empty or "
-            f"within 10,000 km, got {cells}"
+            f"finite and within 10,000 km, got {cells}"
         )
     return FrameRow(seq, captured_ns, travel_m)
