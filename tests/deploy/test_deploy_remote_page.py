@@ -56,7 +56,7 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
             watch.start()
             browser.open(proxy.page_url, user=USER, password=PASSWORD)
             _until(lambda: _tubers(browser) >= SHOWN_TUBERS, line, lambda: f"tubers in the page: {_text(browser)}")
-            assert "Live" in _text(browser)
+            assert "Page connected" in _text(browser)
             assert "Running" in _text(browser)
             for name, size in SIZES.items():
                 _picture(browser, name, size)

@@ -56,7 +56,7 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
         page = first.enter_context(PageServer(board, host="127.0.0.1", port=0))
         port = page.port
         browser.page("Page.navigate", url=f"http://127.0.0.1:{port}/")
-        until(lambda: "Live" in text(browser) and "1 993 kg" in text(browser), what="the figures in the page")
+        until(lambda: "Page connected" in text(browser) and "1 993 kg" in text(browser), what="the figures in the page")
         shown = text(browser)
         for told in (
             "Camera left is dark, for 12 s.",
@@ -77,7 +77,7 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
     with PageServer(board, host="127.0.0.1", port=port):
         board.put(snapshot(good_state()))
         until(lambda: "No alarms." in text(browser), what="the page comes back by itself")
-        until(lambda: "Live" in text(browser) and "No contact" not in text(browser), what="it is live again")
+        until(lambda: "Page connected" in text(browser) and "No contact" not in text(browser), what="it is live again")
 
 
 def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -> None:
@@ -118,7 +118,7 @@ def test_day_and_night_by_the_keyboard(browser: Browser) -> None:
     board.put(snapshot(good_state()))
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
-        until(lambda: "Live" in text(browser), what="the page")
+        until(lambda: "Page connected" in text(browser), what="the page")
         js(browser, "document.querySelector('#light').focus()")
         grounds = []
         for _ in range(2):

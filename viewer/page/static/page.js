@@ -43,7 +43,7 @@ function tick() {
   const state = sinceS === null ? "wait" : lost ? "trouble" : "good";
   contact.dataset.state = state;
   contact.querySelector(".text").textContent =
-    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : "Live";
+    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : "Page connected";
   document.body.dataset.contact = lost ? "lost" : "live";
   say(lost);
 }
