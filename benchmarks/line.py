@@ -3,7 +3,7 @@
     python -m benchmarks line --seconds 60 --cameras 2 --fps 15 --tubers-per-s 20 [--out FOLDER]
 
 A simulated recording, its belt as fast as the asked rate needs, is laid end to end and played in real time by cameras
-that wait for nobody; router, segmenters, regressors and aggregator are the real processes, all on this machine. What
+that wait for no one; router, segmenters, regressors and aggregator are the real processes, all on this machine. What
 else runs on the machine decides the figures: the load average stands beside them.
 """
 

@@ -68,7 +68,7 @@ class RateLimit:
         return True
 
     def over(self, *, all_of_them: bool = False) -> list[tuple[str, str, int]]:
-        """(logger, template, lines left out) of every minute that is over; those places begin anew."""
+        """(logger, template, lines left out) of every minute that is over; those places begin again."""
         now_s = self._clock()
         ended = [p for p, minute in self._places.items() if all_of_them or now_s - minute.begun_s >= MINUTE_S]
         counted = [(*place, self._places.pop(place).left_out) for place in ended]

@@ -20,7 +20,7 @@ LEAST_SHARE = 0.95
 """Of a load's weight that one set of weights must have weighed: its ticket says nothing about any other."""
 
 MISCOUNTED = 0.002
-"""Share of tubers that counting may miss or count twice where nobody counted by hand."""
+"""Share of tubers that counting may miss or count twice where no one counted by hand."""
 
 MOST_MISCOUNTED = 0.1
 LEAST_SD = 0.01
@@ -154,7 +154,7 @@ def bucket_ticket(
     """
     found = counted(path, run=run)
     tubers = _some(found, part)
-    # Of a whole run that nobody counted by hand, belt that was not seen is made up for as in a load.
+    # Of a whole run that no one counted by hand, belt that was not seen is made up for as in a load.
     whole_run = count is None and not part.name
     coverage = found.coverage if whole_run else 1.0
     scale = 1.0 / max(coverage, 1e-9) if whole_run else _count_scale(tubers, count, found.run)

@@ -1,4 +1,4 @@
-"""Values by key, so many at most: keys come from outside, and whoever can send could send new ones for ever.
+"""Values by key, so many at most: keys come from outside, and who can send could send new ones for ever.
 
 Who stands in the line's config, and who proves to be alive, is kept before others; among equals the first one stays.
 """
@@ -22,7 +22,7 @@ class Bounded(Generic[V]):
     """At most `most` values; not thread-safe.
 
     Args:
-        rank: of a key, higher is kept before lower; asked anew each time, since who is alive changes.
+        rank: of a key, higher is kept before lower; asked again each time, since who is alive changes.
     """
 
     def __init__(self, *, most: int = MOST_KEYS, rank: Callable[[str], int] = lambda _: UNKNOWN) -> None:
@@ -37,7 +37,7 @@ class Bounded(Generic[V]):
         return key in self._values
 
     def put(self, key: str, value: V) -> bool:
-        """Keep `value`; False where there is no room and nobody of a lower rank to make some."""
+        """Keep `value`; False where there is no room and none of a lower rank to make some."""
         if key not in self._values and len(self._values) >= self._most and not self._make_room(self._rank(key)):
             return False
         self._values[key] = value

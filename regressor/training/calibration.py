@@ -140,7 +140,7 @@ def _stocks(data: CloudSet) -> NDArray[np.str_]:
 def recalibrate(
     weights: Path, data: Path, *, cache: Path | None, max_views: int | None, compute: torch.dtype | None = None
 ) -> Sidecar:
-    """Calibrate saved weights anew on the views of `data` and write their sidecar; the tensors stay as they are.
+    """Calibrate saved weights again on the views of `data` and write their sidecar; the tensors stay as they are.
 
     Raises:
         InputError: weights without a sidecar of their own, or views that cannot be used.

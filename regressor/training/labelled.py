@@ -26,7 +26,7 @@ from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 Resting = Literal["calibrated", "stated"]
 """Which resting level a simulated view is read with. 'stated': as its user would state it, known or not. 'calibrated':
 as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
-with that calibration's error. What nobody can know is no part of a training."""
+with that calibration's error. What no one can know is no part of a training."""
 CALIBRATED_SD_M = 0.001
 OWN_ERROR = ("easy", "field")
 """Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""

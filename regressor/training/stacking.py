@@ -29,7 +29,7 @@ MIN_RECORDINGS = 20
 def restack(
     weights: Path, data: Path, unseen: Path, *, cache: Path | None, compute: torch.dtype | None = None
 ) -> Sidecar:
-    """Fit volume rule and blend of saved weights anew and write their sidecar; the tensors stay as they are.
+    """Fit volume rule and blend of saved weights again and write their sidecar; the tensors stay as they are.
 
     Args:
         data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for

@@ -16,7 +16,7 @@ CALM_SHARE = 0.65
 REMEMBER_S = 1.5
 """What was measured this long ago counts a third."""
 SETTLE_S = 3.0
-"""After a change the share is measured anew for this long."""
+"""After a change the share is measured again for this long."""
 
 
 @dataclass(slots=True)

@@ -45,7 +45,7 @@ class Channel(Protocol):
         """Hand `message` over; returns when it was taken.
 
         Raises:
-            ChannelError: it was not, or nobody knows.
+            ChannelError: it was not, or it is not known.
         """
 
 

@@ -1,7 +1,7 @@
 """What is still to be sent, per channel and in order, and which alarms were begun: bounded, and kept across restarts.
 
 Memory holds it, a small SQLite file holds the same. Where the disk takes nothing (it may be full: that is an alarm)
-messages leave all the same, and the file is written anew as soon as it can be.
+messages leave all the same, and the file is written again as soon as it can be.
 """
 
 from __future__ import annotations

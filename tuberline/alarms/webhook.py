@@ -16,7 +16,7 @@ from tuberline.alarms.channels import WITHIN_S, Address, ChannelError, RefusedEr
 from tuberline.alarms.message import AlarmMessage
 
 NEVER = frozenset({400, 413, 415, 422})
-"""Answers that say that this message is wrong; others (a wrong path, a wrong key) are mended at the server."""
+"""Answers that say that this message is wrong; others (a wrong path, a wrong key) are corrected at the server."""
 
 
 class Webhook:

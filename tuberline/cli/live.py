@@ -35,7 +35,7 @@ class Pace:
         self._seen: dict[str, deque[Counters]] = {}
 
     def update(self, nodes: Mapping[str, Counters]) -> None:
-        """Take the newest reports. A node that started again begins anew, one that is forgotten is forgotten here."""
+        """Take the newest reports. A node that started again begins again, one that is forgotten is forgotten here."""
         for name in self._seen.keys() - nodes.keys():
             del self._seen[name]
         for name, counters in nodes.items():
