@@ -56,22 +56,23 @@ class FileResult:
 
 def weigh_files(paths: Sequence[Path], options: FileOptions, weigher: Weigher) -> list[FileResult]:
     """One result per file, in order; a depth image and its mask given both are one."""
-    return [_weigh_file(path, options, weigher) for path in _once_per_pair(paths)]
+    return [weigh_file(path, options, weigher) for path in once_per_pair(paths)]
 
 
-def _once_per_pair(paths: Sequence[Path]) -> list[Path]:
-    kept: list[Path] = []
+def once_per_pair(paths: Sequence[Path]) -> list[Path]:
+    """The files that make one result each, in order: of a pair of images, the depth."""
+    kept: dict[Path, None] = {}
     for path in paths:
         try:
             entry = pair_of(path)[0] if path.suffix.lower() == ".png" else path
         except InputError:
             entry = path
-        if entry not in kept:
-            kept.append(entry)
-    return kept
+        kept[entry] = None
+    return list(kept)
 
 
-def _weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResult:
+def weigh_file(path: Path, options: FileOptions, weigher: Weigher) -> FileResult:
+    """The weight of one cloud or pair, or what is wrong with it."""
     try:
         cloud = prepare_file(path, options)
     except RefusedCloud as refusal:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.stoppable import leave, stoppable
+
+if TYPE_CHECKING:
+    from regressor.weigh.files import FileResult
 
 
 def weigh(
@@ -27,7 +31,8 @@ def weigh(
 ) -> None:
     """Weigh single clouds (.ply, .npz, .npy) or depth and mask pairs (.png) of one tuber each.
 
-    Exits with 2 if any file could not be weighed; the others are weighed all the same.
+    Exits with 2 if any file could not be weighed; the others are weighed all the same. Ctrl-C ends it with 130 and says
+    how many were weighed; those are shown, but with --json nothing is.
 
     Parameters
     ----------
@@ -50,11 +55,6 @@ def weigh(
     json
         Print a JSON list on stdout.
     """
-    import torch
-
-    from regressor.weigh.files import FileOptions, weigh_files
-    from regressor.weigh.weigher import Weigher
-
     if not 0.05 <= belt_distance_m <= 5.0:
         raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
     if not 0 <= belt_sd_mm <= 100:
@@ -62,16 +62,33 @@ def weigh(
             f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
         )
     check_resting(resting_offset_mm, resting_sd_mm)
-    torch.set_num_threads(1)
-    options = FileOptions(
-        belt_distance_m=belt_distance_m,
-        belt_sd_m=belt_sd_mm / 1000,
-        depth_scale_m=depth_scale_m,
-        intrinsics=intrinsics,
-        resting_offset_m=resting_offset_mm / 1000,
-        resting_sd_m=resting_sd_mm / 1000,
-    )
-    results = weigh_files(paths, options, Weigher.load(weights))
+    results: list[FileResult] = []
+    wanted = list(paths)
+
+    def how_far() -> str:
+        return f"stopped: {len(results)} of {len(wanted)} were weighed" + (", nothing was written" if json else "")
+
+    with stoppable(how_far) as stopped:
+        import torch
+
+        from regressor.weigh.files import FileOptions, once_per_pair, weigh_file
+        from regressor.weigh.weigher import Weigher
+
+        torch.set_num_threads(1)
+        options = FileOptions(
+            belt_distance_m=belt_distance_m,
+            belt_sd_m=belt_sd_mm / 1000,
+            depth_scale_m=depth_scale_m,
+            intrinsics=intrinsics,
+            resting_offset_m=resting_offset_mm / 1000,
+            resting_sd_m=resting_sd_mm / 1000,
+        )
+        wanted = once_per_pair(paths)
+        weigher = Weigher.load(weights)
+        for path in wanted:
+            results.append(weigh_file(path, options, weigher))  # noqa: PERF401 - what was weighed counts when stopped
+    if stopped.is_set() and (json or not results):
+        leave()
     if json:
         sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
     else:
@@ -80,6 +97,8 @@ def weigh(
         from tuberline.cli.weigh_table import weight_table
 
         Console().print(weight_table(results))
+    if stopped.is_set():
+        leave()
     failed = [result.error for result in results if result.error]
     if failed:
         raise InputError("\n".join(failed))

@@ -1,0 +1,76 @@
+"""Ctrl-C ends long work within a second, whatever it is doing, and leaves no output in halves."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells give it: 128 + SIGINT."""
+WITHIN_S = 0.7
+"""Compiled code (a network's layers, a compiler's run) sees no interrupt; after this the process ends without it."""
+
+
+@contextmanager
+def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
+    """Work that Ctrl-C may stop at any point; once it ended or was stopped Ctrl-C does nothing: output is whole.
+
+    Yields:
+        set when the work was stopped; what `how_far` says was written to stderr then.
+    """
+    stopped = threading.Event()
+    ended = threading.Event()
+    read, write = os.pipe()
+    os.set_blocking(write, False)
+    guard = threading.Thread(target=_leave_at_last, args=(read, ended, how_far), name="stop", daemon=True)
+    former = signal.signal(signal.SIGINT, _interrupt)
+    former_fd = signal.set_wakeup_fd(write, warn_on_full_buffer=False)  # told by the C handler, whatever is busy
+    guard.start()
+    try:
+        yield stopped
+    except KeyboardInterrupt:
+        stopped.set()
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN if stopped.is_set() else former)
+        signal.set_wakeup_fd(former_fd)
+        ended.set()
+        os.close(write)
+    if stopped.is_set():
+        sys.stderr.write(f"tuberline: {how_far()}\n")
+    else:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def leave() -> NoReturn:
+    """End the process after a stop. A library whose import was broken off may crash in the interpreter's goodbye."""
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(STOPPED)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not break into what the first one began
+    raise KeyboardInterrupt
+
+
+def _leave_at_last(read: int, ended: threading.Event, how_far: Callable[[], str]) -> None:
+    """Wait for the interrupt; end the process if the work has not ended by itself soon after."""
+    while True:
+        signals = os.read(read, 64)
+        if not signals:  # the work is over
+            os.close(read)
+            return
+        if signal.SIGINT in signals:
+            break
+    begun = time.monotonic()
+    if not ended.wait(WITHIN_S - (time.monotonic() - begun)):
+        os.write(2, f"tuberline: {how_far()}\n".encode())
+        os._exit(STOPPED)
