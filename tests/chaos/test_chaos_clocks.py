@@ -32,6 +32,7 @@ def with_clock_steps(recording: Path, out: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_steps_of_a_cameras_clock_cost_no_belt(live_recording: Path, tmp_path: Path) -> None:
     """2 s back made 299 of the next 300 frames too old; an hour back silenced its marks for an hour."""
     recording = with_clock_steps(live_recording, tmp_path / "recording")

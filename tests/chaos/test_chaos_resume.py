@@ -61,6 +61,7 @@ def test_a_router_that_dies_while_the_line_starts_changes_nothing(
     assert canonical(out) == canonical(run_dir)
 
 
+@pytest.mark.slow
 def test_a_replay_killed_with_its_supervisor_goes_on(recording: Path, run_dir: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     replay = begin(recording, out, "--speed", "0.15")

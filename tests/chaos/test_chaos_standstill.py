@@ -15,6 +15,7 @@ pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 STUCK = Path(__file__).parent / "stuck"
 
 
+@pytest.mark.slow
 def test_a_frozen_node_and_one_whose_loop_is_stuck_are_started_again(
     recording: Path, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

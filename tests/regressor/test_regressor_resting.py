@@ -70,8 +70,8 @@ def test_a_view_takes_the_level_of_its_own_tuber() -> None:
     small = ellipsoid_view((0.024, 0.022, 0.020)).resting_on(web)
     assert small.resting_offset_m > lying.resting_offset_m
     assert type(view).decode(lying.encode()).resting_offset_m == lying.resting_offset_m
-    with pytest.raises(MessageError, match=r"resting_offset_m is 0\.3"):
-        view.resting_on(RestingLevel("flat", 0.3))
+    with pytest.raises(MessageError, match=r"resting_offset_m: .*got 0\.3"):
+        view.resting_on(RestingLevel("flat", 0.3)).check()
     assert np.array_equal(view.belt_from_camera, straight_down_belt_from_camera(0.345))
 
 

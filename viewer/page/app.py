@@ -97,8 +97,11 @@ class Streams:
                 gone = tasks.create_task(_disconnected(receive))
                 tell = tasks.create_task(self._tell(send))
                 await asyncio.wait((gone, tell), return_when=asyncio.FIRST_COMPLETED)
+                ended = tell.done() and tell.exception() is None
                 gone.cancel()
                 tell.cancel()
+            if ended:
+                await send({"type": "http.response.body", "body": b""})
         except* TimeoutError:
             abort(scope["client"])
         finally:
