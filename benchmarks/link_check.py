@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -100,7 +101,8 @@ def measure(settings: LinkSettings, *, echoes: int = ECHOES, tcp_s: float = TCP_
             server.kill()
             server.wait()
     entered = there.entered + back.entered
-    at = [rtts_s[int(share * (len(rtts_s) - 1))] for share in (0.05, 0.5, 0.95)]
+    # Without a single echo no round trip has an end.
+    at = [rtts_s[int(share * (len(rtts_s) - 1))] if rtts_s else math.inf for share in (0.05, 0.5, 0.95)]
     return LinkFigures(
         rtt_ms=(1e3 * at[0], 1e3 * at[1], 1e3 * at[2]),
         round_trips_lost=1 - len(rtts_s) / echoes,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -133,6 +134,8 @@ def test_the_real_link_delays_loses_and_throttles_as_it_is_set() -> None:
         pytest.skip(f"the emulated link is not measured: {reason}")
     for _ in range(ATTEMPTS):
         seen = measure(LinkSettings(delay_s=0.050, loss=0.05), echoes=200, tcp_s=0.0)
+        if math.isinf(seen.rtt_ms[0]):  # the machine was too busy for a single echo
+            continue
         assert seen.rtt_ms[0] >= 100.0, "twice 50 ms"
         assert seen.round_trips_lost > 0.02, "two ways with 5 % each: 9.75 %"
         assert 0.01 < seen.packets_lost < 0.12

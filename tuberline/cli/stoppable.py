@@ -37,6 +37,11 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
         yield stopped
     except KeyboardInterrupt:
         stopped.set()
+    except SystemError as error:
+        # Compiled code that is interrupted, numba's for one, makes this of it.
+        if not _was_interrupt(error):
+            raise
+        stopped.set()
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN if stopped.is_set() else former)
         signal.set_wakeup_fd(former_fd)
@@ -46,6 +51,15 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
         sys.stderr.write(f"tuberline: {how_far()}\n")
     else:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _was_interrupt(error: BaseException | None) -> bool:
+    """Somewhere behind this error stands Ctrl-C."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def leave() -> NoReturn:

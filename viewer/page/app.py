@@ -74,7 +74,8 @@ class Streams:
         self._board.on_change = changed
 
     def stop(self) -> None:
-        """End every stream, from any thread."""
+        """End every stream, from any thread; the board's changes are heard no more."""
+        self._board.on_change = lambda: None
         self._stopping = True
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._wake)
