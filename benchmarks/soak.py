@@ -98,11 +98,19 @@ def loop(recording: Path, into: Path, *, for_s: float) -> Path:
             for lap in range(int(for_s * 1e9 / lap_ns) + 1):
                 for old, captured_ns, travel_m in rows:
                     file.write(f"{seq},{captured_ns + lap * lap_ns},{travel_m + lap * lap_m!r}\n")
-                    (target / "depth" / f"{seq:06d}.png").symlink_to(source.resolve() / "depth" / f"{old:06d}.png")
+                    same_file(source / "depth" / f"{old:06d}.png", target / "depth" / f"{seq:06d}.png")
                     seq += 1
     if (recording / "line.json").is_file():
         shutil.copy(recording / "line.json", into)
     return into
+
+
+def same_file(source: Path, target: Path) -> None:
+    """The same bytes under a second name: a hard link, or a copy on another disk (a recording refuses links that leave it)."""
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def soak(recording: Path, out: Path, *, for_s: float, kill_every_s: float) -> Watch:
