@@ -214,14 +214,33 @@ class AccessConfig(Section):
     operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
     keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
     encoders: tuple[str, ...] = Field((), description="who may tell the belt's travel")
+    gnss: tuple[str, ...] = Field((), description="receivers beside the line's own: who may tell where the machine is")
 
-    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "encoders")
+    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "encoders", "gnss")
     @classmethod
     def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:
             if name != "*":
                 _checked_name(name, "node")
         return names
+
+
+class GnssConfig(Section):
+    """The machine's GNSS receiver, and how the machine harvests: what a map of the field needs."""
+
+    source: str = Field(description="serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host or file:recorded.nmea")
+    name: str = Field("gnss", description="the receiver's name on the line")
+    width_m: float = Field(1.5, ge=0.2, le=50, description="working width of the share")
+    overlap_m: float = Field(0.0, ge=0, le=5, description="by how much a pass is meant to overlap the one before")
+    delay_s: float | None = Field(
+        None, ge=-60, le=600, description="from ground to camera; not given: found from the yields themselves"
+    )
+    antenna_ahead_m: float = Field(0.0, ge=-20, le=20, description="antenna in front of the share")
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, name: str) -> str:
+        return _checked_name(name, "receiver")
 
 
 class AlarmsConfig(Section):
@@ -275,6 +294,7 @@ class LineConfig(Section):
     aggregator: AggregatorConfig = AggregatorConfig()
     viewer: ViewerConfig | None = None
     alarms: AlarmsConfig | None = None
+    gnss: GnssConfig | None = None
 
     @field_validator("name")
     @classmethod

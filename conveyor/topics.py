@@ -201,10 +201,20 @@ TOTALS = Topic(
     "Totals",
     "what the load weighs so far, and how much of the belt was seen",
 )
+POSITION = Topic(
+    "position",
+    "position/<receiver>",
+    ("gnss",),
+    ("viewer", "recorder", "operator"),
+    Delivery.NEVER_LOST,
+    Priority.DATA_HIGH,
+    "Position",
+    "where the machine is, by its GNSS receiver",
+)
 COUNTERS = Topic(
     "counters",
     "counters/<role>/<name>",
-    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder"),
+    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder", "gnss"),
     ("aggregator", "viewer", "operator"),
     Delivery.KEPT,
     Priority.DATA_HIGH,
@@ -214,7 +224,7 @@ COUNTERS = Topic(
 ALIVE = Topic(
     "alive",
     "alive/<role>/<name>",
-    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder"),
+    ("camera", "segmenter", "regressor", "aggregator", "viewer", "recorder", "gnss"),
     ("segmenter", "aggregator", "viewer", "operator"),
     Delivery.TOKEN,
     Priority.REAL_TIME,
@@ -284,6 +294,7 @@ TOPICS: tuple[Topic, ...] = (
     COMMITTED,
     TUBER,
     TOTALS,
+    POSITION,
     COUNTERS,
     ALIVE,
     QUERY_TOTALS,

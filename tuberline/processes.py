@@ -21,6 +21,8 @@ def line_processes(config: LineConfig, *, config_path: Path, run: str, router: b
         specs += [ProcessSpec(f"{role}-{name}", (role, *common, "--camera", name)) for name in sorted(config.cameras)]
     if config.viewer is not None:
         specs.insert(2, ProcessSpec("viewer", ("viewer", *common)))
+    if config.gnss is not None:
+        specs.append(ProcessSpec("gnss", ("gnss", *common)))
     if config.alarms is not None:
         specs.append(ProcessSpec("alarms", ("alarms", str(config_path))))
     return specs

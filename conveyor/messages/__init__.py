@@ -2,6 +2,7 @@
 
 from conveyor.messages.base import Message
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.positions import Position
 from conveyor.messages.reports import Counters, Totals, Tuber
 from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, WeighedView
 from conveyor.messages.views import View, Weight
@@ -14,6 +15,7 @@ __all__ = [
     "FrameProgress",
     "Mark",
     "Message",
+    "Position",
     "Totals",
     "Track",
     "TrackEntry",

@@ -21,6 +21,7 @@ GROUPS: dict[str, Commands] = {
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export the ledger of a run."),
+        "map": ("tuberline.cli.map:map_field", "The field's yield in t/ha, from runs and positions."),
     },
     "Set up and run a line": {
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
@@ -57,6 +58,7 @@ PARTS: Commands = {
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
     "viewer": ("tuberline.cli.viewer:viewer", "Show the line in Rerun: a file or a live hub."),
     "recorder": ("tuberline.cli.nodes:recorder", "Record a line's frames to MCAP."),
+    "gnss": ("tuberline.cli.nodes:gnss", "Read the machine's GNSS receiver."),
     "alarms": ("tuberline.cli.alarms:alarms", "Send a line's alarms to webhooks, MQTT, mail, phones."),
     "metrics": ("tuberline.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
     "access": ("tuberline.cli.access:access", "Who may do what: the router's rules, from the topics."),

@@ -45,6 +45,22 @@ def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "re
     sys.stdout.write(f"{written} frames in {out}\n")
 
 
+def gnss(*, config: Path, run: str | None = None) -> None:
+    """Read the machine's GNSS receiver: positions onto the line and into positions.csv beside the ledger.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file, with [gnss].
+    run
+        Id of this run.
+    """
+    from camera_sim.gnss.node import run_gnss
+    from conveyor.config import load_config
+
+    run_gnss(load_config(config), run=run or _new_run())
+
+
 def regressor(*, config: Path, name: str, run: str) -> None:
     """Weigh views; any number of regressors, anywhere.
 

@@ -1,0 +1,122 @@
+"""The receiver's process: each position into positions.csv of the run, then onto the line; it comes back by itself."""
+
+from __future__ import annotations
+
+import time
+
+from camera_sim.gnss.receivers import Receiver, open_receiver
+from conveyor import topics
+from conveyor.config import GnssConfig, LineConfig
+from conveyor.delivery import ReliablePublisher
+from conveyor.errors import ConfigError, DeviceError
+from conveyor.formats.nmea import Fix, NmeaFixes
+from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter
+from conveyor.messages import Position
+from conveyor.node import Node
+
+BACK_OFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
+SILENT_AFTER_S = 10.0
+"""A receiver that says nothing for so long is opened again."""
+COUNTED = ("positions", "no_fix", "lines_refused", "receiver_lost", "receiver_silent")
+
+
+class GnssNode:
+    """One receiver of a line, until it is stopped."""
+
+    def __init__(self, config: LineConfig, settings: GnssConfig, *, run: str) -> None:
+        self._settings = settings
+        self._node = Node("gnss", settings.name, config=config, run=run)
+        self._path = config.aggregator.out / POSITIONS_FILE
+        self._fixes = NmeaFixes()
+        self._refused = 0
+
+    def run(self) -> None:
+        """Read, keep and publish; a receiver that is gone is opened again, with back-off, for ever."""
+        with PositionsWriter(self._path) as file, self._node as node:
+            out = ReliablePublisher(node, topics.POSITION, receiver=node.name)
+            for counter in COUNTED:
+                node.counters.add(counter, 0)
+            tried = 0
+            while not node.stop.is_set():
+                try:
+                    receiver = open_receiver(self._settings.source, wait=self._rest)
+                    tried = 0
+                    self._read(receiver, file, out)
+                except DeviceError as error:
+                    pause_s = BACK_OFF_S[min(tried, len(BACK_OFF_S) - 1)]
+                    node.counters.add("receiver_lost")
+                    node.log.warning("%s; tried again in %g s", error, pause_s)
+                    self._rest(pause_s)
+                    tried += 1
+                except EOFError:
+                    node.log.info("the recorded positions end: %d positions", file.rows)
+                    while not self._rest(1.0):
+                        pass
+
+    def _read(self, receiver: Receiver, file: PositionsWriter, out: ReliablePublisher) -> None:
+        heard_s = time.monotonic()
+        try:
+            while not self._node.stop.is_set():
+                self._node.progress()
+                line = receiver.read()
+                if line is None:
+                    if time.monotonic() - heard_s > SILENT_AFTER_S:
+                        self._node.counters.add("receiver_silent")
+                        raise DeviceError(
+                            f"GNSS receiver {self._settings.source} said nothing for {SILENT_AFTER_S:g} s"
+                        )
+                    continue
+                heard_s = time.monotonic()
+                fix = self._fixes.push(line)
+                if fix is not None:
+                    self._tell(fix, file, out)
+                self._count_refused()
+        finally:
+            receiver.close()
+
+    def _tell(self, fix: Fix, file: PositionsWriter, out: ReliablePublisher) -> None:
+        """Durable first, then told."""
+        position = Position(
+            receiver=self._node.name,
+            run=self._node.run,
+            n=file.rows,
+            time_ns=time.time_ns(),
+            fix_ns=fix.fix_ns,
+            lat_deg=fix.lat_deg,
+            lon_deg=fix.lon_deg,
+            quality=fix.quality,
+            hdop=fix.hdop,
+            satellites=fix.satellites,
+        )
+        position.check()
+        row = (position.time_ns, fix.fix_ns, fix.lat_deg, fix.lon_deg, fix.quality, fix.hdop, fix.satellites)
+        file.write(row)
+        out.put(position)
+        self._node.counters.add("positions")
+        self._node.counters.add("no_fix", int(fix.quality == 0))
+
+    def _count_refused(self) -> None:
+        refused = self._fixes.refused.total()
+        if refused > self._refused:
+            self._node.counters.add("lines_refused", refused - self._refused)
+            self._refused = refused
+
+    def _rest(self, seconds: float) -> bool:
+        """Sleep; True when the node is to stop."""
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0:
+            if self._node.stop.wait(min(left_s, 0.5)):
+                return True
+            self._node.progress()
+        return self._node.stop.is_set()
+
+
+def run_gnss(config: LineConfig, *, run: str) -> None:
+    """Read the line's receiver until stopped.
+
+    Raises:
+        ConfigError: the line has no [gnss].
+    """
+    if config.gnss is None:
+        raise ConfigError('this line has no [gnss]; add it with source = "serial:/dev/ttyACM0" or the like')
+    GnssNode(config, config.gnss, run=run).run()

@@ -1,0 +1,175 @@
+"""Files of a machine's positions: our own positions.csv, and what others write: CSV, NMEA logs, GPX.
+
+Our own file has one row per position, added and synced one by one, each with the CRC-32 of what stands before it; a
+last row that a power cut left half-written is left out, and damage anywhere else is an error.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import zlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+from xml.etree import ElementTree
+
+from conveyor.errors import InputError, StorageError
+from conveyor.files import told
+from conveyor.formats.nmea import NmeaFixes
+
+POSITIONS_FILE = "positions.csv"
+COLUMNS = ("n", "time_ns", "fix_ns", "lat_deg", "lon_deg", "quality", "hdop", "satellites", "crc")
+_LATITUDE = ("lat_deg", "lat", "latitude")
+_LONGITUDE = ("lon_deg", "lon", "long", "lng", "longitude")
+_TIME = ("time_ns", "time_s", "time", "timestamp", "datetime", "utc")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One row of a track: Unix time in nanoseconds, WGS84 degrees, quality as in NMEA's GGA (0: no fix)."""
+
+    time_ns: int
+    lat_deg: float
+    lon_deg: float
+    quality: int
+
+
+def read_positions(path: Path) -> list[Place]:
+    """All positions of a file, in its order; of positions.csv as it was written, of others by their columns.
+
+    Raises:
+        InputError: not readable, no known format, damaged, or no position in it.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"track {told(error, path)}") from error
+    if path.suffix.lower() == ".gpx" or data.lstrip()[:5] == b"<?xml" or data.lstrip()[:4] == b"<gpx":
+        places = list(_gpx(data, path))
+    elif data.lstrip()[:1] == b"$":
+        places = list(_nmea(data))
+    else:
+        places = list(_table(data, path))
+    if not places:
+        raise InputError(f"track {path} holds no position")
+    return places
+
+
+class PositionsWriter:
+    """positions.csv of a run, added to by one process. Use as a context manager."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> Self:
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self.rows = _whole_rows(self._path) if self._path.exists() else 0
+            self._file = self._path.open("ab")
+            if self._file.tell() == 0:
+                self._add(",".join(COLUMNS))
+        except OSError as error:
+            raise StorageError(f"positions {told(error, self._path)}") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def write(self, values: Iterable[object]) -> None:
+        """Add one row, `COLUMNS` without n and crc, durably.
+
+        Raises:
+            StorageError: the disk is full or reports an error.
+        """
+        text = ",".join(str("" if value is None else value) for value in (self.rows, *values))
+        try:
+            self._add(f"{text},{zlib.crc32(text.encode())}")
+        except OSError as error:
+            raise StorageError(f"positions {told(error, self._path)}") from error
+        self.rows += 1
+
+    def _add(self, line: str) -> None:
+        self._file.write(line.encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def _whole_rows(path: Path) -> int:
+    """How many rows the file holds; a last one that is not whole is cut off."""
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole < len(data):
+        with path.open("r+b") as file:
+            file.truncate(whole)
+    return max(data.count(b"\n") - 1, 0)
+
+
+def _table(data: bytes, path: Path) -> Iterator[Place]:
+    text = data.decode("utf-8", errors="replace")
+    whole = text[: text.rfind("\n") + 1] if text.startswith(",".join(COLUMNS)) else text
+    rows = csv.DictReader(io.StringIO(whole))
+    names = {name.strip().lower(): name for name in rows.fieldnames or () if name}
+    found = [next((names[name] for name in known if name in names), None) for known in (_TIME, _LATITUDE, _LONGITUDE)]
+    if None in found:
+        raise InputError(
+            f"track {path} has the columns {', '.join(names) or 'none'}; needed are a time ({', '.join(_TIME)}), a "
+            f"latitude ({', '.join(_LATITUDE)}) and a longitude ({', '.join(_LONGITUDE)}), or a GPX or NMEA file"
+        )
+    time, lat, lon = (str(name) for name in found)
+    for number, row in enumerate(rows, start=2):
+        if "crc" in names:
+            _check(row, path, number)
+        try:
+            quality = int(row[names["quality"]] or 0) if "quality" in names else 1
+            yield Place(_time_ns(row[time], time.strip().lower()), float(row[lat]), float(row[lon]), quality)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"track {path}, line {number}: {error}") from error
+
+
+def _check(row: dict[str, str], path: Path, number: int) -> None:
+    text = ",".join(row.get(name) or "" for name in COLUMNS[:-1])
+    if str(zlib.crc32(text.encode())) != row.get("crc"):
+        raise InputError(f"track {path}, line {number} is damaged: its checksum is not that of its values")
+
+
+def _time_ns(text: str, column: str) -> int:
+    """Nanoseconds, seconds or ISO 8601, by the column's name and the value."""
+    if column == "time_ns":
+        return int(text)
+    try:
+        return round(float(text) * 1000) * 1_000_000
+    except ValueError:
+        at = datetime.fromisoformat(text.strip())
+        return round((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp() * 1000) * 1_000_000
+
+
+def _nmea(data: bytes) -> Iterator[Place]:
+    fixes = NmeaFixes()
+    for line in data.splitlines():
+        fix = fixes.push(line)
+        if fix is not None:
+            yield Place(fix.fix_ns, fix.lat_deg, fix.lon_deg, fix.quality)
+
+
+def _gpx(data: bytes, path: Path) -> Iterator[Place]:
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        raise InputError(f"track {path} is no GPX file: {error}") from error
+    for point in root.iter():
+        if point.tag.rpartition("}")[2] != "trkpt":
+            continue
+        at = next((part.text for part in point if part.tag.rpartition("}")[2] == "time"), None)
+        if at is None:
+            raise InputError(f"track {path}: a trkpt has no time; a map needs one for each position")
+        try:
+            yield Place(_time_ns(at, "time"), float(point.get("lat", "")), float(point.get("lon", "")), 1)
+        except ValueError as error:
+            raise InputError(f"track {path}: {error}") from error

@@ -1,0 +1,121 @@
+"""Maps of fields with known patterns; a delay that was put into a real yield log is found again."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.yield_map.cells import cells_of, factors_to_one_scale
+from aggregator.yield_map.delay import delays
+from aggregator.yield_map.ground import harvest_in_order
+from aggregator.yield_map.points import Crop, Machine, Points, Unused, cleaned, yield_points
+from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
+from camera_sim.sim.field import FieldWorld, MachineDay, simulate_field
+from conveyor.errors import InputError
+
+pytest.importorskip("pyproj")
+
+WORLD = FieldWorld(size_m=(30.0, 90.0), scales=(1.0, 1.06), shown_share=0.5, outages=1)
+SEED = 7301
+INCH_M = 0.0254
+
+
+def track_of(day: MachineDay) -> Track:
+    return Track(day.time_ns, day.lat_deg, day.lon_deg, day.quality)
+
+
+@pytest.fixture(scope="module")
+def mapped() -> list[tuple[Points, Points]]:
+    """(raw, cleaned) points of both machines of a field."""
+    sys.stdout.write(f"seed {SEED}\n")
+    found = []
+    days = simulate_field(WORLD, seed=SEED).machines
+    plane = plane_of(track_of(days[0]))
+    for day in days:
+        crop = Crop(day.crossed_ns / 1e9, day.kg_each, 0.08 * day.kg_each)
+        points, lost_kg = yield_points(
+            believed(track_of(day), plane), crop, Machine(WORLD.width_m, WORLD.delay_s, WORLD.overlap_m)
+        )
+        assert points.kg.sum() + lost_kg == pytest.approx(day.kg_each.sum()), "every kilogram is somewhere"
+        found.append((points, cleaned(points)))
+    return found
+
+
+def test_cleaning_keeps_every_point_and_gives_each_left_out_a_reason(mapped: list[tuple[Points, Points]]) -> None:
+    for raw, clean in mapped:
+        assert (raw.kg == clean.kg).all()
+        assert set(clean.unused) <= {str(reason) for reason in Unused}
+        assert clean.reasons()[Unused.TURNING] > 30
+        assert clean.reasons()[Unused.POSITION] == raw.reasons()[Unused.POSITION] > 0
+        assert clean.used.sum() + sum(clean.reasons().values()) == len(clean.time_s)
+
+
+def test_the_map_is_the_field(mapped: list[tuple[Points, Points]]) -> None:
+    field = simulate_field(WORLD, seed=SEED)
+    factors = factors_to_one_scale([clean for _, clean in mapped], width_m=WORLD.width_m)
+    assert factors[0] / factors[1] == pytest.approx(1.06, rel=0.02)
+    cells = cells_of([clean for _, clean in mapped], cell_m=10)
+    plane = plane_of(track_of(field.machines[0]))
+    corner = plane.to_metres(np.array([WORLD.origin_lat_deg]), np.array([WORLD.origin_lon_deg]))[0]
+    truth, known = field.t_ha(cells.centres_m() - corner), np.isfinite(cells.t_ha)
+    assert known.sum() >= 24
+    assert np.corrcoef(truth[known], cells.t_ha[known])[0, 1] > 0.93
+    assert cells.mean_t_ha == pytest.approx(truth[known].mean() * np.mean(WORLD.scales), rel=0.03)
+    used_kg = sum(clean.kg[clean.used & (clean.ground.area_m2 > 0)].sum() for _, clean in mapped)
+    assert cells.kg.sum() == pytest.approx(used_kg)
+
+
+def test_ground_is_lifted_once() -> None:
+    """Two strips of 3 m, the second half over the first: 1.5 m of it are new, and a third over both lifts nothing."""
+    start = np.array([[0.0, 0.0], [1.5, 0.0], [0.75, 0.0]])
+    end = start + np.array([0.0, 20.0])
+    ground = harvest_in_order(start, end, width_m=3.0, known=np.ones(3, dtype=bool))
+    assert ground.swept_m2 == pytest.approx([60, 60, 60])
+    assert ground.area_m2 == pytest.approx([60, 30, 0], abs=2.0)
+    assert len(np.unique(ground.square, axis=0)) == len(ground.square)
+
+
+def test_positions_that_cannot_be_are_left_out_and_counted() -> None:
+    plane = FieldPlane(52.0, 5.0)
+    lat, lon = plane.to_degrees(np.stack([np.zeros(8), np.arange(8) * 1.5], axis=1))
+    lat[3] += 0.01  # a kilometre
+    times = np.array([0, 1, 2, 3, 4, 4, 6, 60]) * 1_000_000_000
+    quality = np.array([4, 4, 0, 4, 4, 4, 4, 4], dtype=np.uint8)
+    path = believed(Track(times, lat, lon, quality), plane)
+    assert path.faults == {
+        "no fix": 1,
+        "jumps farther than the machine can drive": 1,
+        "time stands still or goes back": 1,
+    }
+    assert path.known(np.array([-1.0, 0.5, 3.0, 5.0, 30.0, 61.0])).tolist() == [False, True, True, True, False, False]
+    with pytest.raises(InputError, match="no fix among them"):
+        plane_of(Track(times, lat, lon, np.zeros(8, dtype=np.uint8)))
+
+
+def test_a_delay_put_into_a_real_log_is_found_within_a_second(shared: Path) -> None:
+    """By opposite passes and by starts and stops, each for itself; the two agree on the log as it is."""
+    path, crop = real_log(shared)
+    log = delays(path, crop, width_m=360 * INCH_M)
+    assert abs(log[0].delay_s - log[1].delay_s) < 2, log
+    for injected_s in (9.0, 24.0):
+        late = Crop(crop.time_s + injected_s, crop.kg, crop.sd_kg)
+        found = delays(path, late, width_m=360 * INCH_M)
+        assert [delay.by for delay in found] == [delay.by for delay in log]
+        for before, after in zip(log, found, strict=True):
+            assert after.delay_s - before.delay_s == pytest.approx(injected_s, abs=1.0), after
+
+
+def real_log(shared: Path):  # type: ignore[no-untyped-def]
+    """A combine's path, and its crop as one reading every three seconds."""
+    with (shared / "data" / "yield_log" / "gartner.corn.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    time_s, mass, seconds, lat, lon = (
+        np.array([float(row[name]) for row in rows]) for name in ("time", "mass", "seconds", "lat", "long")
+    )
+    track = Track((time_s * 1e9).astype(np.int64), lat, lon, np.ones(len(rows), dtype=np.uint8))
+    kg = mass * seconds * 0.4536
+    return believed(track, plane_of(track)), Crop(time_s, kg, 0.1 * kg)

@@ -1,0 +1,179 @@
+"""A GNSS receiver on a line: sentences of several talkers, a receiver that goes and comes, and what is kept."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pynmeagps")
+
+from camera_sim.gnss.receivers import open_receiver
+from conveyor.config import LineConfig, LinkConfig, dump_toml
+from conveyor.errors import ConfigError, DeviceError, InputError, StorageError
+from conveyor.formats.nmea import NmeaFixes
+from conveyor.formats.positions import COLUMNS, PositionsWriter, read_positions
+from conveyor.observer import Observer
+from tests.conftest import wait_until
+
+START = datetime(2026, 9, 14, 23, 59, 57, tzinfo=UTC)
+
+
+def sentence(body: str) -> bytes:
+    checksum = 0
+    for byte in body.encode():
+        checksum ^= byte
+    return f"${body}*{checksum:02X}\r\n".encode()
+
+
+def rmc(clock: str, date: str, talker: str = "GN") -> bytes:
+    return sentence(f"{talker}RMC,{clock},A,5242.0000,N,00545.0000,E,2.7,0.0,{date},,,A")
+
+
+def gga(clock: str, *, lat: str = "5242.0000", quality: int = 4, talker: str = "GN") -> bytes:
+    place = f"{lat},N,00545.0000,E" if quality else ",,,"
+    return sentence(f"{talker}GGA,{clock},{place},{quality},14,0.7,3.1,M,45.0,M,,")
+
+
+def test_sentences_become_positions_over_midnight_and_without_a_fix() -> None:
+    fixes = NmeaFixes()
+    assert fixes.push(gga("235957.00")) is None, "there is no date yet"
+    assert fixes.push(rmc("235957.00", "140926")) is None
+    found = [
+        fixes.push(gga(clock, quality=q, talker=t)) for clock, q, t in [("235958.00", 4, "GN"), ("000000.20", 0, "GP")]
+    ]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].fix_ns == (int(START.timestamp()) + 1) * 10**9
+    assert (found[0].lat_deg, found[0].lon_deg, found[0].quality, found[0].satellites) == (52.7, 5.75, 4, 14)
+    assert found[1].fix_ns - found[0].fix_ns == 2_200_000_000, "midnight lies between"
+    assert (found[1].quality, found[1].lat_deg) == (0, 0.0)
+    bad = gga("000001.00")[:-5] + b"00\r\n"
+    for line in (
+        b"garbage\n",
+        bad,
+        b"$GNGGA,,,\r\n",
+        b"\x00\xff" * 600,
+        sentence("GNGGA,xx,5242,N,1,E,4,1,1,1,M,1,M,,"),
+    ):
+        assert fixes.push(line) is None
+    assert fixes.refused.total() == 6, fixes.refused
+
+
+def test_positions_are_kept_row_by_row_and_damage_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "positions.csv"
+    with PositionsWriter(path) as file:
+        for second in range(3):
+            file.write((10**18 + second * 10**9, 10**18, 52.7, 5.75 + second * 1e-5, 4, 0.7, 14))
+    whole = path.read_bytes()
+    path.write_bytes(whole + b"3,1000000003000000000,10000")  # the power went
+    assert [place.time_ns for place in read_positions(path)] == [10**18 + n * 10**9 for n in range(3)]
+    with PositionsWriter(path) as file:
+        assert file.rows == 3
+        file.write((10**18 + 3 * 10**9, 10**18, 52.7, 5.75, 0, None, 0))
+    assert [place.quality for place in read_positions(path)] == [4, 4, 4, 0]
+    assert path.read_bytes().startswith(",".join(COLUMNS).encode())
+    path.write_bytes(path.read_bytes().replace(b"52.7,5.75001", b"52.7,5.75091"))
+    with pytest.raises(InputError, match="line 3 is damaged"):
+        read_positions(path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError), PositionsWriter(tmp_path / "file" / "positions.csv"):
+        pass
+
+
+def test_tracks_of_others_are_read(tmp_path: Path) -> None:
+    point = '<trkpt lat="52.7" lon="5.75"><time>{}</time></trkpt>'
+    gpx = f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{point}'
+    files = {
+        "a.gpx": (gpx.format("2026-09-14T10:00:00Z") + "</trkseg></trk></gpx>").encode(),
+        "b.csv": b"time,latitude,longitude\n2026-09-14T10:00:00+00:00,52.7,5.75\n",
+        "c.csv": b"timestamp,lat,long\n1789380000,52.7,5.75\n",
+        "d.nmea": rmc("100000.00", "140926") + gga("100000.00"),
+    }
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+        (place,) = read_positions(tmp_path / name)
+        assert (place.time_ns, place.lat_deg, place.lon_deg) == (1789380000 * 10**9, 52.7, 5.75), name
+    for text, told in (
+        ("a,b\n1,2\n", "needed are a time"),
+        ("time,lat,lon\nnoon,1,2\n", "line 2"),
+        ("<gpx>", "no GPX"),
+    ):
+        (tmp_path / "bad").write_text(text)
+        with pytest.raises(InputError, match=told):
+            read_positions(tmp_path / "bad")
+
+
+def test_a_source_that_is_none_or_not_there_is_told() -> None:
+    with pytest.raises(ConfigError, match="allowed are serial:"):
+        open_receiver("bluetooth:gps", wait=lambda s: False)
+    with pytest.raises(DeviceError, match="cannot be opened"):
+        open_receiver("serial:/dev/no-such-port", wait=lambda s: False)
+
+
+@contextmanager
+def receiver(port: int, greeting: bytes, clocks: list[str]) -> Iterator[list[bytes]]:
+    """A server that answers each client with the sentences of `clocks` and hangs up after them; what clients said."""
+    said: list[bytes] = []
+    server = socket.create_server(("127.0.0.1", port))
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = server.accept()
+                with client:
+                    client.settimeout(5)
+                    if greeting:
+                        said.append(client.recv(100))
+                    client.sendall(rmc("100000.00", "140926"))
+                    for clock in clocks:
+                        client.sendall(gga(clock))
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield said
+    finally:
+        server.close()
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("scheme", ["tcp", "gpsd"])
+def test_a_receiver_that_hangs_up_is_asked_again_and_all_is_kept(link: LinkConfig, tmp_path: Path, scheme: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    config = LineConfig.model_validate(
+        {"link": link, "aggregator": {"out": tmp_path}, "gnss": {"source": f"{scheme}://127.0.0.1:{port}"}}
+    )
+    (tmp_path / "line.toml").write_text(dump_toml(config))
+    node = subprocess.Popen(
+        [sys.executable, "-m", "tuberline", "gnss", "--config", tmp_path / "line.toml", "--run", "r"]
+    )
+    try:
+        with Observer(link, line=config.name) as observer:
+
+            def counted(name: str) -> int:
+                counters = observer.nodes().get("gnss/gnss")
+                return 0 if counters is None else counters.count(name)
+
+            wait_until(lambda: counted("receiver_lost") >= 1, what="a receiver that is not there yet")
+            clocks = ["100001.00", "100002.00", "100003.00"]
+            with receiver(port, b"?WATCH" if scheme == "gpsd" else b"", clocks) as said:
+                wait_until(lambda: counted("positions") >= 6, what="positions of two connections")
+            if scheme == "gpsd":
+                assert said[0].startswith(b'?WATCH={"enable":true,"nmea":true}')
+        node.send_signal(signal.SIGTERM)
+        assert node.wait(30) == 0
+    finally:
+        node.kill()
+    places = read_positions(tmp_path / "positions.csv")
+    assert len(places) >= 6
+    assert {place.quality for place in places} == {4}

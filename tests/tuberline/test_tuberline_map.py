@@ -1,0 +1,89 @@
+"""`tuberline map` on ledgers of a simulated field: the picture, the numbers, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.written_run import write_run
+from camera_sim.sim.field import FieldWorld, simulate_field
+from conveyor.errors import InputError
+from tuberline.cli.map import map_field
+
+pytest.importorskip("pyproj")
+pytest.importorskip("matplotlib")
+
+WORLD = FieldWorld(size_m=(24.0, 80.0), scales=(1.0, 1.08), shown_share=0.1, outages=1, stop_every_s=60, stop_s=15)
+SEED = 7302
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two machines' runs of one field, each with its track as positions of another maker's file."""
+    sys.stdout.write(f"seed {SEED}\n")
+    folder = tmp_path_factory.mktemp("field")
+    for number, day in enumerate(simulate_field(WORLD, seed=SEED).machines):
+        run = folder / f"machine-{number}"
+        write_run(run, run=run.name, crossed_ns=day.crossed_ns, weight_g=day.kg_each * 1000)
+        rows = zip(day.time_ns / 1e9, day.lat_deg, day.lon_deg, day.quality, strict=True)
+        lines = [
+            "time_s,latitude,longitude,quality",
+            *(",".join(map(repr, map(float, row[:3]))) + f",{row[3]}" for row in rows),
+        ]
+        (run / "track.csv").write_text("\n".join(lines) + "\n")
+    return sorted(folder.iterdir())
+
+
+def test_two_machines_make_one_map(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tracks = [run / "track.csv" for run in runs]
+    out = tmp_path / "map.png"
+    map_field(runs, track=tracks, width_m=3.0, overlap_m=0.1, cell_m=8.0, out=out, json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["mean_t_ha"] == pytest.approx(
+        sum(cell["kg"] for cell in told["cells"]) / sum(c["area_m2"] for c in told["cells"]) * 10
+    )
+    first, second = told["runs"]
+    assert first["factor"] / second["factor"] == pytest.approx(1.08, rel=0.08), "a tenth of the tubers are weighed"
+    for run in told["runs"]:
+        assert run["delay_s"] == pytest.approx(WORLD.delay_s, abs=2.5)
+        assert run["points_unused"]["turning"] > 0
+    assert all(cell["low_t_ha"] <= cell["t_ha"] <= cell["high_t_ha"] for cell in told["cells"])
+    picture = cv2.imread(str(out))
+    assert picture is not None
+    assert np.std(picture) > 10, "something is drawn"
+
+
+def test_the_command_as_typed(runs: list[Path], tmp_path: Path) -> None:
+    arguments = ["map", runs[0], "--track", runs[0] / "track.csv", "--width-m", "3", "--out", tmp_path / "map.rrd"]
+    done = subprocess.run([sys.executable, "-m", "tuberline", *arguments], capture_output=True, text=True, check=True)
+    assert "t/ha" in done.stdout
+    assert "seconds used" in done.stdout
+    assert (tmp_path / "map.rrd").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, "a map needs the working width"),
+        ({"width_m": 3}, "has no positions.csv"),
+        ({"width_m": 3, "track": 2}, "give one --track for each run"),
+        ({"width_m": 0.05, "track": 1}, "working width is 0.05 m; allowed are 0.2 to 50 m"),
+        ({"width_m": 3, "track": 1, "track_shift_s": 90000}, "another day's track"),
+        ({"width_m": 3, "track": 1, "delay_s": 9000}, "allowed are -60 to 600 s"),
+        ({"width_m": 3, "track": 1, "cell_m": 0.1}, "allowed are 1 to 1000 m"),
+    ],
+)
+def test_what_cannot_be_mapped_is_one_sentence(
+    runs: list[Path], given: dict[str, Any], told: str, tmp_path: Path
+) -> None:
+    track = [runs[0] / "track.csv"] * given.pop("track", 0)
+    with pytest.raises(InputError, match=told):
+        map_field([runs[0]], track=track, **given, out=tmp_path / "map.png")
+    assert not (tmp_path / "map.png").exists()

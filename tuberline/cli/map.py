@@ -1,0 +1,95 @@
+"""`tuberline map`: the field's yield in t/ha."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+
+def map_field(
+    runs: Annotated[list[Path], Parameter(name="runs", show_default=False)],
+    /,
+    *,
+    track: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
+    width_m: float | None = None,
+    overlap_m: float | None = None,
+    delay_s: float | None = None,
+    antenna_ahead_m: float | None = None,
+    cell_m: float = 10.0,
+    track_shift_s: float = 0.0,
+    raw: bool = False,
+    smooth: bool = False,
+    out: Path | None = None,
+    title: str | None = None,
+    json: bool = False,
+) -> None:
+    """Map a field's yield in t/ha from one or more runs and the machine's positions.
+
+    Width, overlap, delay and antenna are those of [gnss] in the line.toml beside the ledger, where they are not given.
+    Several machines in one field are brought to one scale. Points that are left out keep their reason (--json).
+
+    Parameters
+    ----------
+    runs
+        Folders of runs (with their ledger.db), or ledgers: all of one field.
+    track
+        Positions of each run, in their order: CSV, NMEA or GPX; default: positions.csv beside each ledger.
+    width_m
+        Working width, metres.
+    overlap_m
+        By how much a pass is meant to overlap the one before, metres.
+    delay_s
+        From ground to camera, seconds; default: found from the yields.
+    antenna_ahead_m
+        How far the antenna is in front of the share, metres.
+    cell_m
+        Side of a cell, metres.
+    track_shift_s
+        Added to the track's times, where its clock differs from the cameras'.
+    raw
+        Use every point that has a place.
+    smooth
+        A smooth surface (kriging) instead of each cell by itself.
+    out
+        Picture to write: .png, .svg, .pdf; or .rrd for Rerun. Default: map.png beside the first ledger.
+    title
+        Over the picture.
+    json
+        Print the map as JSON on stdout and draw only what --out names.
+    """
+    from aggregator.ledger.reader import ledger_file
+    from tuberline.maps.field import field_map
+    from tuberline.maps.settings import settings_of
+
+    settings = settings_of(
+        runs,
+        width_m=width_m,
+        overlap_m=overlap_m,
+        delay_s=delay_s,
+        antenna_ahead_m=antenna_ahead_m,
+        cell_m=cell_m,
+        track_shift_s=track_shift_s,
+        clean=not raw,
+        smooth=smooth,
+    )
+    field = field_map(runs, track or [], settings)
+    if out is not None or not json:
+        target = out or ledger_file(runs[0]).parent / "map.png"
+        if target.suffix == ".rrd":
+            from tuberline.maps.in_rerun import write_rrd
+
+            write_rrd(field, target)
+        else:
+            from tuberline.maps.picture import draw_map
+
+            draw_map(field, target, title=title or "Yield")
+        if not json:
+            from tuberline.maps.told import print_map
+
+            print_map(field, out=target)
+    if json:
+        sys.stdout.write(json_module.dumps(field.as_dict()) + "\n")

@@ -1,0 +1,263 @@
+"""From runs and tracks to one field's map."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.reader import (
+    LedgerView,
+    RunRow,
+    coverage_of,
+    ledger_file,
+    read_summary,
+    read_sums,
+    read_tubers,
+    reading,
+    the_run,
+)
+from aggregator.yield_map.cells import YieldMap, cells_of, check_cell, factors_to_one_scale
+from aggregator.yield_map.delay import Delay, delays
+from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
+from aggregator.yield_map.smooth import smoothed
+from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
+from conveyor.errors import InputError
+from conveyor.formats.positions import POSITIONS_FILE, read_positions
+from conveyor.messages import Totals
+from conveyor.messages.base import plain
+from conveyor.statistics import NORMAL_90
+
+SUREST_SD_S = 3.0
+"""A delay that is found less surely than this is not used."""
+LEAST_SHARPNESS = 1.3
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How the map is made; metres and seconds. `delay_s` None: found from the yields. `clean` False keeps every point
+    that has a place."""
+
+    width_m: float
+    overlap_m: float = 0.0
+    delay_s: float | None = None
+    antenna_ahead_m: float = 0.0
+    cell_m: float = 10.0
+    track_shift_s: float = 0.0
+    clean: bool = True
+    smooth: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MachineShare:
+    """What one run gave to the map.
+
+    Attributes:
+        run: its id.
+        delay: by which the crop lags behind the ground; `by` 'given' where it was set.
+        points: its yield points, each with the reason why it is not used.
+        factor: by what its kilograms were multiplied to meet the other runs.
+        faults: positions not used, by reason.
+        lost_kg: what passed the camera while the machine's place was not known.
+        kg: all that its ledger holds, made up for belt that was not seen.
+    """
+
+    run: str
+    delay: Delay
+    points: Points
+    factor: float
+    faults: dict[str, int]
+    lost_kg: float
+    kg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldMap:
+    """The map and what it was made of."""
+
+    cells: YieldMap
+    plane: FieldPlane
+    shares: tuple[MachineShare, ...]
+    settings: Settings
+
+    def as_dict(self) -> dict[str, Any]:
+        """What `tuberline map --json` prints: the cells, and how they came about."""
+        cells = self.cells
+        centres = cells.centres_m().reshape(-1, 2)
+        lat, lon = self.plane.to_degrees(centres)
+        known = np.flatnonzero(np.isfinite(cells.t_ha.ravel()))
+        columns = (cells.t_ha, cells.low_t_ha, cells.high_t_ha, cells.kg, cells.area_m2, cells.count)
+        names = ("t_ha", "low_t_ha", "high_t_ha", "kg", "area_m2", "tubers")
+        return {
+            "mean_t_ha": cells.mean_t_ha,
+            "shared_percent": cells.shared_percent,
+            "cell_m": cells.cell_m,
+            "runs": [_told(share) for share in self.shares],
+            "cells": [
+                {
+                    "lat_deg": float(lat[i]),
+                    "lon_deg": float(lon[i]),
+                    **{name: float(column.ravel()[i]) for name, column in zip(names, columns, strict=True)},
+                }
+                for i in known
+            ],
+        }
+
+
+def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) -> FieldMap:
+    """The map of one field.
+
+    Args:
+        runs: folders of runs, or ledgers, with one run each.
+        tracks: one file of positions per run, in their order; empty: each run's own positions.csv.
+
+    Raises:
+        InputError: a run without positions or without tubers, or positions that cannot be used.
+    """
+    Machine(settings.width_m, 0.0, settings.overlap_m)
+    check_cell(settings.cell_m)
+    if not runs:
+        raise InputError("name at least one run: `tuberline map RUN`")
+    if tracks and len(tracks) != len(runs):
+        raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
+    read = [_read(run, track, settings) for run, track in zip(runs, tracks or _own_tracks(runs), strict=True)]
+    plane = plane_of(read[0].track)
+    found = [_points(machine, plane, settings) for machine in read]
+    factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
+    shares = tuple(
+        MachineShare(
+            run=machine.run,
+            delay=delay,
+            points=_scaled(points, factor),
+            factor=factor,
+            faults=faults,
+            lost_kg=lost_kg,
+            kg=float(machine.crop.kg.sum()),
+        )
+        for machine, (points, delay, faults, lost_kg), factor in zip(read, found, factors, strict=True)
+    )
+    shared = max(machine.shared_percent for machine in read)
+    cells = cells_of([share.points for share in shares], cell_m=settings.cell_m, shared_percent=shared)
+    return FieldMap(smoothed(cells) if settings.smooth else cells, plane, shares, settings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    run: str
+    crop: Crop
+    track: Track
+    shared_percent: float
+
+
+def _own_tracks(runs: Sequence[Path]) -> list[Path]:
+    tracks = [ledger_file(run).parent / POSITIONS_FILE for run in runs]
+    for run, track in zip(runs, tracks, strict=True):
+        if not track.is_file():
+            raise InputError(
+                f"run {run} has no {POSITIONS_FILE}: give its positions with --track FILE (CSV, NMEA or GPX), or add "
+                "[gnss] to the line's config and they are kept with the next run"
+            )
+    return tracks
+
+
+def _read(run: Path, track: Path, settings: Settings) -> _Run:
+    file = ledger_file(run)
+    with reading(file) as db:
+        chosen = the_run(db, file, None)
+        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in read_tubers(db, chosen.run)]
+        told = read_summary(db, chosen.run)
+        totals = json.loads(told)["totals"] if told else plain(_so_far(db, chosen))
+    if not tubers:
+        raise InputError(f"run {run} counted no tuber: there is nothing to map")
+    estimate_g = totals["estimated_weight_g"]
+    scale = estimate_g / sum(row[1] for row in tubers)  # calibration, and belt that was not seen
+    half_g = (totals["estimated_high_g"] - totals["estimated_low_g"]) / 2
+    values = np.array(tubers, dtype=np.float64)
+    crop = Crop(
+        time_s=np.array([row[0] for row in tubers]) / 1e9,
+        kg=values[:, 1] / 1000 * scale,
+        sd_kg=(values[:, 3] - values[:, 2]) / (2 * NORMAL_90) / 1000 * scale,
+    )
+    places = read_positions(track)
+    shift_ns = round(settings.track_shift_s * 1e9)
+    return _Run(
+        run=chosen.run,
+        crop=crop,
+        track=Track(
+            time_ns=np.array([place.time_ns + shift_ns for place in places], dtype=np.int64),
+            lat_deg=np.array([place.lat_deg for place in places]),
+            lon_deg=np.array([place.lon_deg for place in places]),
+            quality=np.array([place.quality for place in places], dtype=np.uint8),
+        ),
+        shared_percent=100 * half_g / estimate_g,
+    )
+
+
+def _so_far(db: LedgerView, run: RunRow) -> Totals:
+    """The totals of a run that goes on, or was cut off."""
+    sums = read_sums(db, run.run)
+    seen = coverage_of(run, sums)
+    return LoadTotals(sums.load).message(
+        run.run, coverage=seen.share, cameras={}, final=False, belt_m=seen.belt_m, unseen_m=seen.mean_unseen_m()
+    )
+
+
+def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, dict[str, int], float]:
+    path = believed(machine.track, plane)
+    crop = machine.crop
+    if crop.time_s[-1] < path.time_s[0] or crop.time_s[0] > path.time_s[-1] + 600:
+        raise InputError(
+            f"run {machine.run}: its tubers passed from {_clock(crop.time_s[0])} to {_clock(crop.time_s[-1])}, its "
+            f"positions are from {_clock(path.time_s[0])} to {_clock(path.time_s[-1])}: another day's track, or clocks "
+            "that differ (--track-shift-s moves the track)"
+        )
+    if settings.delay_s is not None:
+        delay = Delay(settings.delay_s, 0.0, "given", math.inf)
+    else:
+        delay = _found_delay(machine.run, delays(path, crop, width_m=settings.width_m))
+    how = Machine(settings.width_m, delay.delay_s, settings.overlap_m, settings.antenna_ahead_m)
+    points, lost_kg = yield_points(path, crop, how)
+    unplaced = ~points.used
+    lost_kg += float(points.kg[unplaced].sum())
+    return cleaned(points) if settings.clean else points, delay, path.faults, lost_kg
+
+
+def _found_delay(run: str, found: list[Delay]) -> Delay:
+    sure = [delay for delay in found if delay.sd_s <= SUREST_SD_S and delay.sharpness >= LEAST_SHARPNESS]
+    if not sure:
+        told = "; ".join(f"{d.delay_s:.1f} s by {d.by}, give or take {d.sd_s:.1f} s" for d in found) or "nothing found"
+        raise InputError(
+            f"run {run}: the time from the ground to the camera cannot be told from its yields ({told}): it takes "
+            "opposite passes beside each other, or some stops; give it with --delay-s (a stopwatch will do)"
+        )
+    return sure[0]
+
+
+def _scaled(points: Points, factor: float) -> Points:
+    return replace(points, kg=points.kg * factor, var_kg2=points.var_kg2 * factor**2)
+
+
+def _clock(time_s: float) -> str:
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _told(share: MachineShare) -> dict[str, Any]:
+    return {
+        "run": share.run,
+        "kg": share.kg,
+        "kg_without_place": share.lost_kg,
+        "delay_s": share.delay.delay_s,
+        "delay_sd_s": share.delay.sd_s,
+        "delay_by": share.delay.by,
+        "factor": share.factor,
+        "points": len(share.points.time_s),
+        "points_unused": share.points.reasons(),
+        "positions_unused": share.faults,
+    }
