@@ -8,11 +8,11 @@ it comes to them, and would fall behind for ever if it weighed all of these.
 
 from __future__ import annotations
 
+import os
 import time
 import zlib
 from collections import OrderedDict
 
-import numpy as np
 import torch
 
 from conveyor import topics
@@ -20,10 +20,9 @@ from conveyor.config import LineConfig
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliablePublisher
 from conveyor.errors import ConfigError
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View, Weight
 from conveyor.node import Node
-from regressor.network.fast import Form
+from regressor.serve.form import form_of, made_up_view
 from regressor.serve.service import WeightsService
 from regressor.weigh.prepare import REASONS
 from regressor.weigh.weigher import Weigher, weigh_view
@@ -45,9 +44,11 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
             f"regressor.device is '{config.regressor.device}', the workers weigh on 'cpu': one core does about 100 "
             "views a second; start more processes instead"
         )
+    os.nice(config.regressor.nice)
     torch.set_num_threads(config.regressor.threads)
-    weigher = Weigher.load(config.regressor.weights, Form(config.regressor.precision, config.regressor.centroids))
+    weigher = Weigher.load(config.regressor.weights)
     warm_up(weigher)
+    weigher = weigher.in_form(form_of(config, weigher))
     with Node("regressor", name, config=config, run=run, announce=False) as node:
         service = WeightsService(node, weigher)
         try:
@@ -73,7 +74,10 @@ class _Worker:
         node = self._node
         self._weigher = self._service.open()
         node.announce()
-        node.log.info("ready with %s", self._weigher.sidecar.model_id)
+        form = self._weigher.form
+        node.log.info(
+            "ready with %s in %s, %s centroids", self._weigher.sidecar.model_id, form.precision, form.centroids or "all"
+        )
         while not node.stop.is_set():
             node.progress()
             self._weigher = self._service.turn()
@@ -112,25 +116,6 @@ class _Worker:
 
 def warm_up(weigher: Weigher) -> None:
     """Weigh a made-up tuber a few times: compiles the kernels and touches the memory before the first real view."""
-    rows, columns = np.mgrid[-60:61, -60:61]
-    dome = 0.04**2 - (rows**2 + columns**2) * 0.0006**2
-    depth = np.where(dome > 0, np.round((0.33 - np.sqrt(np.maximum(dome, 0))) * 1000), 0).astype(np.uint16)
-    view = View(
-        view_id="warm-up/0",
-        track_id="warm-up",
-        camera="none",
-        run="none",
-        seq=0,
-        captured_ns=0,
-        rank=0,
-        depth_scale_m=0.001,
-        intrinsics=Intrinsics(width=1280, height=720, fx=653.8, fy=652.1, cx=643.5, cy=366.1),
-        u0=580,
-        v0=300,
-        depth=depth,
-        belt_from_camera=straight_down_belt_from_camera(0.345),
-    )
-    # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
-    received = View.decode(view.encode())
+    received = made_up_view(0.040, 0.036, 0.030)
     for _ in range(WARM_UP_ROUNDS):
         weigh_view(weigher, received, regressor="warm-up")
