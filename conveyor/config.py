@@ -55,6 +55,12 @@ class CameraConfig(Section):
     waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
     window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
+    direct: str = Field(
+        "auto",
+        pattern=r"^(auto|off|unixsock-stream/.+|tcp/(127\.0\.0\.1|\[::1\]|localhost):\d{1,5})$",
+        description="the segmenter's socket on the camera's own host, past the router, e.g. "
+        "unixsock-stream//run/tuberline/front.sock; auto: where one `tuberline run` starts both; off: by the router",
+    )
     serial: str | None = Field(None, description="realsense: serial number of the device")
     topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
     info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
