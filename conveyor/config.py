@@ -181,7 +181,9 @@ class RegressorConfig(Section):
     nice: int = Field(
         10, ge=0, le=19, description="how far weighing stands back for looking on one machine: a frame cannot wait"
     )
-    device: Literal["cpu", "cuda"] = Field("cpu", description="what the network runs on")
+    device: Literal["cpu", "cuda"] = Field(
+        "cpu", description="what the network runs on; cuda weighs many views at once"
+    )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto",
         description="auto: exact in a replay, live the fastest within 0.1 g; bfloat16 is 1.5 times as fast; flagged",

@@ -43,6 +43,8 @@ class RunSettings:
     """A weighed tuber waits this long for its other views; None: until they are answered or lost."""
     fewer_views: bool = False
     """Weigh fewer views of each tuber while the regressors are busy all the time."""
+    log_behind: bool = False
+    """A thread of its own writes the log."""
     replays: bool = False
     """The camera goes back to its first frame for a segmenter that starts again."""
 
@@ -54,7 +56,7 @@ class CameraRun:
         self.camera = camera
         self.run = run
         self.settings = settings
-        self.log = TrackLog(log_path, camera=camera, run=run)
+        self.log = TrackLog(log_path, camera=camera, run=run, behind=settings.log_behind)
         self.frames = FrameBalance()
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)

@@ -50,6 +50,7 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
         mark_every_ns=MARK_EVERY_NS if waits else LIVE_MARK_EVERY_NS,
         spare_grace_s=None if waits else s.spare_grace_s,
         fewer_views=not waits,
+        log_behind=True,
         replays=waits,
     )
 
