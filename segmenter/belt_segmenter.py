@@ -49,6 +49,8 @@ class Settings:
     belt_sd_m: float = TYPICAL_BELT_SD_M
     resting: RestingLevel = field(default_factory=RestingLevel)
     belt_follow_m: float = DRIFT_M
+    early_views: bool = False
+    """Tell views that are settled before their track is decided."""
     hold_for_doubtful: bool = True
     """The watermark waits for a track that is past its decision and does not count yet, though more frames may show it,
     until it left the view. Of 559 tracks that counted on simulated belts none did so that late, and what waited held up
@@ -101,9 +103,10 @@ class BeltSegmenter:
 
         # Tracks that are due: counted, or refused with a reason
         closed = self._decide(frame)
+        early = self.decider.early(Moment(frame, self.tracker, self.follower)) if self._settings.early_views else []
 
         self.instances, self.found, self._last = instances, found, frame
-        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed))
+        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed), early=tuple(early))
 
     def finish(self) -> list[ClosedTrack]:
         """Decide all tracks still open: the camera has ended."""

@@ -11,6 +11,7 @@ from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Tra
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
+from segmenter.dispatch.early import EarlyViews
 from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
@@ -62,6 +63,7 @@ class CameraRun:
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
         self.budget = ViewBudget(settings.core.views_per_tuber)
         self.core = Segmenter(settings.core)
+        self.early = EarlyViews()
         self._thinning = Thinning()
         self.ended = False
         self._done_seq = -1
@@ -115,6 +117,7 @@ class CameraRun:
             self._newest_ns = max(self._newest_ns, frame.captured_ns)
             self._thinning.looked(frame.captured_ns, self.core.travel_m)
         self._take(list(result.closed), now_s)
+        self._take_early(result.early, now_s)
         return result
 
     def info(self, info: CameraInfo, now_s: float) -> None:
@@ -138,6 +141,8 @@ class CameraRun:
         if not self.ended:
             self.ended = True
             self._take(self.core.finish(), now_s)
+            for view_id in self.early.rest():
+                self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
 
     def weight(self, weight: Weight) -> None:
         """Take a regressor's answer."""
@@ -145,7 +150,7 @@ class CameraRun:
         known = self.dispatcher.answer(
             weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
         )
-        if known and usable:
+        if known and usable and not self.early.answered(weight):
             self.weighing.weighed(weight, self._now_s)
 
     def tick(self, now_s: float, regressors: set[str]) -> list[tuple[str, View]]:
@@ -161,7 +166,9 @@ class CameraRun:
         for track_id in self.weighing.weighed_enough(now_s):
             self.dispatcher.cancel(track_id, ViewLoss.LATE)
         for loss in self.dispatcher.take_losses():
-            self.weighing.lost(loss)
+            if not self.early.lost(loss):
+                self.weighing.lost(loss)
+        self.early.forget_old(now_s)
         items: list[Track | Mark] = list(self.weighing.take_done())
         mark = self._mark_due()
         if mark is not None:
@@ -197,10 +204,28 @@ class CameraRun:
         }
 
     def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
+        for loss in self.dispatcher.take_losses() if closed else ():
+            if not self.early.lost(loss):
+                self.weighing.lost(loss)
         for track in closed:
+            early = self.early.closed(track.track.track_id)
             self.weighing.add(track, now_s)
             for n, view in enumerate(track.views):
-                self.dispatcher.offer(view, now_s=now_s, spare=n >= self.budget.views)
+                if (answer := early.answers.get(view.view_id)) is not None:
+                    self.weighing.weighed(answer, now_s)
+                elif (loss := early.losses.get(view.view_id)) is not None:
+                    self.weighing.lost(loss)
+                else:
+                    spare = n >= self.budget.views
+                    self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=bool(early.answers))
+            for view_id in sorted(early.sent - {view.view_id for view in track.views}):
+                self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
+
+    def _take_early(self, views: tuple[View, ...], now_s: float) -> None:
+        for view in views:
+            if view.rank < self.budget.views:
+                self.early.sent(view, now_s)
+                self.dispatcher.offer(view, now_s=now_s)
 
     def _mark_due(self) -> Mark | None:
         if self.log.last_mark is not None and self.log.last_mark.final:

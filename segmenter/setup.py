@@ -26,6 +26,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
         belt_sd_m=s.belt_sd_mm / 1000,
         resting=config.belt.resting_level,
         belt_follow_m=s.belt_follow_mm / 1000,
+        early_views=live,
         hold_for_doubtful=not live,
     )
 

@@ -18,7 +18,7 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import outline_size_m
-from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE
+from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE, PASSED_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +69,25 @@ class ViewShelf:
 
     def choose(self, usual_area_m2: float) -> list[Candidate]:
         """At most one view per slot, best slot first, no frame twice."""
-        chosen: list[Candidate] = []
+        return [candidate for _, candidate in self._choice(usual_area_m2)]
+
+    def settled(self, usual_area_m2: float, *, past_m: float) -> list[tuple[int, Candidate]]:
+        """(slot, view) of the choice so far that a later frame does not better: the tuber's centre lies `past_m` past
+        the row, farther from the wanted position than that view.
+        """
+        return [
+            (index, candidate)
+            for index, candidate in self._choice(usual_area_m2)
+            if candidate.whole
+            and past_m - self._offsets_m[index] >= max(abs(candidate.offset_m - self._offsets_m[index]), PASSED_M)
+        ]
+
+    def _choice(self, usual_area_m2: float) -> list[tuple[int, Candidate]]:
+        chosen: list[tuple[int, Candidate]] = []
         for index, slot in enumerate(self._slots):
-            fresh = [c for c in slot if all(c.seq != other.seq for other in chosen)]
+            fresh = [c for c in slot if all(c.seq != other.seq for _, other in chosen)]
             if fresh:
-                chosen.append(min(fresh, key=lambda c: self._cost(c, index, usual_area_m2)))
+                chosen.append((index, min(fresh, key=lambda c: self._cost(c, index, usual_area_m2))))
         return chosen
 
     def clear(self) -> None:
