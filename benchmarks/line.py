@@ -38,6 +38,8 @@ START_LIMIT_S = 120.0
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 SCENES = {1: "touching", 2: "two-cameras"}
 GUESS_MPS = 0.31
+LEVELS = ("views_per_tuber", "views_outstanding", "regressors_busy_share", "frame_age_max_ms", "frame_ms")
+"""Gauges that are no sums."""
 
 
 @dataclass(slots=True)
@@ -58,6 +60,7 @@ class Measured:
     load_average: tuple[float, float] = (0.0, 0.0)
     """At the start and the end; the line's own processes are in it."""
     sheets: dict[str, Counters] = field(default_factory=dict)
+    sheets_before: dict[str, Counters] = field(default_factory=dict)
     latencies: dict[str, list[float]] = field(default_factory=dict)
     tubers: int = 0
 
@@ -89,7 +92,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--tubers", type=int, default=200, help="of the recording that is repeated")
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--regressors", type=int, default=2)
-    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32")
+    parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
     parser.add_argument("--centroids", type=int, choices=(64,))
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")
@@ -153,6 +156,7 @@ def measure(config: LineConfig, out: Path, *, warm_up_s: float, seconds: float) 
             time.sleep(0.1)
         time.sleep(warm_up_s)
         from_ns, load_before = time.time_ns(), os.getloadavg()[0]
+        measured.sheets_before = watcher.observer.nodes()
         before = {spec.name: cpu_s(supervisor.pid(spec.name)) for spec in specs}
         begun = time.monotonic()
         time.sleep(seconds)
@@ -200,16 +204,26 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
             name: {"cpu_percent": usage.cpu_percent, "rss_mib": usage.rss_mib, "restarts": usage.restarts}
             for name, usage in measured.usage.items()
         },
-        "segmenters": {name: sheet(c) for name, c in measured.sheets.items() if c.role == "segmenter"},
+        "segmenters": {
+            name: sheet(c, measured.sheets_before.get(name))
+            for name, c in measured.sheets.items()
+            if c.role == "segmenter"
+        },
         "latency": hops,
         "crossing_to_ledger": hops.get(TOTAL, {}),
     }
 
 
-def sheet(counters: Counters) -> dict[str, float]:
-    """A segmenter's books since its start, and how many views it weighs per tuber."""
-    wanted = ("frames_", "views_", "tracks_counted", "regressors_busy_share", "frame_age_max_ms")
+def sheet(counters: Counters, before: Counters | None) -> dict[str, float]:
+    """A segmenter's books of the measured time, and how many views it weighs per tuber.
+
+    What happened while the processes started, before anybody measured, is in neither.
+    """
+    wanted = ("frames_", "views_", "tracks_counted", *LEVELS)
     books = {name: level for name, level in counters.gauges.items() if name.startswith(wanted)}
+    for name, level in (before.gauges if before else {}).items():
+        if name in books and not name.startswith(LEVELS):
+            books[name] -= level
     tracks = books.get("tracks_counted", 0.0)
     return {**books, "views_weighed_per_track": books.get("views_weighed", 0.0) / tracks if tracks else 0.0}
 

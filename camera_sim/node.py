@@ -9,9 +9,10 @@ from dataclasses import replace
 from typing import Literal
 
 from camera_sim.flow import Pace, SendWindow
+from camera_sim.outlet import FrameOutlet
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig
-from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestPublisher
+from conveyor.delivery import KeptPublisher, KeptSubscriber
 from conveyor.errors import TuberlineError, UnsendableError
 from conveyor.formats import PolledSource, Refused, Source
 from conveyor.messages import CameraInfo, Frame, FrameProgress
@@ -33,6 +34,7 @@ class CameraNode:
     """
 
     def __init__(self, config: LineConfig, camera: str, run: str, source: Source) -> None:
+        self._config = config
         self._settings: CameraConfig = config.camera(camera)
         self._source = source
         self._waits = self._settings.waits and not source.description.live
@@ -54,8 +56,7 @@ class CameraNode:
 
     def run(self) -> None:
         """Publish everything, say that it ended, stay until stopped."""
-        with self._node as node:
-            self._frames = LatestPublisher(node, topics.FRAME, camera=node.name)
+        with self._node as node, FrameOutlet(node, self._config, codec=self._settings.compress) as self._frames:
             self._infos = KeptPublisher(node, topics.CAMERA_INFO, camera=node.name)
             self._progress = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera=node.name)
             for counter in ("frames_published", "frames_resent", "frames_refused", "segmenter_stalls", "went_back"):
@@ -129,7 +130,7 @@ class CameraNode:
         """
         give_up_s = time.monotonic() + (math.inf if self._waits else NUMBERING_S)
         while time.monotonic() < give_up_s and not self._node.stop.is_set():
-            if self._frames.has_listener:
+            if self._frames.has_segmenter:
                 for progress in self._progress.latest().values():
                     self._done_seq = progress.done_seq if progress.run == self._node.run else -1
                     return self._done_seq
@@ -163,7 +164,7 @@ class CameraNode:
         # Only on a segmenter's word: one that starts again would take a frame from the middle for its first.
         for frame in self._window.to_resend(now_s) if self._word else ():
             self._word = False
-            self._frames.put(frame, codec=self._settings.compress)
+            self._frames.put(frame)
             self._node.counters.add("frames_resent")
         self._watch_stall(now_s)
         self._node.progress()
@@ -194,7 +195,7 @@ class CameraNode:
         return not self._node.stop.is_set()
 
     def _publish(self, frame: Frame) -> None:
-        self._frames.put(frame, codec=self._settings.compress)
+        self._frames.put(frame)
         self._word = False
         now_s = time.monotonic()
         if self._waits:

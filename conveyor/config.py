@@ -55,6 +55,12 @@ class CameraConfig(Section):
     waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
     window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
+    direct: str = Field(
+        "auto",
+        pattern=r"^(auto|off|unixsock-stream/.+|tcp/(127\.0\.0\.1|\[::1\]|localhost):\d{1,5})$",
+        description="the segmenter's socket on the camera's own host, past the router, e.g. "
+        "unixsock-stream//run/tuberline/front.sock; auto: where one `tuberline run` starts both; off: by the router",
+    )
     serial: str | None = Field(None, description="realsense: serial number of the device")
     topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
     info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
@@ -63,6 +69,11 @@ class CameraConfig(Section):
     belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
     depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
     ignore_masks: bool = Field(False, description="find tubers though the recording has masks of its own")
+
+    @property
+    def held_back(self) -> bool:
+        """It waits for the segmenter, as only a recording can; what is not held back is live."""
+        return self.waits and self.source == "recording"
 
     @field_validator("path")
     @classmethod
@@ -140,7 +151,7 @@ class SegmenterConfig(Section):
         1.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
     )
     spare_grace_s: float = Field(
-        0.25, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
+        0.15, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
     )
     weigh_deadline_s: float = Field(
         60.0,
@@ -167,9 +178,15 @@ class RegressorConfig(Section):
     processes: int = Field(2, ge=0, le=64, description="workers started by `tuberline run`")
     weights: Path | None = Field(None, description="safetensors or upstream .pth; default: the shipped ones")
     threads: int = Field(1, ge=1, le=64, description="threads inside one worker; one worker per core beats threads")
-    device: Literal["cpu", "cuda"] = Field("cpu", description="what the network runs on")
-    precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="bfloat16 is 1.5 times as fast at 0.1 g; weights are flagged with it"
+    nice: int = Field(
+        10, ge=0, le=19, description="how far weighing stands back for looking on one machine: a frame cannot wait"
+    )
+    device: Literal["cpu", "cuda"] = Field(
+        "cpu", description="what the network runs on; cuda weighs many views at once"
+    )
+    precision: Literal["auto", "float32", "bfloat16"] = Field(
+        "auto",
+        description="auto: exact in a replay, live the fastest within 0.1 g; bfloat16 is 1.5 times as fast; flagged",
     )
     centroids: Literal[64] | None = Field(
         None, description="64 of the 128 second-stage centroids: 1.5 times as fast at 0.1 g, flagged"
@@ -183,7 +200,7 @@ class AggregatorConfig(Section):
     out: Path = Field(Path("runs/latest"), description="folder of ledger.db, summary.json and tubers.csv")
     merge_gate_mm: float = Field(30.0, ge=2, le=200, description="tracks of two cameras closer than this are one tuber")
     camera_stall_s: float = Field(10.0, ge=0.5, le=3600, description="a silent camera holds the ledger no longer")
-    commit_interval_s: float = Field(0.2, ge=0.01, le=10, description="entries are committed together this often")
+    commit_interval_s: float = Field(0.05, ge=0.01, le=10, description="entries are committed together this often")
     histogram_step_g: float = Field(50.0, gt=0, le=1000, description="width of a class in the histogram of weights")
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
     tickets: Path | None = Field(None, description="a scale's tickets that calibrate totals, see `tuberline calibrate`")
@@ -307,6 +324,11 @@ class LineConfig(Section):
         for name in cameras:
             _checked_name(name, "camera")
         return cameras
+
+    @property
+    def live(self) -> bool:
+        """Some camera waits for no one."""
+        return any(not camera.held_back for camera in self.cameras.values())
 
     def camera(self, name: str) -> CameraConfig:
         """The named camera, or an error that lists the known ones."""

@@ -69,6 +69,7 @@ class ViewLoss(Reason):
 
     SHED = "shed", "a spare view that would have waited too long; its tuber has another one"
     LATE = "late", "live: a spare view not answered spare_grace_s after its tuber's first answer"
+    NOT_CHOSEN = "not_chosen", "live: sent before its track was decided, which then chose another view"
     OVERLOAD = "overload", "more tubers than the regressors can weigh; weighed by volume"
     MAX_ATTEMPTS = "max_attempts", "no regressor answered in max_attempts attempts"
     WEIGH_DEADLINE = "weigh_deadline", "no answer within weigh_deadline_s"

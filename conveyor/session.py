@@ -42,7 +42,7 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
     try:
         return zenoh.open(_config(client_settings(link, name=name)))
     except zenoh.ZError as error:
-        reason = _short(error)
+        reason = short_reason(error)
         why = "" if reason.startswith("Unable to connect") else f" ({reason})"  # that much is said already
         raise LinkError(
             f"no router answered at {link.router} within {link.connect_timeout_s:g} s{why}; "
@@ -82,7 +82,7 @@ def join_router(link: LinkConfig, *, name: str, stop: threading.Event, log: logg
             continue
         if isinstance(answer, zenoh.Session):
             return answer
-        raise LinkError(f"cannot join the router at {link.router}: {_short(answer)}") from answer
+        raise LinkError(f"cannot join the router at {link.router}: {short_reason(answer)}") from answer
     return None
 
 
@@ -101,7 +101,7 @@ def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = Non
         return zenoh.open(_config(router_settings(link, access_control=access_control)))
     except zenoh.ZError as error:
         raise LinkError(
-            f"cannot listen on {', '.join(endpoints)}: {_short(error)}; is a router running there?"
+            f"cannot listen on {', '.join(endpoints)}: {short_reason(error)}; is a router running there?"
         ) from error
 
 
@@ -116,7 +116,7 @@ def client_settings(link: LinkConfig, *, name: str, timeout_ms: int | None = Non
         },
         "listen": {"endpoints": []},
         "metadata": {"name": name, "host": socket.gethostname()},
-        **_common(link, _tls_files(link, name)),
+        **common_settings(link, _tls_files(link, name)),
     }
 
 
@@ -136,11 +136,12 @@ def router_settings(
         "adminspace": {"enabled": True},
         "metadata": {"name": "router", "host": socket.gethostname()},
         **({"access_control": access_control} if access_control else {}),
-        **_common(link, files or _tls_files(link, "router")),
+        **common_settings(link, files or _tls_files(link, "router")),
     }
 
 
-def _common(link: LinkConfig, files: TlsFiles | None) -> dict[str, Any]:
+def common_settings(link: LinkConfig, files: TlsFiles | None = None) -> dict[str, Any]:
+    """What holds at both ends of every link."""
     transport: dict[str, Any] = {
         "shared_memory": {"enabled": False},
         "link": {
@@ -204,6 +205,6 @@ def _config(settings: dict[str, Any]) -> zenoh.Config:
     return zenoh.Config.from_json5(json.dumps(settings))
 
 
-def _short(error: Exception) -> str:
+def short_reason(error: Exception) -> str:
     """The first clause of Zenoh's error, without its source locations."""
     return str(error).split(" at ")[0].split(" - ")[0].strip()[:200]

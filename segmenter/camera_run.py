@@ -11,6 +11,7 @@ from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Tra
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
+from segmenter.dispatch.early import EarlyViews
 from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
@@ -21,8 +22,9 @@ from segmenter.tracklog import TrackLog
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000
-LIVE_MARK_EVERY_NS = 250_000_000
-"""A tuber is committed with the next mark of every camera: in a replay that costs nothing, live it is the latency."""
+LIVE_MARK_EVERY_NS = 60_000_000
+"""A tuber is committed with the next mark of every camera: in a replay that costs nothing, live it is the latency. So
+every frame at 15 a second, every second one at 30; 0.5 kB each."""
 MARK_TURN_M = 0.004
 """Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
@@ -42,6 +44,8 @@ class RunSettings:
     """A weighed tuber waits this long for its other views; None: until they are answered or lost."""
     fewer_views: bool = False
     """Weigh fewer views of each tuber while the regressors are busy all the time."""
+    log_behind: bool = False
+    """A thread of its own writes the log."""
     replays: bool = False
     """The camera goes back to its first frame for a segmenter that starts again."""
 
@@ -53,12 +57,13 @@ class CameraRun:
         self.camera = camera
         self.run = run
         self.settings = settings
-        self.log = TrackLog(log_path, camera=camera, run=run)
+        self.log = TrackLog(log_path, camera=camera, run=run, behind=settings.log_behind)
         self.frames = FrameBalance()
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
         self.budget = ViewBudget(settings.core.views_per_tuber)
         self.core = Segmenter(settings.core)
+        self.early = EarlyViews()
         self._thinning = Thinning()
         self.ended = False
         self._done_seq = -1
@@ -112,6 +117,7 @@ class CameraRun:
             self._newest_ns = max(self._newest_ns, frame.captured_ns)
             self._thinning.looked(frame.captured_ns, self.core.travel_m)
         self._take(list(result.closed), now_s)
+        self._take_early(result.early, now_s)
         return result
 
     def info(self, info: CameraInfo, now_s: float) -> None:
@@ -135,6 +141,8 @@ class CameraRun:
         if not self.ended:
             self.ended = True
             self._take(self.core.finish(), now_s)
+            for view_id in self.early.rest():
+                self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
 
     def weight(self, weight: Weight) -> None:
         """Take a regressor's answer."""
@@ -142,7 +150,7 @@ class CameraRun:
         known = self.dispatcher.answer(
             weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
         )
-        if known and usable:
+        if known and usable and not self.early.answered(weight):
             self.weighing.weighed(weight, self._now_s)
 
     def tick(self, now_s: float, regressors: set[str]) -> list[tuple[str, View]]:
@@ -158,7 +166,9 @@ class CameraRun:
         for track_id in self.weighing.weighed_enough(now_s):
             self.dispatcher.cancel(track_id, ViewLoss.LATE)
         for loss in self.dispatcher.take_losses():
-            self.weighing.lost(loss)
+            if not self.early.lost(loss):
+                self.weighing.lost(loss)
+        self.early.forget_old(now_s)
         items: list[Track | Mark] = list(self.weighing.take_done())
         mark = self._mark_due()
         if mark is not None:
@@ -194,10 +204,28 @@ class CameraRun:
         }
 
     def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
+        for loss in self.dispatcher.take_losses() if closed else ():
+            if not self.early.lost(loss):
+                self.weighing.lost(loss)
         for track in closed:
+            early = self.early.closed(track.track.track_id)
             self.weighing.add(track, now_s)
             for n, view in enumerate(track.views):
-                self.dispatcher.offer(view, now_s=now_s, spare=n >= self.budget.views)
+                if (answer := early.answers.get(view.view_id)) is not None:
+                    self.weighing.weighed(answer, now_s)
+                elif (loss := early.losses.get(view.view_id)) is not None:
+                    self.weighing.lost(loss)
+                else:
+                    spare = n >= self.budget.views
+                    self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=bool(early.answers))
+            for view_id in sorted(early.sent - {view.view_id for view in track.views}):
+                self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
+
+    def _take_early(self, views: tuple[View, ...], now_s: float) -> None:
+        for view in views:
+            if view.rank < self.budget.views:
+                self.early.sent(view, now_s)
+                self.dispatcher.offer(view, now_s=now_s)
 
     def _mark_due(self) -> Mark | None:
         if self.log.last_mark is not None and self.log.last_mark.final:

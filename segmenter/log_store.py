@@ -68,7 +68,8 @@ class LogStore:
     def __enter__(self) -> Self:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self._explained("open"):
-            self._db = sqlite3.connect(self.path, isolation_level=None, timeout=BUSY_TIMEOUT_S)
+            # One thread at a time, not always the same one: see `log_writer`.
+            self._db = sqlite3.connect(self.path, isolation_level=None, timeout=BUSY_TIMEOUT_S, check_same_thread=False)
             try:
                 self._prepare()
             except BaseException:

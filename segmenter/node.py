@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 
 from conveyor import topics
@@ -19,6 +20,8 @@ from conveyor.delivery import (
     ReliablePublisher,
     ReliableSubscriber,
 )
+from conveyor.delivery.endpoint import Endpoint
+from conveyor.direct import DirectLink, direct_endpoint
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
 from conveyor.reasons import FrameDrop
@@ -65,8 +68,8 @@ class SegmenterNode:
     def run(self) -> None:
         """Work until stopped."""
         warm_up(self._config.segmenter.pixel_mm)
-        with self._node as node:
-            self._open_links(node)
+        with self._node as node, ExitStack() as stack:
+            self._open_links(node, stack)
             try:
                 self._open_run(node.run)
                 node.announce()
@@ -77,7 +80,7 @@ class SegmenterNode:
                 for camera_run in self._runs.values():
                     camera_run.close()
 
-    def _open_links(self, node: Node) -> None:
+    def _open_links(self, node: Node, stack: ExitStack) -> None:
         camera, segmenter = self._camera, self._config.segmenter
         ring = max(segmenter.ring, self._config.camera(camera).window + 2) if self._waits else segmenter.ring
         self._committed = KeptSubscriber(node, topics.COMMITTED, Committed, camera=camera)
@@ -87,7 +90,10 @@ class SegmenterNode:
         self._aggregators = Presence(
             node, "aggregator", known=known_nodes(self._config), on_change=self._aggregator_came.set
         )
-        self._frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=ring, camera=camera)
+        source: Endpoint = node
+        if (endpoint := direct_endpoint(self._config.camera(camera), camera)) is not None:
+            source = stack.enter_context(DirectLink.open(node, endpoint, link=self._config.link, listens=True))
+        self._frames = LatestSubscriber(source, topics.FRAME, Frame, capacity=ring, camera=camera)
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera=camera)
         self._log_out = ReliablePublisher(node, topics.TRACK, camera=camera)
         self._travel = LatestPublisher(node, topics.TRAVEL, source=camera)

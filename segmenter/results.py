@@ -33,10 +33,15 @@ Decision = ClosedTrack | RefusedTrack
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What one frame led to. `dropped`: why the frame could not be used; None where it was processed."""
+    """What one frame led to.
+
+    `dropped`: why the frame could not be used; None where it was processed. `early`: views of tracks that are not
+    decided yet, which may be weighed already.
+    """
 
     travel_m: float
     estimated: bool
     instances: int
     closed: tuple[ClosedTrack, ...]
     dropped: FrameDrop | None = None
+    early: tuple[View, ...] = ()

@@ -14,7 +14,7 @@ from segmenter.track.counting import CountSettings
 from segmenter.track.tracker import TrackSettings
 
 
-def core_settings(config: LineConfig) -> Settings:
+def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
     """Settings of segmentation, tracking and counting."""
     s = config.segmenter
     return Settings(
@@ -26,15 +26,17 @@ def core_settings(config: LineConfig) -> Settings:
         belt_sd_m=s.belt_sd_mm / 1000,
         resting=config.belt.resting_level,
         belt_follow_m=s.belt_follow_mm / 1000,
+        early_views=live,
+        hold_for_doubtful=not live,
     )
 
 
 def run_settings(config: LineConfig, camera: str) -> RunSettings:
     """Settings of one camera's run. A camera that waits is held back under load; one that does not sheds views."""
     s, c = config.segmenter, config.camera(camera)
-    waits = c.waits and c.source == "recording"
+    waits = c.held_back
     return RunSettings(
-        core=core_settings(config),
+        core=core_settings(config, live=not waits),
         dispatch=DispatchSettings(
             credits=s.credits,
             deadline_s=s.job_deadline_s,
@@ -49,6 +51,7 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
         mark_every_ns=MARK_EVERY_NS if waits else LIVE_MARK_EVERY_NS,
         spare_grace_s=None if waits else s.spare_grace_s,
         fewer_views=not waits,
+        log_behind=True,
         replays=waits,
     )
 

@@ -10,6 +10,7 @@ from typing import Self
 from conveyor.errors import StorageError
 from conveyor.messages import Mark, Track, TrackEntry
 from segmenter.log_store import LogStore
+from segmenter.log_writer import LogWriter
 
 MAX_UNCOMMITTED = 100_000
 RESEND_AFTER_S = 1.0
@@ -18,14 +19,20 @@ RESEND_AT_MOST = 512
 
 
 class TrackLog:
-    """Entries 1, 2, 3, ... of one camera in one run. Without a path it lives in memory and dies with the process."""
+    """Entries 1, 2, 3, ... of one camera in one run. Without a path it lives in memory and dies with the process.
 
-    def __init__(self, path: Path | None, *, camera: str, run: str) -> None:
+    Args:
+        behind: a thread of its own writes the log, and an entry is due when it is on the disk; else `append` waits.
+    """
+
+    def __init__(self, path: Path | None, *, camera: str, run: str, behind: bool = False) -> None:
         self.camera = camera
         self.run = run
         self.committed = 0
         self.last_mark: Mark | None = None
-        self.store = None if path is None else LogStore(path, camera=camera, run=run)
+        self.store: LogStore | LogWriter | None = None if path is None else LogStore(path, camera=camera, run=run)
+        if behind and isinstance(self.store, LogStore):
+            self.store = LogWriter(self.store)
         self._entries: deque[TrackEntry] = deque()
         self._since_mark: list[TrackEntry] = []
         self._mark_before: TrackEntry | None = None
@@ -79,7 +86,7 @@ class TrackLog:
         return self.last_mark is not None and self.last_mark.final and not self._entries
 
     def append(self, items: list[Track | Mark]) -> None:
-        """Number and store tracks and marks, durably, all in one transaction.
+        """Number and store tracks and marks, all in one transaction; without a thread for it they are durable then.
 
         Raises:
             StorageError: too much waits for the aggregator, or the disk refuses.
@@ -120,7 +127,8 @@ class TrackLog:
             self._progress_s = now_s
             self._patience_s = min(2 * self._patience_s, RESEND_AFTER_AT_MOST_S)
             self._unsent_from = self._entries[0].n
-        sending = [entry for entry in self._entries if entry.n >= self._unsent_from][:RESEND_AT_MOST]
+        durable = self.store.durable if isinstance(self.store, LogWriter) else self.newest
+        sending = [entry for entry in self._entries if self._unsent_from <= entry.n <= durable][:RESEND_AT_MOST]
         if sending:
             self._unsent_from = sending[-1].n + 1
         return sending

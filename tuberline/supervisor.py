@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from conveyor.direct import ENVIRONMENT as DIRECT
 from conveyor.errors import PASSING, PERMANENT
 from tuberline.heartbeat import Heartbeat
 from tuberline.orphan import ENVIRONMENT
@@ -75,6 +78,7 @@ class Supervisor:
     def __init__(self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None) -> None:
         self._children = [_Child(spec) for spec in specs]
         self._log_dir = log_dir
+        self._direct = ""
         self._lock = threading.RLock()
         self._stopping = threading.Event()
         self._looked_s = 0.0
@@ -84,6 +88,7 @@ class Supervisor:
         if self._log_dir:
             self._log_dir.mkdir(parents=True, exist_ok=True)
         self._looked_s = time.monotonic()
+        self._direct = tempfile.mkdtemp(prefix="tuberline-")
         try:
             for child in self._children:
                 self._start(child)
@@ -162,6 +167,7 @@ class Supervisor:
                 child.done = True
                 if child.heartbeat is not None:
                     child.heartbeat.close()
+        shutil.rmtree(self._direct, ignore_errors=True)
 
     def _watch(self) -> None:
         while not self._stopping.wait(LOOK_EVERY_S):
@@ -213,7 +219,7 @@ class Supervisor:
             child.heartbeat.close()
         child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
         environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
-        environment |= child.heartbeat.environment
+        environment |= {**child.heartbeat.environment, DIRECT: self._direct}
         command = [sys.executable, "-m", "tuberline", *child.spec.args]
         with contextlib.ExitStack() as stack:
             path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None

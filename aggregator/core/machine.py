@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
-from aggregator.core.cameras import PLACE_SLACK_M, Cameras
+from aggregator.core.cameras import Cameras
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
 from aggregator.core.reasons import Role
@@ -253,7 +253,7 @@ class Aggregation:
         if crowded:
             self._count("pending_limit_reached")
         watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
-        self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + PLACE_SLACK_M)
+        self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + self.cameras.place_slack_m)
         self._place()
         tubers = self._complete_tubers()
         batch = Batch(
@@ -337,8 +337,9 @@ class Aggregation:
         certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m]
         tubers: list[Tuber] = []
         done: set[str] = set()
+        reach_m = self._gate.widest_m if self.cameras.estimated else self._gate.measured_m
         for block in blocks(certain, self._gate):
-            if min(track.place_x_m for track in block) - self._gate.widest_m < self._watermark_x_m:
+            if min(track.place_x_m for track in block) - reach_m < self._watermark_x_m:
                 break
             for group in merge(block, self._gate):
                 self._tubers += 1

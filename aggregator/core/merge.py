@@ -89,6 +89,11 @@ class Gate:
         """The farthest that any two tracks of one tuber may lie apart along the belt, metres."""
         return (self.merge_gate_mm + TRAVEL_SLACK_MM) / 1000
 
+    @property
+    def measured_m(self) -> float:
+        """The same where an encoder tells the travel."""
+        return self.merge_gate_mm / 1000
+
 
 def seen_together(a: Track, b: Track) -> bool:
     """Both were seen in the same frames of a camera, so they are two tubers."""

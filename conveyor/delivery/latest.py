@@ -29,7 +29,11 @@ class LatestPublisher:
 
     def put(self, message: Message, *, codec: str = "raw") -> None:
         """Send `message` if the link takes it now. Returns at once; a loss shows at the receiver as a gap."""
-        self._publisher.put(message.encode(codec=codec))
+        self.put_encoded(message.encode(codec=codec))
+
+    def put_encoded(self, data: bytes) -> None:
+        """Send a message that is encoded already."""
+        self._publisher.put(data)
 
     @property
     def has_listener(self) -> bool:
@@ -55,3 +59,7 @@ class LatestSubscriber(Inbox[M]):
         self._subscriber: Any = node.session.declare_subscriber(
             topic.key(node.line, **parts), zenoh.handlers.Callback(self.push, indirect=False)
         )
+
+    def leave(self) -> None:
+        """Listen no longer; what came stays."""
+        self._subscriber.undeclare()

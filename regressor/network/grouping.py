@@ -122,14 +122,19 @@ def _repeat(points: NDArray[np.float32], count: int) -> NDArray[np.float32]:
 
 def radius_is_free(groups: SharedGroups, cloud: NDArray[np.float32]) -> bool:
     """Whether every pair of both stages lies inside its radius: the box first, the distances where it does not tell."""
-    # 1e-3 keeps the screen on the safe side of float32 rounding; the distances below decide exactly.
-    # Axis by axis: np.ptp over the rows of 10,000 points takes longer than sampling them.
-    box = [float(axis.max() - axis.min()) for axis in cloud.T]
-    if float(np.linalg.norm(box)) < RADIUS_1_M * (1 - 1e-3):
+    if radius_is_free_of(cloud):
         return True
     return _all_within(groups.centroids1, groups.neighbours, RADIUS_1_M) and _all_within(
         groups.centroids2, groups.centroids1, RADIUS_2_M
     )
+
+
+def radius_is_free_of(cloud: NDArray[np.float32]) -> bool:
+    """Whether the cloud's box alone says that every pair lies inside both radii: no tuber is that long."""
+    # 1e-3 keeps the screen on the safe side of float32 rounding; where it says no, distances decide exactly.
+    # Axis by axis: np.ptp over the rows of 10,000 points takes longer than sampling them.
+    box = [float(axis.max() - axis.min()) for axis in cloud.T]
+    return float(np.linalg.norm(box)) < RADIUS_1_M * (1 - 1e-3)
 
 
 def _all_within(a: NDArray[np.float32], b: NDArray[np.float32], radius_m: float) -> bool:

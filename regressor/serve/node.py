@@ -8,46 +8,47 @@ it comes to them, and would fall behind for ever if it weighed all of these.
 
 from __future__ import annotations
 
+import os
 import time
 import zlib
 from collections import OrderedDict
 
-import numpy as np
 import torch
 
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliablePublisher
-from conveyor.errors import ConfigError
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View, Weight
 from conveyor.node import Node
-from regressor.network.fast import Form
+from regressor.serve.form import form_of, made_up_view
 from regressor.serve.service import WeightsService
 from regressor.weigh.prepare import REASONS
-from regressor.weigh.weigher import Weigher, weigh_view
+from regressor.weigh.weigher import Weigher, weigh_view, weigh_views
 
 INBOX_VIEWS = 1024
 REMEMBERED_ANSWERS = 8192
 WARM_UP_ROUNDS = 3
+BATCH_WAIT_S = 0.002
+MOST_TOGETHER = 128
+"""What a device weighs in one pass: those views that come within this time of the first, so many at most."""
 
 
 def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
     """Weigh views until stopped. The liveliness token appears only when the worker is warm.
 
     Raises:
-        ConfigError: a device this build cannot use.
-        InputError: weights that cannot be used.
+        InputError: weights that cannot be used, or a device that is not here.
     """
-    if config.regressor.device != "cpu":
-        raise ConfigError(
-            f"regressor.device is '{config.regressor.device}', the workers weigh on 'cpu': one core does about 100 "
-            "views a second; start more processes instead"
-        )
+    os.nice(config.regressor.nice)
     torch.set_num_threads(config.regressor.threads)
-    weigher = Weigher.load(config.regressor.weights, Form(config.regressor.precision, config.regressor.centroids))
+    weigher = Weigher.load(config.regressor.weights)
     warm_up(weigher)
+    if config.regressor.device != "cpu":
+        weigher = weigher.on(config.regressor.device)
+        warm_up(weigher)
+    else:
+        weigher = weigher.in_form(form_of(config, weigher))
     with Node("regressor", name, config=config, run=run, announce=False) as node:
         service = WeightsService(node, weigher)
         try:
@@ -73,29 +74,47 @@ class _Worker:
         node = self._node
         self._weigher = self._service.open()
         node.announce()
-        node.log.info("ready with %s", self._weigher.sidecar.model_id)
+        form = self._weigher.form
+        node.log.info(
+            "ready with %s in %s, %s centroids", self._weigher.sidecar.model_id, form.precision, form.centroids or "all"
+        )
         while not node.stop.is_set():
             node.progress()
             self._weigher = self._service.turn()
-            view = self._inbox.get(0.2)
+            views = self._take()
             node.counters.gauge("queue", len(self._inbox))
-            if view is not None:
+            if views:
                 begun = time.perf_counter()
-                self._answer(view)
+                self._answer(views)
                 node.counters.gauge("last_ms", 1e3 * (time.perf_counter() - begun))
+                node.counters.gauge("batch", len(views))
 
-    def _answer(self, view: View) -> None:
+    def _take(self) -> list[View]:
+        """The next view; on a device that weighs many at once, those too that come within `BATCH_WAIT_S`."""
+        first = self._inbox.get(0.2)
+        views = [] if first is None else [first]
+        if first is None or self._weigher.device is None:
+            return views
+        until_s = time.monotonic() + BATCH_WAIT_S
+        while (
+            len(views) < MOST_TOGETHER and (view := self._inbox.get(max(0.0, until_s - time.monotonic()))) is not None
+        ):
+            views.append(view)
+        return views
+
+    def _answer(self, views: list[View]) -> None:
         # With a checksum: another run of the same recording may cut the same tuber out differently.
-        key = (view.view_id, zlib.crc32(view.depth.data))
-        weight = self._answered.get(key)
-        if weight is not None:
-            self._node.counters.add("views_duplicate")
-        else:
-            weight = self._answered[key] = weigh_view(self._weigher, view, regressor=self._node.name)
+        keys = [(view.view_id, zlib.crc32(view.depth.data)) for view in views]
+        fresh = {key: view for key, view in zip(keys, views, strict=True) if key not in self._answered}
+        self._node.counters.add("views_duplicate", len(views) - len(fresh))
+        weights = weigh_views(self._weigher, list(fresh.values()), regressor=self._node.name) if fresh else []
+        for key, weight in zip(fresh, weights, strict=True):
+            self._answered[key] = weight
             self._count(weight)
-            if len(self._answered) > REMEMBERED_ANSWERS:
-                self._answered.popitem(last=False)
-        self._publisher(view.camera).put(weight)
+        for key, view in zip(keys, views, strict=True):
+            self._publisher(view.camera).put(self._answered[key])
+        while len(self._answered) > REMEMBERED_ANSWERS:
+            self._answered.popitem(last=False)
 
     def _count(self, weight: Weight) -> None:
         if weight.status == "refused":
@@ -112,25 +131,6 @@ class _Worker:
 
 def warm_up(weigher: Weigher) -> None:
     """Weigh a made-up tuber a few times: compiles the kernels and touches the memory before the first real view."""
-    rows, columns = np.mgrid[-60:61, -60:61]
-    dome = 0.04**2 - (rows**2 + columns**2) * 0.0006**2
-    depth = np.where(dome > 0, np.round((0.33 - np.sqrt(np.maximum(dome, 0))) * 1000), 0).astype(np.uint16)
-    view = View(
-        view_id="warm-up/0",
-        track_id="warm-up",
-        camera="none",
-        run="none",
-        seq=0,
-        captured_ns=0,
-        rank=0,
-        depth_scale_m=0.001,
-        intrinsics=Intrinsics(width=1280, height=720, fx=653.8, fy=652.1, cx=643.5, cy=366.1),
-        u0=580,
-        v0=300,
-        depth=depth,
-        belt_from_camera=straight_down_belt_from_camera(0.345),
-    )
-    # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
-    received = View.decode(view.encode())
+    received = made_up_view(0.040, 0.036, 0.030)
     for _ in range(WARM_UP_ROUNDS):
         weigh_view(weigher, received, regressor="warm-up")

@@ -264,7 +264,7 @@ class WeightsService:
     def _weigher_of(self, digest: str) -> Weigher:
         if digest == self._config_digest:
             return self._config_weigher
-        return self._store.load(digest).in_form(self._config_weigher.form)
+        return self._store.load(digest).in_form(self._config_weigher.form).on(self._config_weigher.device)
 
 
 def _handler(

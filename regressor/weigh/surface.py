@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 LEVELS = (0.50, 0.70, 0.85)
@@ -18,6 +19,11 @@ LEVELS = (0.50, 0.70, 0.85)
 CURVATURE_POINTS = 3000
 TOP = 0.6
 """Of the height: from there on up the top's curvature is fitted."""
+TRIMMED = 0.005
+"""Share of the outline's pixels that are left out at either end of a width: single ones say little."""
+ANGLES = np.deg2rad(np.arange(0.0, 180.0, 5.0))
+DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
+"""(2, 36) unit vectors in the level plane."""
 LARGEST_RATIO = 4.0
 """An outline area that the curvature implies is at most so many times the visible one, and at least its share."""
 
@@ -85,7 +91,8 @@ def surface_features(
     area_m2 = float(areas_m2.sum())
     xy = level[:, :2]
     length_m, width_m = _axes(xy)
-    rim = heights[_rim(inside)[inside]] / height_m
+    at_rim = _rim(inside)[inside]
+    rim = heights[at_rim] / height_m
     low, middle, high = np.quantile(rim, (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
     centre = areas_m2 @ xy / area_m2
     top = heights > LEVELS[-1] * height_m
@@ -99,7 +106,7 @@ def surface_features(
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
         height_mm=height_m * 1e3,
-        hull_cm2=_hull_m2(xy, inside) * 1e4,
+        hull_cm2=_hull_m2(xy[at_rim]) * 1e4,
         area50_cm2=sections[0] * 1e4,
         area70_cm2=sections[1] * 1e4,
         area85_cm2=sections[2] * 1e4,
@@ -116,11 +123,66 @@ def surface_features(
 
 def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
     """Longest width of the outline over 36 directions in the plane and the one across it, metres."""
-    angle = np.deg2rad(np.arange(0.0, 180.0, 5.0))
-    along = level_xy[:: max(1, len(level_xy) // 2000)] @ np.stack([np.cos(angle), np.sin(angle)])
-    widths = np.quantile(along, 0.995, axis=0) - np.quantile(along, 0.005, axis=0)
+    along = level_xy[:: max(1, len(level_xy) // 2000)] @ DIRECTIONS
+    widths = _widths(np.ascontiguousarray(along.T), TRIMMED)
     longest = int(widths.argmax())
     return float(widths[longest]), float(widths[(longest + 18) % 36])
+
+
+@njit(cache=True, nogil=True)
+def _widths(along: NDArray[np.float64], trimmed: float) -> NDArray[np.float64]:
+    """(n,) distance of the quantiles `trimmed` and 1 - `trimmed` of each row: NumPy's numbers, without its partition.
+
+    Only the few values at either end of a row are kept in order. They are met in an order that jumps about, for a
+    raster's own would bring a new extreme with nearly every pixel.
+    """
+    rows, n = along.shape
+    widths = np.empty(rows)
+    at_low, at_high = trimmed * (n - 1), (1.0 - trimmed) * (n - 1)
+    keep = min(n, int(at_low) + 3)
+    jump = n // 2 + 1
+    while _common(jump, n) != 1:
+        jump += 1
+    low, high = np.empty(keep), np.empty(keep)
+    for row in range(rows):
+        low[:] = np.inf
+        high[:] = -np.inf
+        at = 0
+        for _ in range(n):
+            value = along[row, at]
+            at += jump
+            if at >= n:
+                at -= n
+            if value < low[keep - 1]:
+                i = keep - 1
+                while i > 0 and low[i - 1] > value:
+                    low[i] = low[i - 1]
+                    i -= 1
+                low[i] = value
+            if value > high[keep - 1]:
+                i = keep - 1
+                while i > 0 and high[i - 1] < value:
+                    high[i] = high[i - 1]
+                    i -= 1
+                high[i] = value
+        first, last = int(at_low), int(at_high)
+        below = _between(low[first], low[min(first + 1, n - 1)], at_low - first)
+        above = _between(high[n - 1 - last], high[n - 1 - min(last + 1, n - 1)], at_high - last)
+        widths[row] = above - below
+    return widths
+
+
+@njit(cache=True, nogil=True)
+def _between(a: float, b: float, share: float) -> float:
+    """As NumPy interpolates, rounding included."""
+    return b - (b - a) * (1.0 - share) if share >= 0.5 else a + (b - a) * share
+
+
+@njit(cache=True, nogil=True)
+def _common(a: int, b: int) -> int:
+    while b:
+        a, b = b, a % b
+    return a
 
 
 def _rim(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -130,8 +192,7 @@ def _rim(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inside & ~all_round
 
 
-def _hull_m2(xy: NDArray[np.float64], inside: NDArray[np.bool_]) -> float:
-    rim = xy[_rim(inside)[inside]]
+def _hull_m2(rim: NDArray[np.float64]) -> float:
     if len(rim) < 3:
         return 0.0
     around = np.ascontiguousarray(rim - rim.mean(0), np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,6 +15,7 @@ from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
 from conveyor.statistics import NORMAL_90
+from regressor.network.batched import BatchedPointRaft
 from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
@@ -24,6 +25,8 @@ from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
 VOLUME_MODEL = "volume"
+BATCHED = "batched"
+"""Flag of a weight whose last digit may depend on the views that it was weighed together with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +51,21 @@ class Weigher:
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise), 'bfloat16' and 'centroids_64' (not computed in the exact form).
+    visible volume says otherwise), 'bfloat16', 'centroids_64' and 'batched' (not computed in the exact form).
     """
 
-    def __init__(self, model: PointRaft | None, sidecar: Sidecar, form: Form = EXACT) -> None:
+    def __init__(
+        self, model: PointRaft | None, sidecar: Sidecar, form: Form = EXACT, *, device: str | None = None
+    ) -> None:
+        """`device`: weigh many views at once there, as torch names it; None: one by one, on the CPU.
+
+        Raises:
+            InputError: this machine does not have that device.
+        """
         self.sidecar = sidecar
         self.form = form
+        self.device = device
+        self._together = BatchedPointRaft(model, device=device) if model is not None and device is not None else None
         self._model = model
         self._network = FastPointRaft(model, form) if model is not None else None
         self._interval = sidecar.interval_rule
@@ -72,7 +84,11 @@ class Weigher:
 
     def in_form(self, form: Form) -> Weigher:
         """The same weights, computed in `form`."""
-        return self if form == self.form else Weigher(self._model, self.sidecar, form)
+        return self if form == self.form else Weigher(self._model, self.sidecar, form, device=self.device)
+
+    def on(self, device: str | None) -> Weigher:
+        """The same weights, computed on `device`."""
+        return self if device == self.device else Weigher(self._model, self.sidecar, self.form, device=device)
 
     def weigh(
         self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
@@ -83,16 +99,47 @@ class Weigher:
             belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
             resting_sd_m: the same of the resting level below it.
         """
+        if self._together is not None:
+            return self.weigh_many([cloud], belt_sd_m=[belt_sd_m], resting_sd_m=[resting_sd_m])[0]
+        network_g = None
+        if self._network is not None:
+            network_g = self._network.weigh(self._group(cloud.points), self._height_m(cloud))
+        return self._weighed(cloud, network_g, math.hypot(belt_sd_m, resting_sd_m))
+
+    def weigh_many(
+        self, clouds: Sequence[PreparedCloud], *, belt_sd_m: Sequence[float], resting_sd_m: Sequence[float]
+    ) -> list[Weighed]:
+        """The weights of several clouds, in one pass where there is a device for it."""
+        if self._together is None:
+            return [
+                self.weigh(cloud, belt_sd_m=belt, resting_sd_m=resting)
+                for cloud, belt, resting in zip(clouds, belt_sd_m, resting_sd_m, strict=True)
+            ]
+        heights_m = [self._height_m(cloud) for cloud in clouds]
+        if self.sidecar.start.kind == "prefix":
+            points = [cloud.points for cloud in clouds]
+            network_g = self._together.weigh_clouds(points, heights_m, points=self.sidecar.input.points)
+        else:
+            network_g = self._together.weigh([self._group(cloud.points) for cloud in clouds], heights_m)
+        return [
+            self._weighed(cloud, float(grams), math.hypot(belt, resting))
+            for cloud, grams, belt, resting in zip(clouds, network_g, belt_sd_m, resting_sd_m, strict=True)
+        ]
+
+    def _height_m(self, cloud: PreparedCloud) -> float:
+        return cloud.clamped_height_m(self.sidecar.input.max_height_m)
+
+    def _weighed(self, cloud: PreparedCloud, network_g: float | None, level_sd_m: float) -> Weighed:
+        """The weight with its interval and flags, from the network's answer."""
         by_volume_g = self._volume.weight_g(cloud.surface)
-        if self._network is None:
+        if network_g is None:
             return self._by_volume(by_volume_g, cloud.flags)
-        height_m = cloud.clamped_height_m(self.sidecar.input.max_height_m)
-        network_g = self._network.weigh(self._group(cloud.points), height_m)
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
         parts = np.array([network_g]), np.array([by_volume_g])
         weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
-        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, math.hypot(belt_sd_m, resting_sd_m))
+        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, level_sd_m)
+        form = self.form.flags if self._together is None else (BATCHED,)
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
@@ -101,7 +148,7 @@ class Weigher:
             volume_g=round(by_volume_g, 3),
             method="pointraft",
             model=self.sidecar.model_id,
-            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *self.form.flags),
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *form),
         )
 
     def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
@@ -151,10 +198,33 @@ def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups 
 
 def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
     """The answer to `view`: a weight, or a refusal with its reason."""
-    try:
-        weighed = weigher.weigh(prepare_view(view), belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m)
-    except RefusedCloud as refusal:
-        return _refusal(weigher, view, regressor=regressor, reason=refusal.reason)
+    return weigh_views(weigher, [view], regressor=regressor)[0]
+
+
+def weigh_views(weigher: Weigher, views: Sequence[View], *, regressor: str) -> list[Weight]:
+    """The answers to `views`, in their order."""
+    prepared: list[PreparedCloud | RefusedCloud] = []
+    for view in views:
+        try:
+            prepared.append(prepare_view(view))
+        except RefusedCloud as refusal:
+            prepared.append(refusal)
+    fit = [(view, cloud) for view, cloud in zip(views, prepared, strict=True) if isinstance(cloud, PreparedCloud)]
+    weighed = weigher.weigh_many(
+        [cloud for _, cloud in fit],
+        belt_sd_m=[view.belt_sd_m for view, _ in fit],
+        resting_sd_m=[view.resting_sd_m for view, _ in fit],
+    )
+    found = iter(weighed)
+    return [
+        _refusal(weigher, view, regressor=regressor, reason=cloud.reason)
+        if isinstance(cloud, RefusedCloud)
+        else _answer(weigher, view, next(found), regressor=regressor)
+        for view, cloud in zip(views, prepared, strict=True)
+    ]
+
+
+def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -> Weight:
     weight = Weight(
         view_id=view.view_id,
         track_id=view.track_id,

@@ -132,14 +132,15 @@ class Dispatcher:
         losses = {f"lost_{reason}": n for reason, n in sorted(self.lost.items())}
         return {"sent": self.sent, "weighed": self.weighed, "outstanding": self.outstanding, **losses}
 
-    def offer(self, view: View, *, now_s: float = 0.0, spare: bool = False) -> None:
+    def offer(self, view: View, *, now_s: float = 0.0, spare: bool = False, weighed: bool = False) -> None:
         """Take a view to be weighed; a tuber's best one comes first. One that is offered twice counts once.
 
-        `spare`: shed it at once, unless it is the one to be kept as the fallback view.
+        `spare`: shed it at once, unless it is the one to be kept as the fallback view. `weighed`: its tuber has an
+        answer already.
         """
         if view.view_id in self._jobs:
             return
-        tuber = self._tubers.setdefault(view.track_id, _Tuber())
+        tuber = self._tubers.setdefault(view.track_id, _Tuber(weighed=weighed))
         job = _Job(view, self.sent, now_s, first=not tuber.weighed and not tuber.jobs)
         tuber.jobs.append(job)
         self._jobs[view.view_id] = job
@@ -232,6 +233,11 @@ class Dispatcher:
         """Give up all views of a track."""
         tuber = self._tubers.get(track_id)
         for job in sorted(tuber.jobs, key=lambda j: -j.view.rank) if tuber else []:
+            self._lose(job, reason)
+
+    def give_up(self, view_id: str, reason: str) -> None:
+        """Give up one view, if it is still waited for."""
+        if job := self._jobs.get(view_id):
             self._lose(job, reason)
 
     def take_losses(self) -> list[LostView]:

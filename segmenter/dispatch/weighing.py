@@ -20,6 +20,11 @@ class _Waiting:
     first_answer_s: float | None = None
 
     @property
+    def view_ids(self) -> set[str]:
+        """Of the views that were chosen: what else of it was weighed early is not its business."""
+        return {view.view_id for view in self.closed.views}
+
+    @property
     def done(self) -> bool:
         return len(self.answers) + self.losses.total() == len(self.closed.views)
 
@@ -51,7 +56,9 @@ class Weighing:
     def weighed(self, weight: Weight, now_s: float = 0.0) -> None:
         """Take an answer that can be used."""
         waiting = self._waiting.get(weight.track_id)
-        if waiting is None or weight.weight_g is None or weight.low_g is None or weight.high_g is None:
+        if waiting is None or weight.view_id not in waiting.view_ids:
+            return
+        if weight.weight_g is None or weight.low_g is None or weight.high_g is None:
             return
         self._touched.add(weight.track_id)
         if waiting.first_answer_s is None:
@@ -70,7 +77,7 @@ class Weighing:
     def lost(self, view: LostView) -> None:
         """Take a loss."""
         waiting = self._waiting.get(view.track_id)
-        if waiting is not None:
+        if waiting is not None and view.view_id in waiting.view_ids:
             self._touched.add(view.track_id)
             waiting.losses[view.reason] += 1
 

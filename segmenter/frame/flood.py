@@ -10,13 +10,16 @@ from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
+RELIEF, PARENT = 0, 1
+"""Columns of a node. Its relief stands there as its float32 bits, which order as the heights do where none is negative:
+so all that is asked of a neighbour lies in one place of the memory."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _find(parent: NDArray[np.int32], node: Any) -> Any:
-    while parent[node] != node:
-        parent[node] = parent[parent[node]]
-        node = parent[node]
+def _find(nodes: NDArray[np.int32], node: Any) -> Any:
+    while nodes[node, PARENT] != node:
+        nodes[node, PARENT] = nodes[nodes[node, PARENT], PARENT]
+        node = nodes[node, PARENT]
     return node
 
 
@@ -40,19 +43,26 @@ def _falling(levels: NDArray[np.int32], count: int, top: int) -> NDArray[np.int3
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def _named(
-    parent: NDArray[np.int32], order: NDArray[np.int32], rows: int, columns: int
+    nodes: NDArray[np.int32], peaks: NDArray[np.int32], foreground: NDArray[np.uint8]
 ) -> tuple[NDArray[np.int32], int]:
-    """Number the basins 1..n, highest peak first, without the rim of one cell that `flood` works with."""
+    """Number the basins 1..n, highest peak first, without the rim of one cell that `flood` works with.
+
+    The first cell of a basin was a peak, so that the peaks alone, in falling order, tell the order of the basins.
+    """
+    rows, columns = foreground.shape
     width = columns + 2
     labels = np.zeros((rows, columns), np.int32)
-    names = np.zeros(len(parent), np.int32)
+    names = np.zeros(len(nodes), np.int32)
     n = 0
-    for cell in order:
-        root = _find(parent, cell)
+    for peak in peaks:
+        root = _find(nodes, peak)
         if names[root] == 0:
             n += 1
             names[root] = n
-        labels[cell // width - 1, cell % width - 1] = names[root]
+    for i in range(rows):
+        for j in range(columns):
+            if foreground[i, j]:
+                labels[i, j] = names[_find(nodes, (i + 1) * width + j + 1)]
     return labels, n
 
 
@@ -89,34 +99,44 @@ def flood(
                 top = max(top, level)
                 count += 1
     order = _falling(levels, count, top)
-    around = np.array([-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1], np.int32)
-    parent = np.full((rows + 2) * width, -1, np.int32)
-    # `parent` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
+    peaks = np.empty(count, np.int32)
+    found = 0
+    # `PARENT` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
+    nodes = np.full(((rows + 2) * width, 2), np.int32(-1), np.int32)
+    nodes[:, RELIEF] = relief.view(np.int32)
     for cell in order:
         # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
-        home, highest = -1, np.float32(-1.0)
-        for step in around:
+        home, highest, first, meet = np.int32(-1), np.int32(-1), np.int32(-1), False
+        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
             near = cell + step
-            if parent[near] >= 0 and relief[near] > highest:
-                highest = relief[near]
-                home = near
+            parent = nodes[near, PARENT]
+            if parent >= 0:
+                if nodes[near, RELIEF] > highest:
+                    highest = nodes[near, RELIEF]
+                    home = near
+                meet |= first >= 0 and parent != first
+                first = parent
         if home < 0:
-            parent[cell] = cell
+            nodes[cell, PARENT] = cell
+            peaks[found] = cell
+            found += 1
             continue
-        root = _find(parent, home)
-        parent[cell] = root
+        root = _find(nodes, home)
+        nodes[cell, PARENT] = root
+        if not meet:
+            continue
         # Where it touches other basins it is the pass between them: the highest, for cells come in falling order.
-        for step in around:
+        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
             near = cell + step
-            if parent[near] >= 0 and parent[near] != root:
-                other = _find(parent, near)
+            if nodes[near, PARENT] >= 0 and nodes[near, PARENT] != root:
+                other = _find(nodes, near)
                 if other != root:
                     low, high = (other, root) if relief[other] < relief[root] else (root, other)
                     # The lower peak hardly rises over the pass: no tuber of its own.
                     if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
-                        parent[low] = high
+                        nodes[low, PARENT] = high
                         root = high
-    return _named(parent, order, rows, columns)
+    return _named(nodes, peaks[:found], foreground)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

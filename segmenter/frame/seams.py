@@ -112,6 +112,38 @@ def _main_neighbour(seams: _Seams, small: int, cell_mm: float, seam: SeamSetting
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _add_seam(
+    labels: NDArray[np.int32],
+    height_mm: NDArray[np.float32],
+    i: int,
+    j: int,
+    di: int,
+    dj: int,
+    length: NDArray[np.float64],
+    height: NDArray[np.float64],
+    jump: NDArray[np.float64],
+    outline: NDArray[np.float64],
+) -> None:
+    """Book the edge between the cell (i, j) and its neighbour (i + di, j + dj), which has another label."""
+    rows, columns = labels.shape
+    y, x = i + di, j + dj
+    a, b = labels[i, j], labels[y, x]
+    outline[a] += 1
+    outline[b] += 1
+    if a == 0 or b == 0:
+        return
+    low = min(height_mm[i, j], height_mm[y, x])
+    i2, j2, y2, x2 = max(0, i - di), max(0, j - dj), min(rows - 1, y + di), min(columns - 1, x + dj)
+    step = abs(height_mm[i2, j2] - height_mm[y2, x2])
+    length[a, b] += 1
+    length[b, a] += 1
+    height[a, b] += low
+    height[b, a] += low
+    jump[a, b] += step
+    jump[b, a] += step
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def _seams(labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]) -> _Seams:
     rows, columns = labels.shape
     length = np.zeros((n + 1, n + 1))
@@ -122,30 +154,23 @@ def _seams(labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]) ->
     top = np.zeros(n + 1)
     at_end = np.zeros(n + 1, np.bool_)
     for i in range(rows):
-        for j in range(columns):
+        end = i < END_ROWS or i >= rows - END_ROWS
+        # Runs of one label along a row: their cells and their highest point are booked once each.
+        j = 0
+        while j < columns:
             a = labels[i, j]
+            first, highest = j, np.float32(0.0)
+            while j < columns and labels[i, j] == a:
+                highest = max(highest, height_mm[i, j])
+                j += 1
             if a > 0:
-                cells[a] += 1
-                top[a] = max(top[a], height_mm[i, j])
-                at_end[a] |= i < END_ROWS or i >= rows - END_ROWS
-            for di, dj in ((0, 1), (1, 0)):
-                y, x = i + di, j + dj
-                if y >= rows or x >= columns:
-                    continue
-                b = labels[y, x]
-                if a == b:
-                    continue
-                outline[a] += 1
-                outline[b] += 1
-                if a == 0 or b == 0:
-                    continue
-                low = min(height_mm[i, j], height_mm[y, x])
-                i2, j2, y2, x2 = max(0, i - di), max(0, j - dj), min(rows - 1, y + di), min(columns - 1, x + dj)
-                step = abs(height_mm[i2, j2] - height_mm[y2, x2])
-                length[a, b] += 1
-                length[b, a] += 1
-                height[a, b] += low
-                height[b, a] += low
-                jump[a, b] += step
-                jump[b, a] += step
+                cells[a] += j - first
+                top[a] = max(top[a], highest)
+                at_end[a] |= end
+            if j < columns:
+                _add_seam(labels, height_mm, i, j - 1, 0, 1, length, height, jump, outline)
+        if i + 1 < rows:
+            for j in range(columns):
+                if labels[i, j] != labels[i + 1, j]:
+                    _add_seam(labels, height_mm, i, j, 1, 0, length, height, jump, outline)
     return _Seams(length, height, jump, cells, outline, top, at_end)

@@ -84,37 +84,53 @@ def _add_cells(
     rows, columns = labels.shape
     half = (stride - 1) / 2.0
     for i in range(rows):
-        for j in range(columns):
+        j = 0
+        # Runs of one label along a row: its row of the table is read and written once for each of them.
+        while j < columns:
             k = labels[i, j]
+            first = j
             if k == 0:
+                while j < columns and labels[i, j] == 0:
+                    j += 1
                 continue
             s = sums[k]
-            h = height_mm[i, j]
-            # Depth at which the cell's ray has this height, and the belt area that the cell covers there.
-            slope = a * (j * stride + half) + b * (i * stride + half) + c
-            z = (h - t) / slope
-            area = area_factor * z * z / abs(slope * 1e-3)
-            s.cells += 1
-            s.columns += j
-            s.rows += i
-            s.area_mm2 += area
-            s.volume_mm3 += area * h
-            s.top += i < margin
-            s.bottom += i >= rows - margin
-            s.left += j < margin
-            s.right += j >= columns - margin
+            area_mm2, volume_mm3, peak_mm = s.area_mm2, s.volume_mm3, s.peak_mm
+            touching, outline = 0, 0
+            while j < columns and labels[i, j] == k:
+                h = height_mm[i, j]
+                # Depth at which the cell's ray has this height, and the belt area that the cell covers there.
+                slope = a * (j * stride + half) + b * (i * stride + half) + c
+                z = (h - t) / slope
+                area = area_factor * z * z / abs(slope * 1e-3)
+                area_mm2 += area
+                volume_mm3 += area * h
+                peak_mm = max(peak_mm, h)
+                histogram[k, min(STEPS - 1, int(h / STEP_MM))] += 1
+                above = labels[i - 1, j] if i > 0 else k
+                below = labels[i + 1, j] if i + 1 < rows else k
+                before = labels[i, j - 1] if j > 0 else k
+                after = labels[i, j + 1] if j + 1 < columns else k
+                if above != k or below != k or before != k or after != k:
+                    outline += 1
+                    touching += (
+                        (above != k and above > 0)
+                        or (below != k and below > 0)
+                        or (before != k and before > 0)
+                        or (after != k and after > 0)
+                    )
+                j += 1
+            cells = j - first
+            s.cells += cells
+            s.columns += cells * (first + j - 1) // 2
+            s.rows += cells * i
+            s.area_mm2, s.volume_mm3, s.peak_mm = area_mm2, volume_mm3, peak_mm
+            s.top += cells if i < margin else 0
+            s.bottom += cells if i >= rows - margin else 0
+            s.left += max(0, min(j, margin) - first)
+            s.right += max(0, j - max(first, columns - margin))
             s.first_row = min(s.first_row, i)
             s.last_row = max(s.last_row, i)
-            s.first_column = min(s.first_column, j)
-            s.last_column = max(s.last_column, j)
-            s.peak_mm = max(s.peak_mm, h)
-            histogram[k, min(STEPS - 1, int(h / STEP_MM))] += 1
-            touching, outline = False, False
-            for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                y, x = i + di, j + dj
-                if 0 <= y < rows and 0 <= x < columns and labels[y, x] != k:
-                    outline = True
-                    if labels[y, x] > 0:
-                        touching = True
+            s.first_column = min(s.first_column, first)
+            s.last_column = max(s.last_column, j - 1)
             s.touching += touching
             s.outline += outline

@@ -60,6 +60,8 @@ KEPT_PER_SLOT = 3
 """Candidates kept per wanted position; the choice falls when the track's usual area is known."""
 NEAR_M = 0.025
 """Metres. Within this of its wanted position every view is a candidate; farther off, only one this much nearer."""
+PASSED_M = 0.004
+"""Metres past its wanted position from which on a view is settled: places still move by that much."""
 LEAST_HEIGHT_M = 0.004
 """Metres. Pixels of a crop lower than this are belt at the rim of the mask; higher trims tubers."""
 ODD_COST_M = 0.2

@@ -23,6 +23,8 @@ from segmenter.track.views import Candidate, size_m
 
 REJECTED_KEPT = 1000
 """Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
+EARLY_FRAMES = 3
+"""Seen in fewer frames, a track is too young for its views to be weighed before it is decided."""
 MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 """A track refused so is decided later while it is still in view: more frames may show it."""
 
@@ -64,6 +66,25 @@ class TrackDecider:
                 closed.append(decision)
         return closed
 
+    def early(self, now: Moment) -> list[View]:
+        """Views of open tracks past the row that will hardly change any more, each once: they may be weighed already.
+
+        Whether a track counts, and by which views, is decided later and without regard to this.
+        """
+        views: list[View] = []
+        for track in now.tracker.tracks:
+            past_m = now.tracker.past_row_m(track, now.follower.travel_m)
+            if track.state is not State.OPEN or not track.countable or past_m < 0 or track.frames < EARLY_FRAMES:
+                continue
+            for slot, candidate in track.shelf.settled(track.area_m2, past_m=past_m):
+                if slot not in track.sent_early:
+                    track.sent_early.add(slot)
+                    views.append(self._view(candidate, slot, _track_id(track, now), now.frame))
+        return views
+
+    def _view(self, candidate: Candidate, rank: int, track_id: str, frame: Frame) -> View:
+        return _view(candidate, rank, track_id, frame, self._belt_sd_m).resting_on(self._resting)
+
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
         """What becomes of a track; None where it is not due."""
         tracker, travel_m = now.tracker, now.follower.travel_m
@@ -96,11 +117,8 @@ class TrackDecider:
             reason = class_refusal(track.answer, self._settings)
         if reason is not None:
             return RefusedTrack(reason)
-        track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
-        views = tuple(
-            _view(candidate, rank, track_id, now.frame, self._belt_sd_m).resting_on(self._resting)
-            for rank, candidate in enumerate(chosen)
-        )
+        track_id = _track_id(track, now)
+        views = tuple(self._view(candidate, rank, track_id, now.frame) for rank, candidate in enumerate(chosen))
         under_m = float(np.median([view.resting_offset_m for view in views]))
         message = _message(track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m)
         try:
@@ -118,6 +136,10 @@ class TrackDecider:
             self.counted += 1
         track.shelf.clear()
         track.patch = Patch()
+
+
+def _track_id(track: TrackState, now: Moment) -> str:
+    return f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
 
 
 def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:

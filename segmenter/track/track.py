@@ -52,6 +52,7 @@ class TrackState:
 
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
+    `sent_early`: wanted positions whose view was given to be weighed before the decision.
     `answer` is what the classifier said of its patch; None before, and without a classifier.
     """
 
@@ -74,6 +75,7 @@ class TrackState:
     hits: list[Hit] = field(default_factory=list)
     patch: Patch = field(default_factory=Patch)
     answer: Answer | None = None
+    sent_early: set[int] = field(default_factory=set)
 
     def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""

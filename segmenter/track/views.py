@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import outline_size_m
-from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE
+from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE, PASSED_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +69,25 @@ class ViewShelf:
 
     def choose(self, usual_area_m2: float) -> list[Candidate]:
         """At most one view per slot, best slot first, no frame twice."""
-        chosen: list[Candidate] = []
+        return [candidate for _, candidate in self._choice(usual_area_m2)]
+
+    def settled(self, usual_area_m2: float, *, past_m: float) -> list[tuple[int, Candidate]]:
+        """(slot, view) of the choice so far that a later frame does not better: the tuber's centre lies `past_m` past
+        the row, farther from the wanted position than that view.
+        """
+        return [
+            (index, candidate)
+            for index, candidate in self._choice(usual_area_m2)
+            if candidate.whole
+            and past_m - self._offsets_m[index] >= max(abs(candidate.offset_m - self._offsets_m[index]), PASSED_M)
+        ]
+
+    def _choice(self, usual_area_m2: float) -> list[tuple[int, Candidate]]:
+        chosen: list[tuple[int, Candidate]] = []
         for index, slot in enumerate(self._slots):
-            fresh = [c for c in slot if all(c.seq != other.seq for other in chosen)]
+            fresh = [c for c in slot if all(c.seq != other.seq for _, other in chosen)]
             if fresh:
-                chosen.append(min(fresh, key=lambda c: self._cost(c, index, usual_area_m2)))
+                chosen.append((index, min(fresh, key=lambda c: self._cost(c, index, usual_area_m2))))
         return chosen
 
     def clear(self) -> None:
@@ -112,13 +127,11 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
     i0, i1, j0, j1 = (int(value) for value in instances.box[index])
     inside = instances.labels[i0 : i1 + 1, j0 : j1 + 1] == index + 1
     v0, u0 = i0 * stride, j0 * stride
-    mask = np.repeat(np.repeat(inside, stride, axis=0), stride, axis=1)
-    crop = frame.depth[v0 : v0 + mask.shape[0], u0 : u0 + mask.shape[1]]
-    a, b, c, t = belt.height_coefficients()
-    v, u = np.ogrid[v0 : v0 + mask.shape[0], u0 : u0 + mask.shape[1]]
-    high = crop * frame.depth_scale_m * (a * u + b * v + c) + t > LEAST_HEIGHT_M
-    depth = np.where(mask & high, crop, 0).astype(np.uint16)
-    if not depth.any():
+    crop = np.ascontiguousarray(frame.depth[v0 : v0 + inside.shape[0] * stride, u0 : u0 + inside.shape[1] * stride])
+    depth, measured = _load(
+        crop, inside, stride, frame.depth_scale_m, u0, v0, *belt.height_coefficients(), LEAST_HEIGHT_M
+    )
+    if not measured:
         return None
     return Candidate(
         seq=frame.seq,
@@ -135,6 +148,33 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
         contact=float(instances.contact[index]),
         whole=not bool(instances.cut[index].any()),
     )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _load(
+    crop: NDArray[np.uint16],
+    inside: NDArray[np.bool_],
+    stride: int,
+    scale_m: float,
+    u0: int,
+    v0: int,
+    a: float,
+    b: float,
+    c: float,
+    t: float,
+    least_m: float,
+) -> tuple[NDArray[np.uint16], bool]:
+    """The crop's pixels inside the mask that stand over the belt, 0 elsewhere; whether there are any."""
+    depth = np.zeros_like(crop)
+    measured = False
+    for v in range(crop.shape[0]):
+        for u in range(crop.shape[1]):
+            if inside[v // stride, u // stride]:
+                height_m = crop[v, u] * scale_m * (a * (u0 + u) + b * (v0 + v) + c) + t
+                if height_m > least_m:
+                    depth[v, u] = crop[v, u]
+                    measured |= crop[v, u] > 0
+    return depth, measured
 
 
 def size_m(candidate: Candidate, belt: BeltGeometry) -> tuple[float, float]:

@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig, LinkConfig, dump_toml
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestSubscriber
+from conveyor.delivery.endpoint import Endpoint
+from conveyor.direct import DirectLink, direct_endpoint
 from conveyor.messages import CameraInfo, Counters, Frame, FrameProgress
 from conveyor.node import Node
 from tests.conftest import wait_until
@@ -42,11 +44,14 @@ def process(config: LineConfig, folder: Path, *args: str) -> Iterator[subprocess
 
 
 class OtherSide:
-    """What a segmenter and an observer would see of the camera, and the progress that the former would tell."""
+    """What a segmenter and an observer would see of the camera, and the progress that the former would tell.
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self.frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=512, camera="front")
+    `source`: where its frames come from.
+    """
+
+    def __init__(self, node: Node, source: Endpoint) -> None:
+        self.node = node
+        self.frames = LatestSubscriber(source, topics.FRAME, Frame, capacity=512, camera="front")
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="front")
         self._counters = KeptSubscriber(node, topics.COUNTERS, Counters, role="*", name="*")
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera="front")
@@ -99,8 +104,10 @@ def other_side(config: LineConfig) -> Iterator[OtherSide]:
     """A node of this process; the test run's own signal handlers come back afterwards."""
     before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        with Node("segmenter", "front", config=config, run=RUN) as node:
-            yield OtherSide(node)
+        with Node("segmenter", "front", config=config, run=RUN) as node, ExitStack() as stack:
+            endpoint = direct_endpoint(config.camera("front"), "front")
+            direct = None if endpoint is None else DirectLink.open(node, endpoint, link=config.link, listens=True)
+            yield OtherSide(node, stack.enter_context(direct) if direct else node)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

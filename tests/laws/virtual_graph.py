@@ -27,6 +27,7 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import CameraInfo, Committed, Frame, FrameProgress, TrackEntry, View, Weight
 from segmenter.camera_run import CameraRun, RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
+from segmenter.log_store import LogStore
 from segmenter.pipeline import Segmenter, Settings, StepResult
 from tests.laws.faults import Died, Faults, Fuse, Link
 from tests.segmenter.segmenter_scene import SMALL, Scene, scattered
@@ -355,7 +356,7 @@ class Graph:
         run.core = RememberedCore(remembered(name))  # type: ignore[assignment]
         run.open()
         run.ended = run.log.last_mark is not None and run.log.last_mark.final
-        assert run.log.store is not None
+        assert isinstance(run.log.store, LogStore)
         run.log.store.step = self.fuses[name].burn
         return run
 

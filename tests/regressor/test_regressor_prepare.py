@@ -9,6 +9,7 @@ import pytest
 
 from conveyor.geometry import straight_down_belt_from_camera
 from regressor.weigh.prepare import MAX_POINTS, RefusedCloud, clean_depth, prepare_cloud, prepare_view
+from regressor.weigh.surface import DIRECTIONS, TRIMMED, _widths
 from tests.regressor.ellipsoids import ellipsoid_view
 
 
@@ -166,3 +167,12 @@ def test_everything_counts_from_the_resting_level() -> None:
     assert below.height_m == pytest.approx(on_plane.height_m + 0.006)
     deeper_ml = 0.6 * on_plane.surface.area_cm2
     assert below.surface.volume_ml == pytest.approx(on_plane.surface.volume_ml + deeper_ml, rel=1e-6)
+
+
+@pytest.mark.parametrize("points", [1, 2, 3, 57, 400, 2003])
+def test_widths_are_those_of_quantiles(points: int) -> None:
+    """Ties included: depths are whole millimetres."""
+    xy = np.random.default_rng(points).normal(size=(points, 2)).round(1)
+    along = xy @ DIRECTIONS
+    widths = np.quantile(along, 1 - TRIMMED, axis=0) - np.quantile(along, TRIMMED, axis=0)
+    np.testing.assert_array_equal(_widths(np.ascontiguousarray(along.T), TRIMMED), widths)

@@ -46,14 +46,15 @@ def balanced(line: FloodedLine) -> None:
 def test_a_line_that_waits_keeps_every_view_and_its_marks() -> None:
     assert (REPLAY.spare_grace_s, REPLAY.fewer_views, REPLAY.mark_every_ns) == (None, False, MARK_EVERY_NS)
     assert REPLAY.dispatch.shed_over is None
-    assert (SHIPPED.spare_grace_s, SHIPPED.fewer_views, SHIPPED.mark_every_ns) == (0.25, True, LIVE_MARK_EVERY_NS)
+    assert (SHIPPED.spare_grace_s, SHIPPED.fewer_views, SHIPPED.mark_every_ns) == (0.15, True, LIVE_MARK_EVERY_NS)
 
 
-def test_marks_come_four_times_a_second() -> None:
-    """Law: not rarer than asked for, and not one per frame."""
+def test_marks_come_with_the_first_frame_that_is_due() -> None:
+    """Law: not more often than asked for, and at most a frame later."""
     line = FloodedLine(per_s=5.0, takes_s=0.01, workers=2, turn_s=0.05, settings=EVERYTHING)
     apart_ns = np.diff(marks_ns(line, 5.0))
-    assert set(apart_ns) == {LIVE_MARK_EVERY_NS}
+    assert min(apart_ns) >= LIVE_MARK_EVERY_NS
+    assert max(apart_ns) < LIVE_MARK_EVERY_NS + 50_000_000
 
 
 @pytest.mark.parametrize("per_s", [5.0, 15.0, 24.0])

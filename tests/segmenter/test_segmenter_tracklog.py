@@ -6,16 +6,19 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import threading
 import zlib
 from pathlib import Path
 
 import pytest
 
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, StorageError
 from conveyor.messages import Committed, Mark, Track, TrackEntry
 from segmenter.log_store import LogStore
+from segmenter.log_writer import LogWriter
 from segmenter.old_log import MAGIC, read_old_log
 from segmenter.tracklog import TrackLog
+from tests.conftest import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -263,3 +266,50 @@ def test_finished_means_final_and_committed() -> None:
         assert not log.finished
         log.commit(1)
         assert log.finished
+
+
+def test_a_slow_disk_holds_up_no_frame_and_nothing_is_sent_that_is_not_on_it(tmp_path: Path) -> None:
+    """What comes while the disk is busy goes there in one transaction."""
+    disk, writes = threading.Event(), list[str]()
+
+    def busy(step: str) -> None:
+        writes.append(step)
+        assert disk.wait(30)
+
+    store = LogStore(tmp_path / "front.db", camera="front", run="r1")
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1", behind=True) as log:
+        assert isinstance(log.store, LogWriter)
+        log.store._store.step = busy
+        log.append([track(1)])
+        wait_until(lambda: writes, what="the first write")
+        log.append([track(2)])
+        log.append([mark(0.5)])
+        assert log.newest == 3
+        assert log.due(0.0) == []
+        disk.set()
+        sent: list[int] = []
+        wait_until(lambda: sent.extend(e.n for e in log.due(0.0)) or len(sent) == 3, what="three entries to send")
+        assert sent == [1, 2, 3]
+        assert writes.count("append: commit") == 2
+        log.commit(2)
+        log.append([mark(0.6, final=True)])
+    with store:
+        stored = store.load()
+    assert (stored.newest, stored.committed, [e.n for e in stored.entries if e.n > 2]) == (4, 2, [3, 4])
+
+
+def test_what_the_writing_thread_cannot_write_is_an_error_of_the_next_call(tmp_path: Path) -> None:
+    def full(step: str) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    log = TrackLog(tmp_path / "front.db", camera="front", run="r1", behind=True).__enter__()
+    writer = log.store
+    assert isinstance(writer, LogWriter)
+    writer._store.step = full
+    log.append([track(1)])
+    wait_until(lambda: writer._error is not None, what="the write to fail")
+    assert log.due(0.0) == []
+    with pytest.raises(StorageError, match="disk is full"):
+        log.append([track(2)])
+    with pytest.raises(StorageError, match="disk is full"):
+        log.__exit__(None, None, None)

@@ -1,0 +1,62 @@
+"""Where a camera's frames go: straight to its segmenter on the same host, and by the router to whoever else listens."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Self
+
+from conveyor import topics
+from conveyor.config import LineConfig
+from conveyor.delivery import LatestPublisher
+from conveyor.direct import DirectLink, direct_endpoint
+from conveyor.messages import Frame
+from conveyor.node import Node
+
+
+class FrameOutlet:
+    """Publishes frames, each encoded once. A context manager.
+
+    With a direct link the router sees a frame only while somebody beyond listens: viewer, recorder. Counters:
+    `frames_direct`, `frames_by_router`: how many went which way.
+    """
+
+    def __init__(self, node: Node, config: LineConfig, *, codec: str) -> None:
+        self._counters = node.counters
+        self._codec = codec
+        self._stack = ExitStack()
+        self._by_router = LatestPublisher(node, topics.FRAME, camera=node.name)
+        endpoint = direct_endpoint(config.camera(node.name), node.name)
+        self._direct: LatestPublisher | None = None
+        if endpoint is not None:
+            link = self._stack.enter_context(DirectLink.open(node, endpoint, link=config.link, listens=False))
+            self._direct = LatestPublisher(link, topics.FRAME, camera=node.name)
+        for counter in ("frames_direct", "frames_by_router"):
+            node.counters.add(counter, 0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    @property
+    def has_segmenter(self) -> bool:
+        """The segmenter listens; without a direct link, somebody does."""
+        return (self._by_router if self._direct is None else self._direct).has_listener
+
+    def put(self, frame: Frame) -> None:
+        """Send `frame` to everyone who listens now. Returns at once; a loss shows at the receiver as a gap."""
+        to_router = self._by_router.has_listener
+        to_direct = self._direct is not None and self._direct.has_listener
+        if not (to_router or to_direct):
+            return
+        data = frame.encode(codec=self._codec)
+        if self._direct is not None and to_direct:
+            self._direct.put_encoded(data)
+            self._counters.add("frames_direct")
+        if to_router:
+            self._by_router.put_encoded(data)
+            self._counters.add("frames_by_router")

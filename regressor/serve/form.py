@@ -1,0 +1,105 @@
+"""Which form of the network a worker computes: the exact one for a replay, the fastest good one for a live line.
+
+A live line weighs what it has time for, and a view that is weighed in a third of the time is worth more than a tenth
+of a gram. What is fastest depends on the processor (bfloat16 pays where it has instructions for it, and costs many
+times as much where it has not), so it is tried at the start. Every weight is flagged with the form it was computed in.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from conveyor.config import LineConfig
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.messages import View
+from regressor.network.fast import EXACT, Form
+from regressor.weigh.prepare import PreparedCloud, prepare_view
+from regressor.weigh.weigher import Weigher
+
+FORMS = (EXACT, Form(centroids=64), Form("bfloat16"), Form("bfloat16", 64))
+MOST_OFF_G = 0.1
+"""Grams that a form may be off the exact one, in the mean over the made-up tubers."""
+WORTH = 0.85
+"""A less exact form must take less than this share of the time of what is chosen so far."""
+ROUNDS = 3
+SIZES_M = ((0.030, 0.024, 0.020), (0.040, 0.030, 0.026), (0.055, 0.036, 0.030), (0.062, 0.042, 0.036))
+"""Half axes of the made-up tubers, 60 to 400 g."""
+
+
+def form_of(config: LineConfig, weigher: Weigher) -> Form:
+    """The form that `config` asks for; `precision = "auto"` is the exact one unless some camera is live.
+
+    Args:
+        weigher: the weights that will be used; without a network there is nothing to choose.
+    """
+    asked = config.regressor
+    if asked.precision != "auto":
+        return Form(asked.precision, asked.centroids)
+    if not config.live:
+        return Form(centroids=asked.centroids)
+    forms = [form for form in FORMS if asked.centroids is None or form.centroids == asked.centroids]
+    return fastest(weigher, forms)
+
+
+def fastest(weigher: Weigher, forms: Sequence[Form]) -> Form:
+    """The fastest of `forms`, the most exact one first, that is at most `MOST_OFF_G` off the exact form."""
+    clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
+    exact = _grams(weigher.in_form(EXACT), clouds)
+    chosen, chosen_s = forms[0], _seconds(weigher.in_form(forms[0]), clouds)
+    for form in forms[1:]:
+        tried = weigher.in_form(form)
+        off_g = float(np.mean(np.abs(_grams(tried, clouds) - exact)))
+        took_s = _seconds(tried, clouds[:1])
+        if took_s > chosen_s:  # emulated products: no need to wait for all of them
+            continue
+        took_s = _seconds(tried, clouds)
+        if off_g <= MOST_OFF_G and took_s < WORTH * chosen_s:
+            chosen, chosen_s = form, took_s
+    return chosen
+
+
+def made_up_view(along_m: float, across_m: float, up_m: float) -> View:
+    """An ellipsoid with these half axes on a belt 0.345 m below a camera of the paper's kind."""
+    distance_m, fx, fy = 0.345, 653.8, 652.1
+    z_m = distance_m - up_m
+    reach_v, reach_u = round(along_m / z_m * fy) + 4, round(across_m / z_m * fx) + 4
+    rows, columns = np.mgrid[-reach_v : reach_v + 1, -reach_u : reach_u + 1]
+    x_m, y_m = rows * z_m / fy, columns * z_m / fx
+    round_off = 1.0 - (x_m / along_m) ** 2 - (y_m / across_m) ** 2
+    top_m = up_m * np.sqrt(np.maximum(round_off, 0.0))
+    depth = np.where(round_off > 0, np.round((z_m - top_m) * 1000), 0).astype(np.uint16)
+    view = View(
+        view_id="warm-up/0",
+        track_id="warm-up",
+        camera="none",
+        run="none",
+        seq=0,
+        captured_ns=0,
+        rank=0,
+        depth_scale_m=0.001,
+        intrinsics=Intrinsics(width=1280, height=720, fx=fx, fy=fy, cx=643.5, cy=366.1),
+        u0=643 - reach_u,
+        v0=366 - reach_v,
+        depth=depth,
+        belt_from_camera=straight_down_belt_from_camera(distance_m),
+    )
+    # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
+    return View.decode(view.encode())
+
+
+def _grams(weigher: Weigher, clouds: Sequence[PreparedCloud]) -> np.ndarray:
+    return np.array([weigher.weigh(cloud).weight_g for cloud in clouds])
+
+
+def _seconds(weigher: Weigher, clouds: Sequence[PreparedCloud]) -> float:
+    """CPU time of all clouds, the best of a few rounds: what else runs on the machine must not choose."""
+    took_s = []
+    for _ in range(ROUNDS):
+        begun = time.thread_time()
+        for cloud in clouds:
+            weigher.weigh(cloud)
+        took_s.append(time.thread_time() - begun)
+    return min(took_s)

@@ -1,0 +1,111 @@
+"""Frames that stay on their host: what is promised of them holds, whoever else comes, goes or dies."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from conveyor import topics
+from conveyor.config import CameraConfig, LinkConfig, parse_config
+from conveyor.delivery import LatestSubscriber
+from conveyor.direct import ENVIRONMENT, LONGEST_PATH, direct_endpoint
+from conveyor.errors import ConfigError
+from conveyor.formats import describe_recording
+from conveyor.messages import Frame
+from tests.camera_sim.camera_process import OtherSide, line, other_side, process
+from tests.conftest import start_router, wait_until
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.fixture
+def direct() -> Iterator[str]:
+    """A socket with a short path: that of a test's own folder may be too long."""
+    folder = tempfile.mkdtemp(prefix="tuberline-")
+    yield f"unixsock-stream/{folder}/front.sock"
+    shutil.rmtree(folder)
+
+
+def _frames(recording: Path) -> int:
+    return describe_recording(recording).cameras[0].frames or 0
+
+
+def _sent(side: OtherSide, name: str) -> int:
+    counters = side.counters()
+    return -1 if counters is None else int(counters.values.get(name, -1))
+
+
+def test_the_router_sees_frames_only_while_somebody_beyond_looks(
+    link: LinkConfig, small_recording: Path, tmp_path: Path, direct: str
+) -> None:
+    config, frames = line(link, path=small_recording, speed=0, window=1, direct=direct), _frames(small_recording)
+    with other_side(config) as side, process(config, tmp_path, "camera", "--camera", "front"):
+        side.follow(1, done_seq=-1)
+        wait_until(lambda: _sent(side, "frames_direct") >= 3, what="three frames by the direct link")
+        assert _sent(side, "frames_by_router") == 0
+        viewer = LatestSubscriber(side.node, topics.FRAME, Frame, capacity=64, name="viewer", camera="*")
+        # One frame is in flight: it was sent before the viewer came.
+        side.follow(2, done_seq=1)
+        wait_until(lambda: len(viewer) > 0, what="a frame at the viewer")
+        viewer.leave()
+        here = len(viewer)
+        side.follow(frames - 1, done_seq=2)
+        side.wait_for_state("ended")
+        assert sorted(set(side.seen)) == list(range(frames))
+        wait_until(lambda: _sent(side, "frames_direct") >= frames, what="the camera's last count")
+        # What was sent while the word that it left was on its way went there too.
+        assert here <= _sent(side, "frames_by_router") <= here + 2 < frames - 4
+
+
+def test_frames_flow_on_while_the_router_is_dead(
+    free_port: int, small_recording: Path, tmp_path: Path, direct: str
+) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    router = start_router(endpoint)
+    config = line(LinkConfig(router=endpoint), path=small_recording, speed=0.2, waits=False, direct=direct)
+    with other_side(config) as side, process(config, tmp_path, "camera", "--camera", "front"):
+        wait_until(lambda: side.take(0.1) != [], what="the first frame")
+        router.kill()
+        router.wait()
+        dead_at = side.seen[-1]
+        wait_until(lambda: side.take(0.1) is not None and side.seen[-1] >= dead_at + 4, what="frames without a router")
+        router = start_router(endpoint)
+        side.wait_for_state("ended")
+        side.take(0.1)
+        assert side.seen == list(range(side.seen[0], _frames(small_recording)))
+    router.terminate()
+    router.wait(30)
+
+
+def test_a_segmenter_that_comes_again_gets_the_frames_from_then_on(
+    link: LinkConfig, small_recording: Path, tmp_path: Path, direct: str
+) -> None:
+    config, frames = line(link, path=small_recording, speed=0, window=2, direct=direct), _frames(small_recording)
+    with process(config, tmp_path, "camera", "--camera", "front"):
+        with other_side(config) as first:
+            first.follow(2, done_seq=-1)
+        with other_side(config) as second:
+            second.follow(frames - 1, done_seq=2)
+            second.wait_for_state("ended")
+        assert sorted(set(second.seen)) == list(range(3, frames))
+
+
+def test_where_frames_go_is_the_configs_or_the_supervisors_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(ENVIRONMENT, raising=False)
+    assert direct_endpoint(CameraConfig(), "front") is None
+    monkeypatch.setenv(ENVIRONMENT, "/run/x")
+    assert direct_endpoint(CameraConfig(), "front") == "unixsock-stream//run/x/front.sock"
+    assert direct_endpoint(CameraConfig(direct="off"), "front") is None
+    assert direct_endpoint(CameraConfig(direct="tcp/127.0.0.1:7001"), "front") == "tcp/127.0.0.1:7001"
+    monkeypatch.setenv(ENVIRONMENT, "/" + "x" * LONGEST_PATH)
+    assert direct_endpoint(CameraConfig(), "front") is None
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/10.0.0.1:7001", "tcp/0.0.0.0:7001", "udp/127.0.0.1:7001", "yes"])
+def test_the_direct_link_is_of_this_host(endpoint: str) -> None:
+    with pytest.raises(ConfigError, match=r"cameras\.front\.direct"):
+        parse_config({"cameras": {"front": {"direct": endpoint}}}, where="test")
