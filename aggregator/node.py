@@ -169,9 +169,9 @@ class AggregatorNode:
             self._node.log.error("entry %d of %s: %s", entry.n, entry.camera, taken)
 
         if taken is Taken.MALFORMED:
-            self._core.set_aside(
-                LoggedEntry(replace(entry, track=None, mark=None), entry.encode(), refused=str(Refusal.CONTENT))
-            )
+            ends = entry.mark is not None and entry.mark.final
+            bare = replace(entry, track=None, mark=None)
+            self._core.set_aside(LoggedEntry(bare, entry.encode(), refused=str(Refusal.CONTENT), ends=ends))
 
     def _set_aside(self, key: str, payload: bytes, error: MessageError) -> None:
         """An entry that can never be read must not hold up those behind it, nor come again for ever."""
@@ -180,7 +180,8 @@ class AggregatorNode:
             return
         if self._core.set_aside(logged) is Taken.SET_ASIDE:
             self._node.log.error(
-                "entry %d of %s is set aside, its tuber is lost: %s", logged.entry.n, logged.entry.camera, error
+                "entry %d of %s is set aside, %s is lost: %s",
+                logged.entry.n, logged.entry.camera, "the sheet of its end" if logged.ends else "its tuber", error,
             )
 
     def _commit(self) -> None:

@@ -64,8 +64,8 @@ class CameraState:
 
     @property
     def final(self) -> bool:
-        """Its last mark said that nothing follows."""
-        return self.mark is not None and self.mark.final
+        """Its last mark said that nothing follows, or was set aside and that much of it could be read."""
+        return self.sight.final or (self.mark is not None and self.mark.final)
 
     def stalled(self, now_s: float, *, stall_s: float) -> bool:
         """Silent for longer than `stall_s`, or its process gone for half of that (time for a restart)."""
@@ -149,10 +149,10 @@ class Cameras:
             name for name, state in self.states.items() if state.final or state.stalled(now_s, stall_s=self._stall_s)
         }
 
-    def moment(self, now_s: float, *, over: bool) -> Moment:
-        """Now, for the coverage."""
+    def moment(self, now_s: float, *, over: bool, waiting_m: Mapping[str, float] | None = None) -> Moment:
+        """Now, for the coverage; `waiting_m` as there."""
         until = {name: until for name, state in self.states.items() if (until := state.until_ns(now_s)) is not None}
-        return Moment(over=over, away=self.away(now_s), until_ns=until)
+        return Moment(over=over, away=self.away(now_s), until_ns=until, waiting_m=waiting_m or {})
 
     @property
     def sights(self) -> Mapping[str, CameraSight]:
@@ -172,6 +172,10 @@ class Cameras:
         state.sight.marked(mark)
         if mark.travel_estimated:
             state.curve.add(mark.captured_ns, mark.travel_m)
+
+    def ended(self, camera: str) -> None:
+        """The camera's final mark came, and nothing else of it could be read."""
+        self.states[camera].sight.final = True
 
     def restored(
         self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight
@@ -196,6 +200,20 @@ class Cameras:
             return None
         travel_m = common_travel_m(curves, reference=self.names[0], camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
         return None if travel_m is None else own_place_x_m + own_travel_m - travel_m - self._head_start_m
+
+    def beyond_m(self, camera: str, place_x_m: float) -> float:
+        """Belt at the end of `camera`'s log from a place of the line's on, metres; 0 where that is not known."""
+        mark = self.states[camera].mark
+        if mark is None:
+            return 0.0
+        complete_x_m = self.place_x_m(
+            camera,
+            mark.complete_place_x_m,
+            t_ns=mark.captured_ns,
+            own_travel_m=mark.travel_m,
+            estimated=mark.travel_estimated,
+        )
+        return 0.0 if complete_x_m is None else max(0.0, place_x_m - complete_x_m)
 
     def says(self, now_s: float) -> Mapping[str, str]:
         """One word for each camera."""
