@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
+from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Aggregation, Batch
 from aggregator.ledger.writer import Ledger
 from aggregator.queries import Queries
@@ -68,6 +69,7 @@ class AggregatorNode:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._ledger = stack.enter_context(Ledger(self.ledger_path))
+            opened_s = time.monotonic()
             restored = self._ledger.open_run(
                 self._run,
                 line=self._config.name,
@@ -93,6 +95,8 @@ class AggregatorNode:
                 restored=restored,
                 count=self._node.counters.add,
             )
+            if (age_s := self._age_s(begun=restored.begun)) is not None:
+                self._core.cameras.began(opened_s - age_s)
             self._reporter = Reporter(self._ledger, self._core, config=self._config, counters=self._node.counters)
             self._open_topics()
             self._stack = stack.pop_all()
@@ -103,6 +107,14 @@ class AggregatorNode:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.__exit__(kind, error, trace)
+
+    def _age_s(self, *, begun: bool) -> float | None:
+        """Seconds since the run began when this process opened it; None where the clock of the day cannot say."""
+        row = self._ledger.run_row(self._run)
+        if not begun or row is None:
+            return 0.0
+        age_s = (time.time_ns() - row.started_ns) / 1e9
+        return age_s if 0 <= age_s <= STANDS_AFTER_S else None
 
     def _open_topics(self) -> None:
         node = self._node
@@ -181,7 +193,10 @@ class AggregatorNode:
         if self._core.set_aside(logged) is Taken.SET_ASIDE:
             self._node.log.error(
                 "entry %d of %s is set aside, %s is lost: %s",
-                logged.entry.n, logged.entry.camera, "the sheet of its end" if logged.ends else "its tuber", error,
+                logged.entry.n,
+                logged.entry.camera,
+                "the sheet of its end" if logged.ends else "its tuber",
+                error,
             )
 
     def _commit(self) -> None:

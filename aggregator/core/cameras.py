@@ -120,11 +120,16 @@ class Cameras:
         first = known.first_ns is None and info.first_captured_ns is not None
         known.take(info)
         if first and info.live and self._began_s is not None and state.mark is None:
-            known.lead_s = now_s - self._began_s
+            published_s = ((info.last_captured_ns or 0) - (info.first_captured_ns or 0)) / 1e9
+            known.lead_s = max(0.0, now_s - self._began_s - published_s)
         if info.state == "streaming":
             state.info_s = now_s
         elif info.state == "ended":
             state.info_s = math.inf
+
+    def began(self, began_s: float) -> None:
+        """When the load began, by the clock of `now_s`: before this process joined its line, or with an earlier one."""
+        self._began_s = began_s
 
     def resumed(self, *, head_start_m: float | None) -> None:
         """The run was begun by an earlier process: when, our clock does not know."""
