@@ -1,4 +1,4 @@
-"""A hundred live lines with random faults: is the truth in their intervals, and does their coverage say what was missed?
+"""Live lines with random faults: is the truth in their intervals, and does their coverage say what was missed?
 
     python -m benchmarks chaos_live --runs 100 --seed S [--out FOLDER] [--jobs 2] [--only N ...]
 

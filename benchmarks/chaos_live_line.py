@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from aggregator.ledger.reader import read_runs, reading
+from aggregator.ledger.reader import read_runs, read_sums, reading
 from benchmarks.chaos_live_belt import Passed
 from benchmarks.chaos_live_faults import Case, Fault
 from conveyor.config import LineConfig, dump_toml, parse_config
@@ -123,8 +123,10 @@ def _told(out: Path) -> dict[str, Any]:
     if (out / "ledger.db").is_file():
         with reading(out / "ledger.db") as view:
             runs = read_runs(view)
-        if runs:
-            found["began_s"] = runs[0].started_ns / 1e9
+            if runs:  # a load begins with its run, or with a frame that a camera had sent by then
+                sights = read_sums(view, runs[0].run).sights.values()
+                first_ns = [sight.published.first_ns for sight in sights if sight.published.first_ns is not None]
+                found["began_s"] = min([runs[0].started_ns, *first_ns]) / 1e9
     if (out / "summary.json").is_file():
         summary = json.loads((out / "summary.json").read_text())
         totals = summary["totals"]

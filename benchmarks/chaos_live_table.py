@@ -1,4 +1,4 @@
-"""Judges disturbed live runs: was the truth in the interval, did the coverage say what was counted, is anything down?"""
+"""Judges disturbed live runs: is the truth in the interval, does the coverage say what was counted, what is down?"""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def markdown(runs: Sequence[Run], *, seed: int) -> str:
     blind = sum(run.get("state") == "nothing seen" for run in runs)
     lines = [
         f"{len(runs)} runs, seed {seed}, machine load {min(loads):.0f} to {max(loads):.0f} "
-        f"(median {statistics.median(loads):.0f}): truth in the 90 % interval in **{sum(map(inside, runs))}**, coverage "
-        f"within 5 points in **{sum(map(covered, runs))}**, nothing down at the end and books balanced in "
+        f"(median {statistics.median(loads):.0f}): truth in the 90 % interval in **{sum(map(inside, runs))}**, "
+        f"coverage within 5 points in **{sum(map(covered, runs))}**, nothing down at the end and books balanced in "
         f"**{sum(map(whole, runs))}**. {blind} saw nothing and said so.",
         "",
         _header("fault"),
@@ -97,9 +97,10 @@ def told(run: Run) -> str:
     numbers = "no summary"
     if "state" in run:
         low, high = ((run[key] or 0) / 1000 for key in ("low_g", "high_g"))
+        true_kg = run.get("true_weighed_g", 0) / 1000
         numbers = (
-            f"counted {run['count']}/{run.get('true_count')} = {_percent(counted)}, coverage {_percent(run['coverage'])} "
-            f"({_percent(difference)}), {low:.1f} to {high:.1f} kg, true {run.get('true_weighed_g', 0) / 1000:.1f}"
+            f"counted {run['count']}/{run.get('true_count')} = {_percent(counted)}, coverage "
+            f"{_percent(run['coverage'])} ({_percent(difference)}), {low:.1f} to {high:.1f} kg, true {true_kg:.1f}"
         )
     down = f", down: {', '.join(run['down'])}" if run["down"] else ""
     return f"{run['number']:3} {verdict} {run['belt']}, {run['ends']}: {faults}: {numbers}{down}"

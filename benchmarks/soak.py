@@ -106,7 +106,7 @@ def loop(recording: Path, into: Path, *, for_s: float) -> Path:
 
 
 def same_file(source: Path, target: Path) -> None:
-    """The same bytes under a second name: a hard link, or a copy on another disk (a recording refuses links that leave it)."""
+    """The same bytes by a hard link, or a copy on another disk (a recording refuses links that leave it)."""
     try:
         os.link(source.resolve(), target)
     except OSError:

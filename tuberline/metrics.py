@@ -106,7 +106,10 @@ def totals_metrics(totals: Totals | None, *, line: str) -> Iterator[Metric]:
     values = {
         "load_tubers": ("tubers counted", float(totals.count)),
         "load_final": ("1 when all cameras ended", float(totals.final)),
-        "load_has_weight": ("0 while nothing was seen or is counted: then there are no weights", float(not totals.no_number)),
+        "load_has_weight": (
+            "0 while nothing was seen or is counted: then there are no weights",
+            float(not totals.no_number),
+        ),
     }
     if not totals.no_number:
         values |= {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,7 @@ def test_late_frames_are_gone_and_the_last_one_stays(recording: Path) -> None:
 def test_what_passes_a_process_that_stands_still_is_a_gap_in_the_numbers(recording: Path) -> None:
     last = open_source(recording, camera="left").keys()[-1].seq
     seqs = played(recording, began_s_ago=0.0, after=last - 25, sleep_at=last - 20)
-    gaps = [b - a for a, b in zip(seqs, seqs[1:], strict=False)]
+    gaps = [b - a for a, b in pairwise(seqs)]
     assert max(gaps) >= 4, "0.5 s of 15 frames a second are gone"
     assert seqs[-1] == last
 

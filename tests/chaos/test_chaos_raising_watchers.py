@@ -131,9 +131,7 @@ def test_a_watcher_ends_on_every_fault_and_comes_back(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("camera")
-def test_a_scrape_that_fails_is_the_scrapes_alone(
-    line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scrape_that_fails_is_the_scrapes_alone(line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inject(("metrics tuberline.metrics node_metrics 1",), tmp_path, monkeypatch)
     port = free_port()
     spec = ProcessSpec("metrics", ("metrics", "--config", str(line), "--listen", f"127.0.0.1:{port}"))
@@ -152,7 +150,8 @@ def test_a_scrape_that_fails_is_the_scrapes_alone(
 
 @pytest.mark.usefixtures("camera")
 @pytest.mark.parametrize(
-    "fault", [pytest.param(f, id=f.split()[2], marks=() if n == 0 else pytest.mark.slow) for n, f in enumerate(RECORDER)]
+    "fault",
+    [pytest.param(f, id=f.split()[2], marks=() if n == 0 else pytest.mark.slow) for n, f in enumerate(RECORDER)],
 )
 def test_a_recorder_ends_and_what_it_had_can_be_saved(
     fault: str, line: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
