@@ -59,12 +59,12 @@ def ready_belt(kind: str, folder: Path, *, seed: int) -> Belt:
     folder.mkdir(parents=True, exist_ok=True)
     recording = make_belt(kind, folder, seed=seed)
     travel_of = make_belt("encoder", folder, seed=seed) if kind == "no encoder" else recording
-    kept = folder / f"{recording.name}.undisturbed.json"
+    kept = folder / f"{travel_of.name}.undisturbed.json"
     if not kept.is_file():
-        undisturbed = folder / f"{recording.name}-undisturbed"
+        undisturbed = folder / f"{travel_of.name}-undisturbed"
         shutil.rmtree(undisturbed, ignore_errors=True)
-        replay_recording(recording, out=undisturbed)
-        score = score_run(undisturbed, truth=recording / "truth.json")
+        replay_recording(travel_of, out=undisturbed)
+        score = score_run(undisturbed, truth=travel_of / "truth.json")
         kept.write_text(json.dumps(score.as_dict()) + "\n")
     score_kept = json.loads(kept.read_text())
     return Belt(

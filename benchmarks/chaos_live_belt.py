@@ -18,9 +18,11 @@ from conveyor.geometry import Intrinsics
 
 SMALL = Optics("d405-424", Intrinsics(424, 240, 216.559, 216.014, 212.904, 121.772))
 FPS, SPEED_MPS = 10.0, 0.15
-TUBERS = 300
+TUBERS = {"encoder": 300, "two cameras": 480}
 SCENES = {"encoder": "singulated", "no encoder": "singulated", "two cameras": "two-cameras"}
-SPARSE = Packing(tries=2, touching=0.0, gap_m=0.06, aside_m=0.018)
+LANES = {"encoder": (-0.25, 0.25), "two cameras": (-0.45, 0.45)}
+EVEN = Packing(tries=4, touching=0.0, gap_m=0.005, aside_m=0.012)
+"""Tubers lie evenly: then the share of belt and the share of tubers differ by what is told, and not by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +50,11 @@ def make_belt(kind: str, folder: Path, *, seed: int) -> Path:
             lines = table.read_text().splitlines()
             table.write_text("\n".join([lines[0], *(line.rpartition(",")[0] + "," for line in lines[1:])]) + "\n")
         return out
-    layout = replace(layout_named(SCENES[kind]), packing=SPARSE)
+    layout = replace(layout_named(SCENES[kind]), packing=EVEN, lanes_m=(LANES[kind],))
     settings = SceneSettings(
         scene=SCENES[kind],
         seed=seed,
-        tubers=TUBERS if kind == "encoder" else 2 * TUBERS,
+        tubers=TUBERS[kind],
         preset=PRESETS["easy"],
         optics=SMALL,
         fps=FPS,

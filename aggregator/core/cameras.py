@@ -18,6 +18,9 @@ STARTUP_GRACE_S = 60.0
 STANDS_AFTER_S = 600.0
 """Belt that runs on unseen is guessed by the clock for this long at most: a line that is down longer was stopped."""
 
+LEAD_WITHIN_S = 30.0
+"""What a camera says of itself for so long tells how long before its first frame the load began."""
+
 INFO_AGE_S = 3.0
 """A camera that publishes says so twice a second: then it, and not our clock, says until when its belt ran."""
 
@@ -38,6 +41,7 @@ class CameraState:
     curve: TravelCurve = field(default_factory=TravelCurve)
     sight: CameraSight = field(default_factory=CameraSight)
     info_s: float | None = None
+    lead_until_s: float = -math.inf
     marked_s: tuple[float, int] | None = None
     """When the newest mark of this process's life came, and its capture time."""
     pace: float = 1.0
@@ -119,9 +123,12 @@ class Cameras:
         known = state.sight.published
         first = known.first_ns is None and info.first_captured_ns is not None
         known.take(info)
-        if first and info.live and self._began_s is not None and state.mark is None:
-            published_s = ((info.last_captured_ns or 0) - (info.first_captured_ns or 0)) / 1e9
-            known.lead_s = max(0.0, now_s - self._began_s - published_s)
+        if first and info.live and self._began_s is not None:
+            state.lead_until_s, known.lead_s = now_s + LEAD_WITHIN_S, math.inf
+        if now_s < state.lead_until_s and self._began_s is not None:
+            # What it said may have come late, and been old when it came: the least of some is the truth.
+            published_s = ((info.last_captured_ns or 0) - (known.first_ns or 0)) / 1e9
+            known.lead_s = min(known.lead_s, max(0.0, now_s - self._began_s - published_s))
         if info.state == "streaming":
             state.info_s = now_s
         elif info.state == "ended":

@@ -21,7 +21,7 @@ from tuberline.supervisor import Supervisor
 
 SOURCE = Path(__file__).parent / "clock" / "ahead.c"
 COMPILER = shutil.which("cc")
-SPEED = 0.35
+SPEED, STARTS_S = 0.35, 20.0
 pytestmark = [
     pytest.mark.graph,
     pytest.mark.timeout(300),
@@ -76,8 +76,7 @@ def test_a_camera_host_with_another_clock(
 ) -> None:
     """The camera says of itself what time its frames have: an hour more than its log's would be an hour of belt."""
     recording = without_encoder(live_recording, tmp_path / "recording")
-    starts_s = 20.0
-    camera = {"path": str(recording), "waits": False, "speed": SPEED, "starts_at_s": time.time() + ahead_s + starts_s}
+    camera = {"path": str(recording), "waits": False, "speed": SPEED, "starts_at_s": time.time() + ahead_s + STARTS_S}
     config = parse_config(
         {
             "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
@@ -115,4 +114,5 @@ def test_a_camera_host_with_another_clock(
     assert sheet["frames"].get("dropped_too_old", 0) <= 0.1 * sheet["frames"]["published"]
     assert summary["balanced"]
     assert summary["belt_m"] < 10.0, "an hour of belt that never ran"
-    assert summary["coverage"] == pytest.approx(share, abs=0.15)
+    assert sheet["unseen_m"].pop("before_first_frame") > 0, "the line had begun before its camera"
+    assert sum(sheet["unseen_m"].values()) / summary["belt_m"] == pytest.approx(1 - share, abs=0.15)
