@@ -19,16 +19,18 @@ from conveyor import __version__, topics
 from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
+from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
 from conveyor.errors import MessageError, Refusal
-from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry
+from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry, Travel
 from conveyor.node import Node
 
 BATCH_ENTRIES = 2000
 """A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
 
 TOTALS_EVERY_S = 0.5
+TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
 GOODBYE_S = 2.0
 """How long the final acknowledgements stay available for a segmenter that does not say it has them."""
@@ -128,6 +130,7 @@ class AggregatorNode:
         self._segmenters = Presence(node, "segmenter", known=known)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")
         self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, known=known, role="segmenter", name="*")
+        self._travels = LatestSubscriber(node, topics.TRAVEL, Travel, capacity=TRAVELS, source="*")
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
 
@@ -226,6 +229,9 @@ class AggregatorNode:
             if info.run == self._run and info is not self._told.get(info.camera):
                 self._told[info.camera] = info
                 self._core.cameras.info(info, now_s)
+        while len(self._travels) and (travel := self._travels.get(0.0)) is not None:
+            if travel.run == self._run:
+                self._core.cameras.travelled(travel)
         self._reporter.sheets = {
             counters.name: _frames(counters) for counters in self._sheets.latest().values() if counters.run == self._run
         }

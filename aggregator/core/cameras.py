@@ -10,7 +10,7 @@ from aggregator.core.coverage import Moment
 from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
 from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
-from conveyor.messages import CameraInfo, Mark, TrackEntry
+from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
 
 STARTUP_GRACE_S = 60.0
 """A camera never heard of is waited for at least this long: processes of one line do not start at once."""
@@ -42,6 +42,8 @@ class CameraState:
     sight: CameraSight = field(default_factory=CameraSight)
     info_s: float | None = None
     lead_until_s: float = -math.inf
+    encoder_m: float | None = None
+    """Where a belt's own encoder stood when the newest mark came."""
     marked_s: tuple[float, int] | None = None
     """When the newest mark of this process's life came, and its capture time."""
     pace: float = 1.0
@@ -98,6 +100,7 @@ class Cameras:
         self._stall_s = stall_s
         self._began_s: float | None = now_s
         self._head_start_m: float | None = None
+        self._encoder_m: float | None = None
 
     @property
     def final(self) -> bool:
@@ -112,6 +115,12 @@ class Cameras:
             state.heard_s = now_s
             if entry.mark is not None:
                 state.mark_came(entry.mark.captured_ns, now_s)
+                state.encoder_m = self._encoder_m
+
+    def travelled(self, travel: Travel) -> None:
+        """An encoder says where the belt is. What a camera's own segmenter says is in its log."""
+        if travel.source not in self.states and not travel.estimated:
+            self._encoder_m = travel.travel_m
 
     def info(self, info: CameraInfo, now_s: float) -> None:
         """What a camera says of itself. Belt that ran under a live one since the load began, before its first frame, is
@@ -164,7 +173,14 @@ class Cameras:
     def moment(self, now_s: float, *, over: bool, waiting_m: Mapping[str, float] | None = None) -> Moment:
         """Now, for the coverage; `waiting_m` as there."""
         until = {name: until for name, state in self.states.items() if (until := state.until_ns(now_s)) is not None}
-        return Moment(over=over, away=self.away(now_s), until_ns=until, waiting_m=waiting_m or {})
+        return Moment(over=over, away=self.away(now_s), until_ns=until, ran_m=self._ran_m(), waiting_m=waiting_m or {})
+
+    def _ran_m(self) -> dict[str, float]:
+        """How far the belt ran since each camera's newest mark, by an encoder of its own."""
+        if self._encoder_m is None:
+            return {}
+        marked_m = {name: s.encoder_m for name, s in self.states.items() if not s.final and s.encoder_m is not None}
+        return {name: max(0.0, self._encoder_m - m) for name, m in marked_m.items()}
 
     @property
     def sights(self) -> Mapping[str, CameraSight]:

@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from aggregator.core.cameras import Cameras
+from aggregator.core.coverage import coverage
+from aggregator.core.reasons import Unseen
 from aggregator.ledger.check import check_file
 from aggregator.ledger.writer import Ledger
 from conveyor.geometry import Intrinsics
-from conveyor.messages import CameraInfo, Mark, TrackEntry
+from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run
 
@@ -41,6 +43,26 @@ def test_a_load_begins_with_its_run_and_not_when_its_line_was_joined() -> None:
 def test_frames_sent_before_the_load_began_leave_nothing_before_them() -> None:
     """Seconds in which the camera had sent frames already were taken for belt before its first one."""
     assert lead_s(began_s=100.0, heard_s=103.0, first_s=5000.0, last_s=5018.0) == 0.0
+
+
+@pytest.mark.parametrize("encoder", [False, True])
+def test_belt_that_ran_while_every_camera_was_down_is_told_by_an_encoder(encoder: bool) -> None:
+    """By the clock it ran on at its last speed; the encoder knows that it stood most of the time."""
+    cameras = Cameras(("a",), stall_s=10.0, now_s=0.0)
+    for second in range(1, 11):
+        if encoder:
+            cameras.travelled(Travel("belt", "r", second * SECOND_NS, 70 + 0.2 * second, False))
+        cameras.travelled(Travel("a", "r", second * SECOND_NS, 500.0, False))
+        mark = Mark(
+            second * SECOND_NS, 0.2 * second, True, second * SECOND_NS, 0, False, 0.2 * second, 0.2 * second, {}, {}, {}
+        )
+        cameras.heard("a", TrackEntry("a", "r", second, mark=mark), float(second))
+        cameras.marked("a", mark)
+    if encoder:
+        cameras.travelled(Travel("belt", "r", 60 * SECOND_NS, 72.5, False))
+    found = coverage(cameras.sights, seen_by={}, moment=cameras.moment(60.0, over=True))
+    ran_m = 0.5 if encoder else 50 * 0.2
+    assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(ran_m, abs=0.02)
 
 
 def test_a_mark_that_holds_a_negative_zero_is_read_as_it_was_written(tmp_path: Path) -> None:
