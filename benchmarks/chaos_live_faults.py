@@ -69,9 +69,9 @@ def drawn_cases(seed: int, runs: int, *, over_s: float) -> list[Case]:
 
 def _at_s(random: Random, when: str, over_s: float) -> float:
     low, high = {
-        "start": (0.5, 12.0),
-        "early": (12.0, 0.4 * over_s),
-        "late": (0.4 * over_s, over_s - 12.0),
+        "start": (0.5, 15.0),
+        "early": (15.0, 0.45 * over_s),
+        "late": (0.45 * over_s, over_s - 12.0),
         "end": (over_s - 8.0, over_s - 0.2),
         "two at once": (3.0, over_s - 5.0),
     }[when]

@@ -20,11 +20,13 @@ from tuberline.processes import line_processes
 from tuberline.replayer import free_port, recording_cameras
 from tuberline.supervisor import ProcessSpec, Supervisor
 
-OVER_S = 52.0
+OVER_S = 70.0
 """The line is stopped, or its recording ends, this long after it was started."""
 ENDS_WITHIN_S = 75.0
 """After its cameras ended, a line is done by then: a process stopped for 40 s near the end included."""
-BACK_WITHIN_S = 25.0
+SPEED = 0.5
+"""Times real time at which the belt is played: on a busy machine a line takes 10 to 40 s to start."""
+BACK_WITHIN_S = 30.0
 """What failed longer ago than this has to be there again when the line is stopped."""
 LOOK_S = 0.1
 
@@ -43,7 +45,8 @@ def live_line(case: Case, belt: Belt, out: Path) -> dict[str, Any]:
     out.mkdir(parents=True)
     load_before = os.getloadavg()[0]
     launched_s = time.time()
-    lead_s = belt.passed.lasts_s - OVER_S if case.ends == "by itself" else 5.0
+    lasts_s = belt.passed.lasts_s / SPEED
+    lead_s = lasts_s - OVER_S if case.ends == "by itself" else 5.0
     config = _config(belt.recording, out, starts_at_s=launched_s - lead_s, ends=case.ends)
     config_path = out / "line.toml"
     config_path.write_text(dump_toml(config))
@@ -59,8 +62,8 @@ def live_line(case: Case, belt: Belt, out: Path) -> dict[str, Any]:
     found = _told(out)
     if "began_s" in found:
         from_s = found["began_s"] - launched_s + lead_s
-        to_s = min(over_s + lead_s, belt.passed.lasts_s + 1.0)
-        passed, passed_g = belt.passed.between(from_s, to_s)
+        to_s = min(over_s + lead_s, lasts_s + 1.0)
+        passed, passed_g = belt.passed.between(from_s * SPEED, to_s * SPEED)
         found |= {"true_count": passed, "true_g": passed_g, "true_weighed_g": passed_g * belt.bias}
     return {
         **case.as_dict(),
@@ -73,7 +76,7 @@ def live_line(case: Case, belt: Belt, out: Path) -> dict[str, Any]:
 
 
 def _config(recording: Path, out: Path, *, starts_at_s: float, ends: str) -> LineConfig:
-    camera = {"path": str(recording.resolve()), "waits": False, "starts_at_s": starts_at_s}
+    camera = {"path": str(recording.resolve()), "waits": False, "speed": SPEED, "starts_at_s": starts_at_s}
     raw: dict[str, Any] = {
         "name": "chaos",
         "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
