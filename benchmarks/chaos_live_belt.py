@@ -63,8 +63,18 @@ def make_belt(kind: str, folder: Path, *, seed: int) -> Path:
     partial = out.with_name(out.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     record_scene(partial, settings, layout=layout)
+    _end_with_the_load(partial)
     partial.rename(out)
     return out
+
+
+def _end_with_the_load(recording: Path) -> None:
+    """Cut off the empty belt at the recording's end: an evenly loaded belt is stopped while it is loaded."""
+    last_m = max(-tuber["place_x_m"] for tuber in json.loads((recording / "truth.json").read_text())["tubers"])
+    for table in recording.glob("*/frames.csv"):
+        head, *rows = table.read_text().splitlines()
+        kept = [row for row in rows if float(row.rpartition(",")[2]) <= last_m]
+        table.write_text("\n".join([head, *kept]) + "\n")
 
 
 def what_passed(recording: Path, *, travel_of: Path) -> Passed:
