@@ -8,7 +8,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench docs docs-site wheel chaos soak fuzz install clean
+.PHONY: demo test lint bench docs docs-site wheel chaos chaos-live load soak fuzz install clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -42,6 +42,14 @@ bench: $(STAMP)
 # Long ones, run by name.
 chaos: $(STAMP)
 	$(BIN)/python -m pytest -m slow tests/chaos
+
+# A hundred live lines with random faults: an hour and a half. It goes on where it stopped; SEED=2 begins another hundred.
+SEED ?= 1
+chaos-live: $(STAMP)
+	$(BIN)/python -m benchmarks chaos_live --runs 100 --seed $(SEED) --out out/chaos-live
+
+load: $(STAMP)
+	$(BIN)/python -m benchmarks load --minutes 30
 
 fuzz: $(STAMP)
 	TUBERLINE_FUZZ=20 $(BIN)/python -m pytest tests/fuzz

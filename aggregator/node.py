@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
+from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Aggregation, Batch
 from aggregator.ledger.writer import Ledger
 from aggregator.queries import Queries
@@ -18,16 +19,18 @@ from conveyor import __version__, topics
 from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
+from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
 from conveyor.errors import MessageError, Refusal
-from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry
+from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry, Travel
 from conveyor.node import Node
 
 BATCH_ENTRIES = 2000
 """A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
 
 TOTALS_EVERY_S = 0.5
+TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
 GOODBYE_S = 2.0
 """How long the final acknowledgements stay available for a segmenter that does not say it has them."""
@@ -68,6 +71,7 @@ class AggregatorNode:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._ledger = stack.enter_context(Ledger(self.ledger_path))
+            opened_s = time.monotonic()
             restored = self._ledger.open_run(
                 self._run,
                 line=self._config.name,
@@ -93,6 +97,8 @@ class AggregatorNode:
                 restored=restored,
                 count=self._node.counters.add,
             )
+            if (age_s := self._age_s(begun=restored.begun)) is not None:
+                self._core.cameras.began(opened_s - age_s)
             self._reporter = Reporter(self._ledger, self._core, config=self._config, counters=self._node.counters)
             self._open_topics()
             self._stack = stack.pop_all()
@@ -103,6 +109,14 @@ class AggregatorNode:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stack.__exit__(kind, error, trace)
+
+    def _age_s(self, *, begun: bool) -> float | None:
+        """Seconds since the run began when this process opened it; None where the clock of the day cannot say."""
+        row = self._ledger.run_row(self._run)
+        if not begun or row is None:
+            return 0.0
+        age_s = (time.time_ns() - row.started_ns) / 1e9
+        return age_s if 0 <= age_s <= STANDS_AFTER_S else None
 
     def _open_topics(self) -> None:
         node = self._node
@@ -116,6 +130,7 @@ class AggregatorNode:
         self._segmenters = Presence(node, "segmenter", known=known)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")
         self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, known=known, role="segmenter", name="*")
+        self._travels = LatestSubscriber(node, topics.TRAVEL, Travel, capacity=TRAVELS, source="*")
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
 
@@ -169,9 +184,9 @@ class AggregatorNode:
             self._node.log.error("entry %d of %s: %s", entry.n, entry.camera, taken)
 
         if taken is Taken.MALFORMED:
-            self._core.set_aside(
-                LoggedEntry(replace(entry, track=None, mark=None), entry.encode(), refused=str(Refusal.CONTENT))
-            )
+            ends = entry.mark is not None and entry.mark.final
+            bare = replace(entry, track=None, mark=None)
+            self._core.set_aside(LoggedEntry(bare, entry.encode(), refused=str(Refusal.CONTENT), ends=ends))
 
     def _set_aside(self, key: str, payload: bytes, error: MessageError) -> None:
         """An entry that can never be read must not hold up those behind it, nor come again for ever."""
@@ -180,7 +195,11 @@ class AggregatorNode:
             return
         if self._core.set_aside(logged) is Taken.SET_ASIDE:
             self._node.log.error(
-                "entry %d of %s is set aside, its tuber is lost: %s", logged.entry.n, logged.entry.camera, error
+                "entry %d of %s is set aside, %s is lost: %s",
+                logged.entry.n,
+                logged.entry.camera,
+                "the sheet of its end" if logged.ends else "its tuber",
+                error,
             )
 
     def _commit(self) -> None:
@@ -210,6 +229,9 @@ class AggregatorNode:
             if info.run == self._run and info is not self._told.get(info.camera):
                 self._told[info.camera] = info
                 self._core.cameras.info(info, now_s)
+        while len(self._travels) and (travel := self._travels.get(0.0)) is not None:
+            if travel.run == self._run:
+                self._core.cameras.travelled(travel)
         self._reporter.sheets = {
             counters.name: _frames(counters) for counters in self._sheets.latest().values() if counters.run == self._run
         }

@@ -55,7 +55,9 @@ class Reporter:
         return coverage(
             cameras.sights,
             seen_by=self._ledger.sums(self._core.run).load.seen_by,
-            moment=cameras.moment(now_s, over=self._over or cameras.final),
+            moment=cameras.moment(
+                now_s, over=self._over or cameras.final, waiting_m=self._core.waiting_m() if self._over else None
+            ),
         )
 
     def totals(self, now_s: float) -> Totals:

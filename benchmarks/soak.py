@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import os
 import shutil
 import signal
@@ -27,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict
-from conveyor.config import dump_toml
+from conveyor.config import CameraConfig, dump_toml
 from tuberline.processes import line_processes
 from tuberline.replayer import prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor
@@ -106,21 +107,43 @@ def loop(recording: Path, into: Path, *, for_s: float) -> Path:
 
 
 def same_file(source: Path, target: Path) -> None:
-    """The same bytes under a second name: a hard link, or on another disk a copy; recordings refuse other links."""
+    """The same bytes by a hard link, or a copy on another disk (a recording refuses links that leave it)."""
     try:
         os.link(source.resolve(), target)
     except OSError:
         shutil.copyfile(source, target)
 
 
-def soak(recording: Path, out: Path, *, for_s: float, kill_every_s: float) -> Watch:
-    """Run a live line on `recording` and kill one process of each role in turn."""
+def soak(
+    recording: Path,
+    out: Path,
+    *,
+    for_s: float,
+    kill_every_s: float = math.inf,
+    speed: float = 1.0,
+    copies: int = 1,
+    regressors: int = 2,
+) -> Watch:
+    """Run a live line on `recording` and kill one process of each role in turn.
+
+    Args:
+        copies: cameras that play each camera of the recording.
+    """
     prepare_out(out)
     names = recording_cameras(recording)
-    cameras = {name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False} for name in names}
+    played = {"path": str(recording.resolve()), "speed": speed, "waits": False}
+    cameras = {f"{name}{n or ''}": {**played, "camera": name} for name in names for n in range(copies)}
     config = replay_config(
-        recording, names, out=out, speed=1.0, weights=None, regressors=2, rrd=None, settings={"cameras": cameras}
+        recording,
+        names,
+        out=out,
+        speed=speed,
+        weights=None,
+        regressors=regressors,
+        rrd=None,
+        settings={"segmenter": {"weigh_deadline_s": 60.0}, "aggregator": {"camera_stall_s": 10.0}},
     )
+    config = config.model_copy(update={"cameras": {name: CameraConfig(**one) for name, one in cameras.items()}})
     config_path = out / "line.toml"
     config_path.write_text(dump_toml(config))
     specs = line_processes(config, config_path=config_path, run="soak")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from camera_sim.clocked import ClockedSource
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
 from conveyor.formats import Source, camera_names, open_source
@@ -34,7 +35,7 @@ def configured_source(config: LineConfig, camera: str) -> Source:
     wanted = settings.camera
     if wanted is None and camera in camera_names(settings.path):
         wanted = camera
-    return open_source(
+    recorded = open_source(
         settings.path,
         camera=wanted,
         name=camera,
@@ -42,3 +43,6 @@ def configured_source(config: LineConfig, camera: str) -> Source:
         depth_scale_m=settings.depth_scale_m,
         ignore_masks=settings.ignore_masks,
     )
+    if settings.starts_at_s is None:
+        return recorded
+    return ClockedSource(recorded, starts_at_s=settings.starts_at_s, speed=settings.speed)

@@ -11,6 +11,7 @@ from typing import Literal
 from camera_sim.flow import Pace, SendWindow
 from camera_sim.outlet import FrameOutlet
 from conveyor import topics
+from conveyor.camera_clock import CameraClock
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber
 from conveyor.errors import TuberlineError, UnsendableError
@@ -40,7 +41,9 @@ class CameraNode:
         self._waits = self._settings.waits and not source.description.live
         self._node = Node("camera", camera, config=config, run=run)
         self._window = SendWindow(self._settings.window)
-        self._pace = Pace(0.0 if source.description.live else self._settings.speed)
+        speed = 1.0 if source.description.live else self._settings.speed
+        self._pace = Pace(0.0 if source.description.live else speed)
+        self._clock = CameraClock(speed)
         self._refused: Counter[str] = Counter()
         self._first: int | None = None
         self._last: int | None = None
@@ -98,7 +101,7 @@ class CameraNode:
                 self._wait_for_turn(item)
                 if self._interrupted:
                     return
-                self._publish(replace(item, after_seq=after) if self._waits else item)
+                self._publish(replace(item, after_seq=after) if self._waits else self._on_time(item))
                 after = item.seq
         while self._waits and self._window.in_flight and not self._interrupted:
             self._wait_for_progress()
@@ -193,6 +196,20 @@ class CameraNode:
         if time.monotonic() - self._info_s >= INFO_EVERY_S and self._last is not None:
             self._tell("streaming")
         return not self._node.stop.is_set()
+
+    def _on_time(self, frame: Frame) -> Frame:
+        """The frame of a camera that waits for no one, without the steps of its clock: frames and what is said of them
+        then have one time, as long as this process lives.
+        """
+        steady_ns, step_ns = self._clock.steady_ns(frame.seq, frame.captured_ns, time.monotonic_ns())
+        if step_ns:
+            self._node.counters.add("clock_steps")
+            self._node.counters.gauge("clock_offset_s", self._clock.offset_ns / 1e9)
+            self._node.log.warning(
+                "the camera's clock stepped by %+.3f s before frame %d: times go on as if it had not",
+                step_ns / 1e9, frame.seq,
+            )  # fmt: skip
+        return frame if steady_ns == frame.captured_ns else replace(frame, captured_ns=steady_ns)
 
     def _publish(self, frame: Frame) -> None:
         self._frames.put(frame)

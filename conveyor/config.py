@@ -53,6 +53,11 @@ class CameraConfig(Section):
     camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
     speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
     waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
+    starts_at_s: float | None = Field(
+        None,
+        gt=0,
+        description="play a recording as a camera that began then (s since 1970): late is gone; with waits = false",
+    )
     window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
     direct: str = Field(
@@ -79,6 +84,12 @@ class CameraConfig(Section):
     @classmethod
     def _absolute(cls, path: Path | None) -> Path | None:
         return path.expanduser() if path else None
+
+    @model_validator(mode="after")
+    def _by_the_clock(self) -> Self:
+        if self.starts_at_s is not None and (self.waits or self.speed == 0 or self.source != "recording"):
+            raise ValueError("starts_at_s plays a recording by the clock: it needs waits = false and a speed above 0")
+        return self
 
 
 class BeltConfig(Section):

@@ -2,7 +2,7 @@
 # Installs a line's systemd units on this host: install.sh [OPTIONS] LINE.toml
 #
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
-#                    also: viewer, recorder, metrics, page. camera=front,camera=rear instead of camera: those only.
+#                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
 #   --replace        take the new LINE.toml although another one is installed
@@ -88,11 +88,11 @@ chosen() { # ROLE NAME: is this one among --roles?
     *) return 1 ;;
     esac
 }
-for role in router aggregator metrics page; do
+for role in router aggregator metrics alarms page; do
     if chosen "$role" ""; then
         units="$units tuberline-$role@$line.service"
         case $role in
-        metrics | page) ;; # they only look: they are operators
+        metrics | alarms | page) ;; # they only look: they are operators
         *) stems="$stems $role" ;;
         esac
     fi
@@ -125,8 +125,8 @@ for entry in $(echo "$roles" | tr ',' ' '); do
         *) fail "camera '${entry#*=}' is not in $config; known: $cameras" ;;
         esac
         ;;
-    router | aggregator | metrics | page | camera | segmenter | regressor) ;;
-    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics page" ;;
+    router | aggregator | metrics | alarms | page | camera | segmenter | regressor) ;;
+    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page" ;;
     esac
 done
 [ -n "$units" ] || fail "--roles $roles leaves nothing to run for line '$line'"

@@ -10,6 +10,7 @@ from dataclasses import replace
 from conveyor import topics
 from conveyor.access import known_nodes
 from conveyor.belt_findings import belt_findings
+from conveyor.camera_clock import CameraClock
 from conveyor.config import LineConfig
 from conveyor.delivery import (
     KeptPublisher,
@@ -27,7 +28,6 @@ from conveyor.node import Node
 from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
-from segmenter.clock import CameraClock
 from segmenter.frame.watch import BeltWatch
 from segmenter.setup import log_path, run_settings
 from segmenter.warmup import warm_up
@@ -52,7 +52,8 @@ class SegmenterNode:
         self._waits = source.waits and source.source == "recording"  # a device waits for no one
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
-        self._speed = source.speed if source.source == "recording" else 1.0
+        stamped = source.source == "recording" and source.starts_at_s is None  # the others say the time of the day
+        self._speed = source.speed if stamped else 1.0
         self._age = FrameAge(self._speed)
         self._clock = CameraClock(self._speed)
         self._oldest_ms = 0.0

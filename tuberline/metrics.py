@@ -100,18 +100,25 @@ def _families(nodes: Iterable[Counters], line: str) -> Iterator[Metric]:
 
 
 def totals_metrics(totals: Totals | None, *, line: str) -> Iterator[Metric]:
-    """The load so far; nothing before the aggregator has said anything."""
+    """The load so far; nothing before the aggregator has said anything, no weight while there is none to tell."""
     if totals is None:
         return
     values = {
         "load_tubers": ("tubers counted", float(totals.count)),
-        "load_weight_grams": ("weight of the load as seen", totals.weight_g),
-        "load_weight_low_grams": ("lower bound of its 90 % interval", totals.low_g),
-        "load_weight_high_grams": ("upper bound of its 90 % interval", totals.high_g),
-        "load_estimated_weight_grams": ("weight of the load, missed belt included", totals.estimated_weight_g),
-        "load_tubers_per_second": ("tubers a second now", totals.tubers_per_s),
         "load_final": ("1 when all cameras ended", float(totals.final)),
+        "load_has_weight": (
+            "0 while nothing was seen or is counted: then there are no weights",
+            float(not totals.no_number),
+        ),
     }
+    if not totals.no_number:
+        values |= {
+            "load_weight_grams": ("weight of the load as seen", totals.weight_g),
+            "load_weight_low_grams": ("lower bound of its 90 % interval", totals.low_g),
+            "load_weight_high_grams": ("upper bound of its 90 % interval", totals.high_g),
+            "load_estimated_weight_grams": ("weight of the load, missed belt included", totals.estimated_weight_g),
+            "load_tubers_per_second": ("tubers a second now", totals.tubers_per_s),
+        }
     if totals.coverage is not None:
         values["load_belt_seen_ratio"] = ("share of the belt's travel that was looked at", totals.coverage)
     for name, (about, value) in values.items():

@@ -34,12 +34,13 @@ class LoggedEntry:
     """An entry with its bytes, as it goes into the ledger.
 
     One that could not be read is here too, with neither track nor mark: its number is used up, so that the log goes on,
-    and its bytes are kept. `refused` says why; empty for the others.
+    and its bytes are kept. `refused` says why; empty for the others. `ends`: it was the final mark, nothing follows it.
     """
 
     entry: TrackEntry
     payload: bytes
     refused: str = ""
+    ends: bool = False
 
 
 @dataclass(slots=True)
@@ -100,4 +101,6 @@ def set_aside(payload: bytes, error: MessageError) -> LoggedEntry | None:
         return None
     if header.kind != TrackEntry.__name__:
         return None
-    return LoggedEntry(place, payload, refused=str(error.reason))
+    mark = fields.get("mark")
+    ends = isinstance(mark, dict) and mark.get("final") is True
+    return LoggedEntry(place, payload, refused=str(error.reason), ends=ends)

@@ -10,13 +10,16 @@ from aggregator.core.coverage import Moment
 from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
 from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
-from conveyor.messages import CameraInfo, Mark, TrackEntry
+from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
 
 STARTUP_GRACE_S = 60.0
 """A camera never heard of is waited for at least this long: processes of one line do not start at once."""
 
 STANDS_AFTER_S = 600.0
 """Belt that runs on unseen is guessed by the clock for this long at most: a line that is down longer was stopped."""
+
+LEAD_WITHIN_S = 30.0
+"""What a camera says of itself for so long tells how long before its first frame the load began."""
 
 INFO_AGE_S = 3.0
 """A camera that publishes says so twice a second: then it, and not our clock, says until when its belt ran."""
@@ -40,6 +43,9 @@ class CameraState:
     curve: TravelCurve = field(default_factory=TravelCurve)
     sight: CameraSight = field(default_factory=CameraSight)
     info_s: float | None = None
+    lead_until_s: float = -math.inf
+    encoder_m: float | None = None
+    """Where a belt's own encoder stood when the newest mark came."""
     marked_s: tuple[float, int] | None = None
     """When the newest mark of this process's life came, and its capture time."""
     pace: float = 1.0
@@ -66,8 +72,8 @@ class CameraState:
 
     @property
     def final(self) -> bool:
-        """Its last mark said that nothing follows."""
-        return self.mark is not None and self.mark.final
+        """Its last mark said that nothing follows, or was set aside and that much of it could be read."""
+        return self.sight.final or (self.mark is not None and self.mark.final)
 
     def stalled(self, now_s: float, *, stall_s: float) -> bool:
         """Silent for longer than `stall_s`, or its process gone for half of that (time for a restart)."""
@@ -96,6 +102,7 @@ class Cameras:
         self._stall_s = stall_s
         self._began_s: float | None = now_s
         self._head_start_m: float | None = None
+        self._encoder_m: float | None = None
 
     @property
     def final(self) -> bool:
@@ -110,6 +117,12 @@ class Cameras:
             state.heard_s = now_s
             if entry.mark is not None:
                 state.mark_came(entry.mark.captured_ns, now_s)
+                state.encoder_m = self._encoder_m
+
+    def travelled(self, travel: Travel) -> None:
+        """An encoder says where the belt is. What a camera's own segmenter says is in its log."""
+        if travel.source not in self.states and not travel.estimated:
+            self._encoder_m = travel.travel_m
 
     def info(self, info: CameraInfo, now_s: float) -> None:
         """What a camera says of itself. Belt that ran under a live one since the load began, before its first frame, is
@@ -121,12 +134,20 @@ class Cameras:
         known = state.sight.published
         first = known.first_ns is None and info.first_captured_ns is not None
         known.take(info)
-        if first and info.live and self._began_s is not None and state.mark is None:
-            known.lead_s = now_s - self._began_s
+        if first and info.live and self._began_s is not None:
+            state.lead_until_s, known.lead_s = now_s + LEAD_WITHIN_S, math.inf
+        if now_s < state.lead_until_s and self._began_s is not None:
+            # What it said may have come late, and been old when it came: the least of some is the truth.
+            published_s = ((info.last_captured_ns or 0) - (known.first_ns or 0)) / 1e9
+            known.lead_s = min(known.lead_s, max(0.0, now_s - self._began_s - published_s))
         if info.state == "streaming":
             state.info_s = now_s
         elif info.state == "ended":
             state.info_s = math.inf
+
+    def began(self, began_s: float) -> None:
+        """When the load began, by the clock of `now_s`: before this process joined its line, or with an earlier one."""
+        self._began_s = began_s
 
     def resumed(self, *, head_start_m: float | None) -> None:
         """The run was begun by an earlier process: when, our clock does not know."""
@@ -161,10 +182,17 @@ class Cameras:
             name for name, state in self.states.items() if state.final or state.stalled(now_s, stall_s=self._stall_s)
         }
 
-    def moment(self, now_s: float, *, over: bool) -> Moment:
-        """Now, for the coverage."""
+    def moment(self, now_s: float, *, over: bool, waiting_m: Mapping[str, float] | None = None) -> Moment:
+        """Now, for the coverage; `waiting_m` as there."""
         until = {name: until for name, state in self.states.items() if (until := state.until_ns(now_s)) is not None}
-        return Moment(over=over, away=self.away(now_s), until_ns=until)
+        return Moment(over=over, away=self.away(now_s), until_ns=until, ran_m=self._ran_m(), waiting_m=waiting_m or {})
+
+    def _ran_m(self) -> dict[str, float]:
+        """How far the belt ran since each camera's newest mark, by an encoder of its own."""
+        if self._encoder_m is None:
+            return {}
+        marked_m = {name: s.encoder_m for name, s in self.states.items() if not s.final and s.encoder_m is not None}
+        return {name: max(0.0, self._encoder_m - m) for name, m in marked_m.items()}
 
     @property
     def sights(self) -> Mapping[str, CameraSight]:
@@ -184,6 +212,10 @@ class Cameras:
         state.sight.marked(mark)
         if mark.travel_estimated:
             state.curve.add(mark.captured_ns, mark.travel_m)
+
+    def ended(self, camera: str) -> None:
+        """The camera's final mark came, and nothing else of it could be read."""
+        self.states[camera].sight.final = True
 
     def restored(
         self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight
@@ -208,6 +240,20 @@ class Cameras:
             return None
         travel_m = common_travel_m(curves, reference=self.names[0], camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
         return None if travel_m is None else own_place_x_m + own_travel_m - travel_m - self._head_start_m
+
+    def beyond_m(self, camera: str, place_x_m: float) -> float:
+        """Belt at the end of `camera`'s log from a place of the line's on, metres; 0 where that is not known."""
+        mark = self.states[camera].mark
+        if mark is None:
+            return 0.0
+        complete_x_m = self.place_x_m(
+            camera,
+            mark.complete_place_x_m,
+            t_ns=mark.captured_ns,
+            own_travel_m=mark.travel_m,
+            estimated=mark.travel_estimated,
+        )
+        return 0.0 if complete_x_m is None else max(0.0, place_x_m - complete_x_m)
 
     def says(self, now_s: float) -> Mapping[str, str]:
         """One word for each camera."""

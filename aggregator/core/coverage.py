@@ -34,11 +34,16 @@ class Moment:
         over: the load ended or was stopped: what is not in the logs by now was not seen. While it goes on, cameras that
             are `away` (silent or gone) are measured by the others, and the rest by themselves.
         until_ns: by camera, its capture clock's time until which the belt ran on, where nothing better is known.
+        ran_m: by camera, how far the belt ran since its newest mark, where an encoder of its own tells.
+        waiting_m: by camera, the belt at the end of its log whose tracks are in no tuber yet. When the load is over
+            they are not in its weight: that belt was not seen.
     """
 
     over: bool
     away: Collection[str] = ()
     until_ns: Mapping[str, int] = field(default_factory=dict)
+    ran_m: Mapping[str, float] = field(default_factory=dict)
+    waiting_m: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +130,10 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
         length = sight.length_m
         running = not moment.over and name not in moment.away
         until_ns = None if sight.final or running else moment.until_ns.get(name)
-        end = length if running else sight.end_m(until_ns=until_ns)
+        end = length if running else sight.end_m(until_ns=until_ns, ran_m=moment.ran_m.get(name))
         seen = length if sight.final or not moment.over else min(length, max(0.0, sight.s_at(sight.complete_ns)))
+        if moment.over:
+            seen = max(0.0, seen - moment.waiting_m.get(name, 0.0))
         placed[name] = _Placed(sight, offset, offset - sight.missed_before_m(), offset + end, offset + seen)
     return placed
 

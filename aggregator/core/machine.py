@@ -177,6 +177,18 @@ class Aggregation:
         """Tracks that wait for marks of other cameras."""
         return len(self._unplaced) + len(self._placed)
 
+    def waiting_m(self) -> dict[str, float]:
+        """Belt at the end of each camera's log whose tracks are in no tuber yet, metres."""
+        found = dict.fromkeys(self.cameras.names, 0.0)
+        if self._placed:
+            first_x_m = max(track.place_x_m for track in self._placed)
+            found = {camera: self.cameras.beyond_m(camera, first_x_m) for camera in found}
+        for pending in self._unplaced:  # its own travel is all that is known of it
+            mark = self.cameras.states[pending.camera].mark
+            own_m = 0.0 if mark is None else pending.track.place_x_m - mark.complete_place_x_m
+            found[pending.camera] = max(found[pending.camera], own_m)
+        return found
+
     @property
     def finished(self) -> bool:
         """Every camera ended and every tuber is committed."""
@@ -235,6 +247,8 @@ class Aggregation:
         self._entries.append(Applied(logged, self._watermark_x_m))
         if entry.mark is not None:
             self.cameras.marked(entry.camera, entry.mark)
+        elif logged.ends:
+            self.cameras.ended(entry.camera)
         elif entry.track is not None:
             self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._watermark_x_m))
 

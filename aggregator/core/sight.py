@@ -187,13 +187,17 @@ class CameraSight:
             missed_m = (self.first_ns - known.first_ns) / 1e9 * speed - self.first_s
         return max(0.0, missed_m) + max(0.0, known.lead_s) * speed
 
-    def end_m(self, *, until_ns: int | None) -> float:
-        """Where the belt had come to, in terms of s: by the last frame published, or by the clock until `until_ns`."""
+    def end_m(self, *, until_ns: int | None, ran_m: float | None = None) -> float:
+        """Where the belt had come to, in terms of s: by the last frame published, by what an encoder of its own says
+        that the belt ran since the newest mark (`ran_m`), or by the clock until `until_ns`.
+        """
         known, s = self.published, self.length_m
         if not self.estimated and known.last_travel_m is not None:
             s = max(s, known.last_travel_m - self.first_travel_m)
         elif known.last_ns is not None and known.last_ns > self.last_ns:
             s = max(s, self.s_at(known.last_ns))
+        if ran_m is not None:
+            return max(s, self.length_m + ran_m)
         if until_ns is not None and until_ns > max(self.last_ns, known.last_ns or 0):
             newest_ns = max(self.last_ns, known.last_ns or 0)
             s += (until_ns - newest_ns) / 1e9 * self.speed_mps(first=False)

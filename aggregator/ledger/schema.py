@@ -52,7 +52,8 @@ class Table:
 
 
 def row(values: Sequence[Any]) -> tuple[Any, ...]:
-    """The values of a row with their checksum."""
+    """The values of a row with their checksum; -0.0 as 0.0, which is what SQLite gives back."""
+    values = [value + 0.0 if isinstance(value, float) else value for value in values]
     return (*values, checksum(values))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.formats.scale_check import check_depth_scale
-from conveyor.formats.source import CameraDescription, Refused, Source
+from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
 from conveyor.formats.turned import QuarterTurn, quarter_turn
 from conveyor.geometry import belt_distance_m as distance_along_axis_m
 from conveyor.messages import Frame
@@ -22,7 +22,7 @@ class PreparedSource:
 
     def __init__(
         self,
-        inner: Source,
+        inner: RecordedSource,
         *,
         where: str,
         name: str | None = None,
@@ -55,6 +55,10 @@ class PreparedSource:
     def turn(self) -> QuarterTurn | None:
         """What is done to the frames of a belt that runs along the image's columns."""
         return quarter_turn(self._description.belt_from_camera)
+
+    def keys(self) -> list[FrameKey]:
+        """Of all frames in their order."""
+        return self._inner.keys()
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """The source's frames, with name and overrides, turned where the belt runs along the image's columns.

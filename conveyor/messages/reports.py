@@ -89,6 +89,11 @@ class Totals(Message):
     calibrated_by: Line = ""
     parts_percent: Annotated[dict[Word, Annotated[float, Range(0, 1e6, "%")]], Items(16)] = field(default_factory=dict)
 
+    @property
+    def no_number(self) -> bool:
+        """Nothing was seen, or nothing is counted yet: then no weight is to be shown, but why."""
+        return self.state == "nothing seen" or (self.state == "starting" and not self.count)
+
 
 @dataclass(frozen=True, slots=True)
 class Counters(Message):

@@ -15,6 +15,9 @@ LEAST_COMMON = 12
 """Occupied cells in the overlap of two frames. Fewer match by chance."""
 LEAST_MATCH = 0.35
 """Normalised correlation below which a shift is not believed, and the last speed carries on. Lower believes chance."""
+SURE_MATCH = 0.8
+"""Normalised correlation that two frames reach which show the same load. Where the last speed says that they share no
+belt, only this shows that the belt stood still, or that the clock ran without it."""
 LEAST_OVERLAP = 0.2
 """Share of the view that two frames must share: what lies between them is told by the speed alone."""
 FAR_COST = 0.3

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
+from segmenter.resume import STANDS_AFTER_S
 from segmenter.track.constants import (
     FAR_COST,
     FAR_M,
@@ -26,10 +27,13 @@ from segmenter.track.constants import (
     MAX_SPEED_MPS,
     SPEEDS_KEPT,
     SPEEDS_TO_LOOK_BACK,
+    SURE_MATCH,
     TALLEST_M,
 )
 
 CELL_M = 0.004
+SPEED_WITHIN_S = 2.0
+"""Frames further apart than this say how far the belt went, and nothing of its speed now."""
 OCCUPIED_MM = 12.0
 
 
@@ -67,14 +71,14 @@ class TravelEstimator:
         spectrum = np.fft.rfft(occupied, self._length, axis=1).astype(np.complex64)
         if self._last is not None:
             elapsed_s = (captured_ns - self._last[0]) * 1e-9
-            plausible = 0 < elapsed_s < 10
+            plausible = 0 < elapsed_s < STANDS_AFTER_S
             expected_m = self.speed_mps * elapsed_s if plausible else 0.0
             reach_m = MAX_SPEED_MPS * elapsed_s if plausible else np.inf
             shift_m = self._shift(occupied, spectrum, expected_m, reach_m)
             self.travel_m += expected_m if shift_m is None else shift_m
-            if shift_m is not None and plausible:
+            if shift_m is not None and plausible and elapsed_s < SPEED_WITHIN_S:
                 self._speeds.append(shift_m / elapsed_s)
-            elif plausible and not self._speeds:
+            elif shift_m is None and plausible and not self._speeds:
                 self._blind_s += elapsed_s
         self._last = (captured_ns, occupied, spectrum)
         return self.travel_m
@@ -128,7 +132,8 @@ class TravelEstimator:
         unlikely = np.minimum(np.abs(shifts * CELL_M - expected_m) / FAR_M, 1.0) * bool(self._speeds)
         preferred = match - FAR_COST * unlikely
         best = int(np.argmax(preferred))
-        if match[best] < LEAST_MATCH or not 0 < best < len(shifts) - 1:
+        least = LEAST_MATCH if expected_m < (1 - LEAST_OVERLAP) * cells * CELL_M else SURE_MATCH
+        if match[best] < least or not 0 < best < len(shifts) - 1:
             return None
         # A parabola through the peak and its neighbours finds it between the cells.
         left, peak, right = (float(value) for value in match[best - 1 : best + 2])

@@ -78,6 +78,32 @@ def test_an_entry_out_of_range_is_lost_alone_and_told(tmp_path: Path, ahead: boo
     assert check_file(tmp_path / "ledger.db") == []
 
 
+def test_a_final_mark_that_nobody_can_read_ends_its_camera(tmp_path: Path) -> None:
+    """The run waited for it for ever: the next numbers never come, for it was the last one."""
+    told = tell(3, cameras=2, n=8).in_run(fresh_run("aside-final"))
+    kind, fields, _ = wire.unpack(told.logs["cam0"][-1].encode())
+    assert fields["mark"]["final"]
+    fields["mark"]["travel_m"] = 1e308
+    logged = refused(wire.pack(kind, fields, {}))
+    assert logged is not None
+    assert logged.ends
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        for camera, log in told.logs.items():
+            for n in range(1, len(log) + (camera != "cam0")):
+                it.receive(camera, n)
+        it.commit()
+        assert not it.core.finished
+        assert it.core.set_aside(logged) is Taken.SET_ASIDE
+        it.commit()
+        assert it.core.finished
+        assert {track for tuber in it.tubers() for track in tuber.tracks} == {
+            entry.track.track_id for log in told.logs.values() for entry in log if entry.track is not None
+        }
+        it.start()
+        assert it.core.finished, "forgotten over a restart"
+
+
 def test_what_has_no_number_or_is_of_another_release_is_waited_for() -> None:
     """It may be read by the right program: what the segmenter keeps must not be thrown away for it."""
     entry = one_track(tell(3, cameras=1, n=8))

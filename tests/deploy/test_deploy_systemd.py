@@ -19,7 +19,7 @@ from tuberline.cli import build_app
 
 DEPLOY = ROOT / "deploy"
 TUBERLINE = Path(sys.executable).with_name("tuberline")
-ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics,page"
+ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics,alarms,page"
 
 pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
 
@@ -54,6 +54,7 @@ def test_a_target_wants_what_this_host_runs(installed: Path) -> None:
         "router@field",
         "aggregator@field",
         "metrics@field",
+        "alarms@field",
         "page@field",
         "segmenter@field:left",
         "camera@field:left",
@@ -158,6 +159,22 @@ def test_a_unit_starts_a_command_that_takes_its_arguments(installed: Path, role:
     assert ":" in instance or "camera" not in bound.arguments
 
 
+def test_the_unit_of_the_alarms_names_the_line_and_no_run(installed: Path) -> None:
+    done = subprocess.run(
+        [str(installed / "usr/local/lib/tuberline/node"), "alarms", "field"],
+        env={
+            "PATH": os.environ["PATH"],
+            "TUBERLINE": "/bin/echo",
+            "TUBERLINE_ETC": str(installed / "etc/tuberline"),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    command, bound, _ = build_app().parse_args(done.stdout.split(), print_error=False, exit_on_error=False)
+    assert (command.__name__, bound.arguments["config"].name) == ("alarms", "field.toml")
+
+
 def test_one_page_shows_several_lines(installed: Path, tmp_path: Path) -> None:
     shutil.copytree(installed / "etc/tuberline", tmp_path / "etc")
     shutil.copy(tmp_path / "etc/lines/field.toml", tmp_path / "etc/lines/south.toml")
@@ -230,7 +247,7 @@ def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
         return "\n".join(line for line in done.stderr.splitlines() if "tuberline" in line)
 
     templates = sorted(unit.name.replace("@.", "@field.") for unit in units.glob("*@.service"))
-    assert len(templates) == 9
+    assert len(templates) == 10
     for unit in (*templates, "tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer"):
         assert verify(unit) == ""
     common = units / "tuberline-.service.d" / "10-common.conf"

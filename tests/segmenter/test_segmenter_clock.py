@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from conveyor.camera_clock import STEP_NS, CameraClock
 from segmenter.age import FrameAge
-from segmenter.clock import STEP_NS, CameraClock
 
 PERIOD_NS = 33_000_000
 EPOCH_NS = 1_760_000_000_000_000_000

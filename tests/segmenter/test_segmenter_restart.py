@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,35 @@ def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
     crossed = np.array([[t.crossed_ns / 1e9 * RUN_FPS * STEP_M, t.y_m] for t in tracks])
     away = np.hypot(*(crossed[:, None] - crossed[None]).transpose(2, 0, 1)) + np.eye(len(crossed))
     assert away.min() > 0.04, "one tuber was logged twice"
+
+
+@pytest.mark.parametrize("missing", [12, 55, 90])
+def test_belt_that_passes_a_segmenter_that_stood_still_is_told(
+    frames: list[Frame], tmp_path: Path, missing: int
+) -> None:
+    """After 10 s without a frame the travel stood still: 12 s of a belt were in no coverage (90 % for 72 % counted)."""
+    slow = [replace(f, captured_ns=f.captured_ns * 4) for f in frames]  # 90 frames are 12 s
+    it = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
+    it.open()
+    play(it, [*slow[:40], *slow[40 + missing :]], names={"a"})
+    finish(it, 9.0, {"a"}, last_seq=frames[-1].seq)
+    mark = it.log.last_mark
+    assert mark is not None
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.03)
+    tracks = [e.track for e in entries(it, 9.0) if e.track is not None]
+    assert mark.looked_at_m / mark.travelled_m == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
+
+
+def test_a_belt_that_stood_while_nobody_looked_has_not_moved(frames: list[Frame], tmp_path: Path) -> None:
+    late = [replace(f, captured_ns=f.captured_ns + (30 * 10**9 if f.seq >= 60 else 0)) for f in frames]
+    it = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
+    it.open()
+    play(it, late, names={"a"})
+    finish(it, 9.0, {"a"}, last_seq=frames[-1].seq)
+    mark = it.log.last_mark
+    assert mark is not None
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.03)
+    assert mark.looked_at_m == mark.travelled_m
 
 
 def test_the_last_speed_survives_that_everything_is_committed(frames: list[Frame], tmp_path: Path) -> None:

@@ -159,6 +159,15 @@ def test_totals_say_weight_count_interval_and_missed_belt() -> None:
     assert "none yet" in page(nothing)
 
 
+@pytest.mark.parametrize("state", ["nothing seen", "starting"])
+def test_where_nothing_was_seen_there_is_no_number(state: str) -> None:
+    nothing = replace(line.totals([]), count=0, state=state, reason="the lens is covered", coverage=None)
+    (entry,) = LoadScene().on_totals(nothing, Moment(5))
+    assert isinstance(entry.primitive, Page)
+    assert "the lens is covered" in entry.primitive.markdown
+    assert "kg" not in entry.primitive.markdown
+
+
 def test_the_load_is_added_up_tuber_by_tuber_and_never_with_a_hole() -> None:
     scene, tubers = LoadScene(), line.potatoes(4, seed=6)
     kg = [one(scene.on_tuber(line.counted(t), Moment(n)), Page).primitive for n, t in enumerate(tubers[:2])]

@@ -75,6 +75,8 @@ def page(
         logging.getLogger("page").info("%s at http://%s:%d/", ", ".join(names), shown, server.port)
         notify("READY=1")
         while not stop.wait(TICK_S):
+            if not server.serves:
+                raise RuntimeError("the page's server has ended")
             notify("WATCHDOG=1")
         for watch in watches:
             watch.stop()

@@ -19,7 +19,8 @@ LOOK_EVERY_S = 0.2
 
 
 def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: Path | None = None) -> None:
-    """Run a line until stopped, restarting whatever crashes.
+    """Run a line until stopped, restarting whatever crashes. Ends by itself where no camera is left that could work,
+    and with its load where `aggregator.exit_when_final` is set.
 
     Parameters
     ----------
@@ -52,21 +53,24 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     with Supervisor(specs, log_dir=log_dir) as supervisor:
         if shown:
             _show(supervisor, line, stop)
-        while not stop.wait(LOOK_EVERY_S):
+        while not (stop.wait(LOOK_EVERY_S) or supervisor.finished("aggregator")):
             raise_if_pointless(supervisor)
 
 
 def raise_if_pointless(supervisor: Supervisor) -> None:
-    """A line without its router, or without a single node that works, is not kept up.
+    """A line without its router, without a single camera, or without a single node that works, is not kept up.
 
     Raises:
-        TuberlineError: so it is; with the last words of those that gave up.
+        TuberlineError: so it is; with the last words of those that gave up, and the exit code of the first.
     """
     failures = supervisor.failures
     nodes = set(supervisor.restarts) - {"router", "alarms"}
-    if "router" in failures or nodes <= set(failures):
+    cameras = {name for name in nodes if name.startswith("camera-")}
+    if "router" in failures or nodes <= set(failures) or (cameras and cameras <= set(failures)):
         said = "\n".join(f"  {name}: {supervisor.last_words(name) or 'see above'}" for name in failures)
-        raise TuberlineError(f"the line is not kept up: {', '.join(failures)} gave up\n{said}")
+        error = TuberlineError(f"the line is not kept up: {', '.join(failures)} gave up\n{said}")
+        error.exit_code = next(iter(failures.values()))
+        raise error
 
 
 def _show(supervisor: Supervisor, config: LineConfig, stop: threading.Event) -> None:
@@ -84,6 +88,6 @@ def _show(supervisor: Supervisor, config: LineConfig, stop: threading.Event) -> 
         observer_when_there(config.link, line=config.name, meanwhile=check) as observer,
         Live(refresh_per_second=4) as live,
     ):
-        while not stop.wait(LOOK_EVERY_S):
+        while not (stop.wait(LOOK_EVERY_S) or supervisor.finished("aggregator")):
             raise_if_pointless(supervisor)
             live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()))

@@ -55,6 +55,11 @@ class PageServer:
         """The port it listens on."""
         return int(self._socket.getsockname()[1])
 
+    @property
+    def serves(self) -> bool:
+        """Its thread is there: uvicorn ends without an exception where it cannot begin."""
+        return self._thread.is_alive()
+
     def __enter__(self) -> PageServer:
         self._thread.start()
         return self

@@ -24,7 +24,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "state": _state(state, troubled=any(alarm.level == "trouble" for alarm in found)),
         "heard_s": None if state.heard_s is None else round(state.heard_s, 1),
         "alarms": [asdict(alarm) for alarm in found],
-        "load": None if state.totals is None or _no_number(state.totals) else _load(state.totals, state),
+        "load": None if state.totals is None or state.totals.no_number else _load(state.totals, state),
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
@@ -39,11 +39,6 @@ def _state(state: LineState, *, troubled: bool) -> str:
     if not state.in_contact:
         return "no contact"
     return "trouble" if troubled else "waiting" if state.totals is None else "running"
-
-
-def _no_number(totals: Totals) -> bool:
-    """Nothing was seen, or nothing is counted yet: then there is no load to show, but an alarm that says why."""
-    return totals.state == "nothing seen" or (totals.state == "starting" and not totals.count)
 
 
 def _load(totals: Totals, state: LineState) -> dict[str, Any]:

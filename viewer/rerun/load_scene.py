@@ -59,6 +59,8 @@ class LoadScene:
         """Everything drawn of one report."""
         if totals.histogram_step_g != self._step_g and self._count == 0:
             self._step_g = totals.histogram_step_g
+        if totals.no_number:
+            return [Entry("/load/page", Page(page(totals)), moment)]
         sigma_kg = (totals.high_g - totals.low_g) / SIGMAS_OF_90_PERCENT / 1000
         primitives: dict[str, Primitive] = {
             "/load/page": Page(page(totals)),
@@ -74,7 +76,11 @@ class LoadScene:
 
 
 def page(totals: Totals) -> str:
-    """The big numbers, as Markdown."""
+    """The big numbers, as Markdown; where there is none, why."""
+    cameras = [f"Camera {name}: {state}" for name, state in sorted(totals.cameras.items())]
+    if totals.no_number:
+        said = "Nothing seen" if totals.state == "nothing seen" else "Starting, not counting"
+        return "\n\n".join([f"# {said}", totals.reason, *cameras])
     rows = [
         *_headline(totals.count, totals.weight_g),
         f"90 % sure: {_kg(totals.low_g)} to {_kg(totals.high_g)}",
@@ -86,7 +92,7 @@ def page(totals: Totals) -> str:
                 f"With the belt that was missed: **{_kg(totals.estimated_weight_g)}** "
                 f"({_kg(totals.estimated_low_g)} to {_kg(totals.estimated_high_g)})"
             )
-    rows += [f"Camera {name}: {state}" for name, state in sorted(totals.cameras.items())]
+    rows += cameras
     rows.append("**The load is complete.**" if totals.final else f"{totals.tubers_per_s:.1f} tubers per second.")
     return "\n\n".join(rows)
 

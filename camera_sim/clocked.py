@@ -1,0 +1,74 @@
+"""A recording that plays as a camera does: by the clock, whether or not anyone takes its frames."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from conveyor.formats import CameraDescription, Refused
+from conveyor.formats.source import RecordedSource
+from conveyor.messages import Frame
+
+BEHIND_S = 0.5
+"""A device keeps this much of its newest frames; what is older when it is asked for is gone."""
+LOOK_EVERY_S = 0.02
+
+
+class ClockedSource:
+    """Frames of `inner` when their time has come, the first one at `starts_at_s` (seconds since 1970), stamped with the
+    time of the day as a device does.
+
+    What a process that starts late, was stopped or killed did not take meanwhile is gone, and a gap in the numbers.
+    Only the newest frame stays, as with a camera over a belt that stopped.
+    """
+
+    def __init__(self, inner: RecordedSource, *, starts_at_s: float, speed: float) -> None:
+        self._inner = inner
+        self._starts_s = time.monotonic() + starts_at_s - time.time()
+        self._speed = speed
+        self._poll: Callable[[float], bool] = lambda still_s: True
+
+    @property
+    def description(self) -> CameraDescription:
+        """As recorded, but live."""
+        return replace(self._inner.description, live=True)
+
+    def attach(self, poll: Callable[[float], bool]) -> None:
+        """While nothing comes, `poll` is told several times a second for how long (seconds); False ends the frames."""
+        self._poll = poll
+
+    def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+        """Frames above `after` as they come due."""
+        keys = self._inner.keys()
+        if not keys:
+            return
+        due_s = [self._starts_s + (key.captured_ns - keys[0].captured_ns) / 1e9 / self._speed for key in keys]
+        seqs = [key.seq for key in keys]
+        at = bisect_left(seqs, after + 1)
+        while at < len(keys):
+            at = max(at, min(bisect_left(due_s, time.monotonic() - BEHIND_S), len(keys) - 1))
+            for item in self._inner.frames(run=run, after=seqs[at] - 1):
+                if not self._wait(due_s[at]):
+                    return
+                late_s = time.monotonic() - due_s[at]
+                if at < len(keys) - 1 and late_s > BEHIND_S:
+                    break  # go on where the recording has come to
+                yield item if isinstance(item, Refused) else replace(item, captured_ns=_ago_ns(late_s))
+                at += 1
+            else:
+                return
+
+    def _wait(self, until_s: float) -> bool:
+        since_s = time.monotonic()
+        while (left_s := until_s - time.monotonic()) > 0:
+            if not self._poll(time.monotonic() - since_s):
+                return False
+            time.sleep(min(left_s, LOOK_EVERY_S))
+        return self._poll(0.0)
+
+
+def _ago_ns(seconds: float) -> int:
+    """The time of the day so long ago."""
+    return time.time_ns() - round(seconds * 1e9)

@@ -1,0 +1,78 @@
+"""When a load begins, and that a camera that never saw anything leaves a ledger that can be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from aggregator.core.cameras import Cameras
+from aggregator.core.coverage import coverage
+from aggregator.core.reasons import Unseen
+from aggregator.ledger.check import check_file
+from aggregator.ledger.writer import Ledger
+from conveyor.geometry import Intrinsics
+from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
+from tests.aggregator.belt_story import tell
+from tests.aggregator.virtual_line import Aggregator, fresh_run
+
+SECOND_NS = 10**9
+
+
+def info(*, first_s: float, last_s: float) -> CameraInfo:
+    """What a live camera says of the frames that it sent between two of its moments."""
+    return CameraInfo(
+        "a", "r", "streaming", "test", 10.0, False, Intrinsics(10, 10, 10.0, 10.0, 5.0, 5.0), 0.001, 0, 9, 10, {},
+        first_captured_ns=round(first_s * SECOND_NS), last_captured_ns=round(last_s * SECOND_NS), live=True,
+    )  # fmt: skip
+
+
+def lead_s(*, began_s: float, heard_s: float, first_s: float, last_s: float) -> float:
+    """Belt before the first frame, in seconds."""
+    cameras = Cameras(("a",), stall_s=10.0, now_s=heard_s - 1.0)
+    cameras.began(began_s)
+    cameras.info(info(first_s=first_s, last_s=last_s), heard_s)
+    return cameras.sights["a"].published.lead_s
+
+
+def test_a_load_begins_with_its_run_and_not_when_its_line_was_joined() -> None:
+    """The router came 4 s later: the belt of these 4 s was in no coverage."""
+    assert lead_s(began_s=100.0, heard_s=105.5, first_s=5005.0, last_s=5005.5) == pytest.approx(5.0)
+
+
+def test_frames_sent_before_the_load_began_leave_nothing_before_them() -> None:
+    """Seconds in which the camera had sent frames already were taken for belt before its first one."""
+    assert lead_s(began_s=100.0, heard_s=103.0, first_s=5000.0, last_s=5018.0) == 0.0
+
+
+@pytest.mark.parametrize("encoder", [False, True])
+def test_belt_that_ran_while_every_camera_was_down_is_told_by_an_encoder(encoder: bool) -> None:
+    """By the clock it ran on at its last speed; the encoder knows that it stood most of the time."""
+    cameras = Cameras(("a",), stall_s=10.0, now_s=0.0)
+    for second in range(1, 11):
+        if encoder:
+            cameras.travelled(Travel("belt", "r", second * SECOND_NS, 70 + 0.2 * second, False))
+        cameras.travelled(Travel("a", "r", second * SECOND_NS, 500.0, False))
+        mark = Mark(
+            second * SECOND_NS, 0.2 * second, True, second * SECOND_NS, 0, False, 0.2 * second, 0.2 * second, {}, {}, {}
+        )
+        cameras.heard("a", TrackEntry("a", "r", second, mark=mark), float(second))
+        cameras.marked("a", mark)
+    if encoder:
+        cameras.travelled(Travel("belt", "r", 60 * SECOND_NS, 72.5, False))
+    found = coverage(cameras.sights, seen_by={}, moment=cameras.moment(60.0, over=True))
+    ran_m = 0.5 if encoder else 50 * 0.2
+    assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(ran_m, abs=0.02)
+
+
+def test_a_mark_that_holds_a_negative_zero_is_read_as_it_was_written(tmp_path: Path) -> None:
+    """SQLite keeps -0.0 as 0: the row of a camera that saw nothing had another checksum when it was read."""
+    told = tell(3, cameras=1, n=2).in_run(fresh_run("zero"))
+    mark = Mark(0, 0.0, False, 0, -0.0, True, 0.0, -0.0, {}, {}, {})
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told)
+        it.core.receive(TrackEntry("cam0", told.run, 1, mark=mark), now_s=1.0)
+        it.commit()
+        it.start()
+        assert it.core.finished
+    assert check_file(tmp_path / "ledger.db") == []

@@ -1,0 +1,54 @@
+"""A recording that plays by the clock: what nobody took in time is gone, as with a camera."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from camera_sim.configured import configured_source
+from conveyor.config import parse_config
+from conveyor.errors import ConfigError
+from conveyor.formats import open_source
+from conveyor.messages import Frame
+
+
+def played(recording: Path, *, began_s_ago: float, after: int = -1, sleep_at: int | None = None) -> list[int]:
+    """Numbers of the frames that come of the left camera; this process stands still for 1 s at frame `sleep_at`."""
+    camera = {"path": str(recording), "waits": False, "starts_at_s": time.time() - began_s_ago, "speed": 1.0}
+    source = configured_source(parse_config({"cameras": {"left": camera}}, where="here"), "left")
+    assert source.description.live
+    seqs = []
+    for frame in source.frames(run="r", after=after):
+        assert isinstance(frame, Frame)
+        seqs.append(frame.seq)
+        if frame.seq == sleep_at:
+            time.sleep(1.0)
+    return seqs
+
+
+def test_late_frames_are_gone_and_the_last_one_stays(recording: Path) -> None:
+    keys = open_source(recording, camera="left").keys()
+    lasts_s = (keys[-1].captured_ns - keys[0].captured_ns) / 1e9
+    last = keys[-1].seq
+    assert played(recording, began_s_ago=lasts_s + 60) == [last]
+    assert played(recording, began_s_ago=lasts_s + 60, after=last) == []
+    due_s = [(key.captured_ns - keys[0].captured_ns) / 1e9 for key in keys]
+    seqs = played(recording, began_s_ago=lasts_s - 2.0)
+    assert seqs == list(range(seqs[0], last + 1))
+    assert due_s[seqs[0]] == pytest.approx(lasts_s - 2.5, abs=0.5)
+
+
+def test_what_passes_a_process_that_stands_still_is_a_gap_in_the_numbers(recording: Path) -> None:
+    last = open_source(recording, camera="left").keys()[-1].seq
+    seqs = played(recording, began_s_ago=0.0, after=last - 25, sleep_at=last - 20)
+    gaps = [b - a for a, b in pairwise(seqs)]
+    assert max(gaps) >= 4, "0.5 s of 15 frames a second are gone"
+    assert seqs[-1] == last
+
+
+def test_it_needs_a_camera_that_waits_for_no_one() -> None:
+    with pytest.raises(ConfigError, match="waits = false"):
+        parse_config({"cameras": {"left": {"path": "x", "starts_at_s": 1.0}}}, where="here")
