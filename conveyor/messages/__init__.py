@@ -2,6 +2,7 @@
 
 from conveyor.messages.base import Message
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
 from conveyor.messages.reports import Counters, Totals, Tuber
 from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, WeighedView
 from conveyor.messages.views import View, Weight
@@ -12,6 +13,9 @@ __all__ = [
     "Counters",
     "Frame",
     "FrameProgress",
+    "LoadAnswer",
+    "LoadNow",
+    "LoadOrder",
     "Mark",
     "Message",
     "Totals",
