@@ -49,6 +49,7 @@ def line_identities(config: LineConfig) -> tuple[Identity, ...]:
         "recorder": extra.recorders,
         "operator": extra.operators,
         "keeper": extra.keepers,
+        "loader": extra.loaders,
         "encoder": extra.encoders,
     }
     return tuple(dict.fromkeys(Identity(role, name) for role, names in named.items() for name in names))

@@ -213,9 +213,10 @@ class AccessConfig(Section):
     recorders: tuple[str, ...] = Field(("*",), description="who may record the frames of all cameras")
     operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
     keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
+    loaders: tuple[str, ...] = Field(("*",), description="who may start and end loads: `tuberline load`, page, sensor")
     encoders: tuple[str, ...] = Field((), description="who may tell the belt's travel")
 
-    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "encoders")
+    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "loaders", "encoders")
     @classmethod
     def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         for name in names:

@@ -249,7 +249,7 @@ QUERY_LOADS = Topic(
     Delivery.QUERY,
     Priority.DATA_HIGH,
     "",
-    "answers the ledger's last loads as JSON; parameter: limit",
+    "answers the ledger's last runs as JSON, its last loads with what=loads; parameters: limit, what",
 )
 
 QUERY_MODEL = Topic(
@@ -272,6 +272,16 @@ ORDER_MODEL = Topic(
     "",
     "takes new weights, checks them and changes over; parameters: do=piece, do=check, do=take, digest, offset, size, n",
 )
+ORDER_LOAD = Topic(
+    "order_load",
+    "order/load",
+    ("aggregator",),
+    ("loader",),
+    Delivery.QUERY,
+    Priority.INTERACTIVE_HIGH,
+    "LoadOrder",
+    "starts, ends, notes, weighs or undoes a load; answered with LoadAnswer once it is durable in the ledger",
+)
 
 TOPICS: tuple[Topic, ...] = (
     FRAME,
@@ -291,4 +301,5 @@ TOPICS: tuple[Topic, ...] = (
     QUERY_LOADS,
     QUERY_MODEL,
     ORDER_MODEL,
+    ORDER_LOAD,
 )

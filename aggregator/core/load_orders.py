@@ -23,13 +23,14 @@ def decide(
     *,
     run: str,
     now_ns: int,
-    utc_offset_s: int,
+    line: Mapping[str, float],
     place_x_m: Callable[[LoadOrder], float],
 ) -> LoadEvent:
     """The event that `order` comes to; the one it came to before, where it was carried out already.
 
     Args:
-        now_ns: wall clock of the aggregator's machine; utc_offset_s: its time zone.
+        now_ns: wall clock of the aggregator's machine; line: what a load keeps of the line as
+            it is, 'utc_offset_s' and 'stated_offset_mm'.
         place_x_m: where on the belt an order that changes loads does so; may raise InputError.
 
     Raises:
@@ -38,7 +39,7 @@ def decide(
     if (known := book.events.get(order.request)) is not None:
         return known
     decisions: dict[str, Callable[[], tuple[Said, int, float | None, Mapping[str, Any]]]] = {
-        "start": lambda: _start(order, book, run, utc_offset_s, place_x_m),
+        "start": lambda: _start(order, book, run, line, place_x_m),
         "end": lambda: _end(order, book, run, place_x_m),
         "note": lambda: _note(order, book, run),
         "ticket": lambda: _ticket(order, book, run),
@@ -111,9 +112,9 @@ def find(book: LoadBook, wanted: str, run: str) -> Load:
 
 
 def _start(
-    order: LoadOrder, book: LoadBook, run: str, utc_offset_s: int, place_x_m: Callable[[LoadOrder], float]
+    order: LoadOrder, book: LoadBook, run: str, line: Mapping[str, float], place_x_m: Callable[[LoadOrder], float]
 ) -> tuple[Said, int, float | None, dict[str, Any]]:
-    payload: dict[str, Any] = {"fields": dict(order.fields), "note": order.note, "utc_offset_s": utc_offset_s}
+    payload: dict[str, Any] = {"fields": dict(order.fields), "note": order.note, **line}
     if not order.load:
         return Said.START, max(book.loads, default=NO_LOAD) + 1, place_x_m(order), payload
     load = find(book, order.load, run)

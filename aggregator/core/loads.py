@@ -43,7 +43,7 @@ class LoadEvent:
         load: number of the load it is about. place_x_m: where on the belt it changes, infinite at a run's beginning;
             None where it changes nothing there.
         said_ns: by the clock of the aggregator's machine. said_by: as the asker said it.
-        payload: 'fields', 'note', 'ticket_g', 'sd_g', 'net', 'utc_offset_s', 'event' (that is undone), by kind.
+        payload: 'fields', 'note', 'ticket_g', 'sd_g', 'net', 'utc_offset_s', 'stated_offset_mm', 'event', by kind.
     """
 
     n: int
@@ -96,6 +96,7 @@ class Load:
 
     Attributes:
         began_ns, ended_ns: wall clock; `ended_ns` is None while it is open. utc_offset_s: of the line's clock.
+        stated_offset_mm: resting offset that the line stated when it began.
         spans: (run, span) of its stretches of belt; several where it went on after an end.
         notes, tickets: all, oldest first. undone: its start was undone; it holds no belt.
     """
@@ -105,6 +106,7 @@ class Load:
     began_ns: int
     began_by: str
     utc_offset_s: int = 0
+    stated_offset_mm: float = 0.0
     ended_ns: int | None = None
     name: str = ""
     trailer: str = ""
@@ -184,6 +186,7 @@ class LoadBook:
             event.said_ns,
             event.said_by,
             utc_offset_s=int(event.payload.get("utc_offset_s", 0)),
+            stated_offset_mm=float(event.payload.get("stated_offset_mm", 0.0)),
             spans=((event.run, event.n),),
             notes=_notes(event),
             **_fields(event),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import sqlite3
 from collections.abc import Callable, Sequence
 
-from aggregator.core.coverage import Moment, belt_window, coverage
+from aggregator.core.coverage import Moment
 from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_told import span_coverage
 from aggregator.core.loads import LoadBook, LoadEvent, Said, Span
 from aggregator.ledger.load_rows import SpanSums, add_tubers, event_row, read_book, read_span_sums
 from aggregator.ledger.schema import LOAD_EVENT
@@ -99,13 +99,7 @@ class LoadKeeper:
         mine = self.sums(run)[spans[at].n]
         if mine.seen is not None:
             return False
-        end_x_m = spans[at + 1].from_x_m if at + 1 < len(spans) else -math.inf
-        mine.seen = coverage(
-            run_sums.sights,
-            seen_by=mine.load.seen_by,
-            moment=Moment(over=at + 1 == len(spans)),
-            window=belt_window(run_sums.sights, spans[at].from_x_m, end_x_m),
-        )
+        mine.seen = span_coverage(spans, at, mine.load, run_sums.sights, Moment(over=at + 1 == len(spans)))
         return True
 
     def _join(self, run: str, before: Sequence[Span]) -> None:

@@ -305,6 +305,10 @@ class Ledger:
         """The run of that id."""
         return read_run(self.view, run)
 
+    def runs(self) -> list[RunRow]:
+        """All runs in the order they were begun."""
+        return read_runs(self.view)
+
     def tubers(self, run: str) -> Iterator[Tuber]:
         """All committed tubers of `run`, by id."""
         return read_tubers(self.view, run)

@@ -36,9 +36,7 @@ class Loads(Aggregator):
     ) -> LoadAnswer:
         """Carry out an order as the node does."""
         asked = LoadOrder(request, action, by="me", place_x_m=x_m, **more)  # type: ignore[arg-type]
-        event = decide(
-            asked, self.ledger.loads, run=self.story.run, now_ns=now_ns, utc_offset_s=0, place_x_m=self.place_x_m
-        )
+        event = decide(asked, self.ledger.loads, run=self.story.run, now_ns=now_ns, line={}, place_x_m=self.place_x_m)
         self.ledger.say(event)
         return answer(asked, event, self.ledger.loads)
 

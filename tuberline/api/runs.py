@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
-from conveyor.messages import Totals, Tuber
+from conveyor.messages import LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
 
@@ -111,4 +111,6 @@ def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
 
 
 def _totals(values: dict[str, Any]) -> Totals:
-    return Totals(**{**values, "histogram": tuple(values["histogram"])})
+    load = values.get("load")
+    loads = {"load": LoadNow(**load)} if load else {}
+    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads})

@@ -26,6 +26,7 @@ GROUPS: dict[str, Commands] = {
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "config": ("tuberline.cli.config:config", "Check, show or explain a line's configuration."),
         "calibrate": ("tuberline.cli.calibrate:calibrate", "Measure the belt, calibrate totals by load tickets."),
+        "load": ("tuberline.cli.load:load", "Start, end, note, weigh and undo loads while a line runs."),
         "weights": ("tuberline.cli.weights:weights", "The weights of a running line: list, change, go back."),
         "certs": ("tuberline.cli.certs:certs", "A site's own certificates, one per node."),
         "doctor": ("tuberline.cli.doctor:doctor", "What is wrong with a line or this machine, how to fix it."),
