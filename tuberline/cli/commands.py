@@ -20,7 +20,7 @@ GROUPS: dict[str, Commands] = {
         "weigh": ("tuberline.cli.weigh:weigh", "Weigh single clouds or depth and mask pairs; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
-        "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export the ledger of a run."),
+        "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),
     },
     "Set up and run a line": {
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
