@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from aggregator.calibration.load_tickets import load_ticket
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.coverage import Coverage, Moment
+from aggregator.core.load_orders import find
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import LoadCounted, counted, span_coverage
 from aggregator.core.loads import NO_LOAD, Load, LoadBook
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
-from aggregator.ledger.reader import RunRow, coverage_of, read_runs, read_sums
+from aggregator.ledger.reader import RunRow, coverage_of, ledger_file, read_runs, read_sums, reading
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
 
@@ -72,6 +74,22 @@ def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") ->
         else:
             tickets += [ticket] if ticket is not None else []
     return tickets, refused
+
+
+def ticket_of_load(path: Path, wanted: str, *, cultivar: str = "") -> Ticket:
+    """The ticket of a load in the ledger (or a run's folder) at `path`, by number or name.
+
+    Raises:
+        LedgerError: no ledger, or one that cannot be read. InputError: no such load, none entered, or one that cannot
+            calibrate; the text says why.
+    """
+    with reading(ledger_file(path)) as view:
+        ledger = ReadLoads(view)
+        load = find(ledger.loads, wanted, run="")
+        ticket = load_ticket(load, count_load(ledger, load, ledger.seen()), cultivar=cultivar)
+    if ticket is None:
+        raise InputError(f"{load.told} has no net ticket: tuberline load ticket {load.number} --kg ... --ledger {path}")
+    return ticket
 
 
 class ReadLoads:

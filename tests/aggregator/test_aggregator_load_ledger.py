@@ -8,6 +8,7 @@ import signal
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,14 +16,18 @@ from aggregator.core.load_orders import UNDO_WITHIN_S, answer, decide
 from aggregator.core.loads import NO_LOAD, span_of
 from aggregator.ledger.check import check_file
 from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.load_rows import read_book, read_span_sums
 from aggregator.ledger.reader import read_sums, read_tubers, reading, the_run
 from aggregator.ledger.repair import repair
+from aggregator.ledger.schema import Table
+from aggregator.ledger.totals_by import totals_by
+from aggregator.ledger.verified import LedgerView
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
-from conveyor.messages import LoadAnswer, LoadOrder
+from conveyor.messages import LoadAnswer, LoadOrder, Tuber
 from tests.aggregator.belt_story import Story, tell
-from tests.aggregator.virtual_line import Aggregator
+from tests.aggregator.virtual_line import STALL_S, Aggregator
 
 SEED = 5
 S = 1_000_000_000
@@ -210,6 +215,58 @@ def test_a_load_that_ended_goes_on(tmp_path: Path) -> None:
                     it.order("d", "start", load="1", x_m=-1.3)
     assert sums_by_load(path)[1][0] == sum(t.x_m < -1.2 or -0.8 <= t.x_m < -0.4 for t in story().seen())
     assert check_file(path) == []
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_late_tubers_of_a_slow_camera_come_to_the_load_of_their_place(restart: bool, tmp_path: Path) -> None:
+    """One camera falls silent; loads change while it is away, and what it saw meanwhile is told afterwards."""
+    path = tmp_path / "ledger.db"
+    told = tell(8, n=30, cameras=2, length_m=2.0, noise_mm=0.0)
+    with Ledger(path) as ledger:
+        it = Loads(ledger, told)
+        it.order("a", "start", x_m=-0.3, fields={"name": "A"})
+        for n in range(1, 5):
+            it.receive("cam0", n)
+        for n in range(1, len(told.logs["cam1"]) + 1):
+            it.receive("cam1", n)
+        it.commit()
+        it.now_s += STALL_S + 0.1
+        it.order("b", "start", x_m=-1.0, fields={"name": "B"})
+        it.commit()
+        before = {n: sums.load.count for n, sums in ledger.span_sums("story").items()}
+        if restart:
+            it.start()
+        it.deliver_the_rest()
+        assert it.core.finished
+        after = {n: sums.load.count for n, sums in ledger.span_sums("story").items()}
+    late = sum("late" in tuber.flags for tuber in tubers_of(path))
+    assert sum(after.values()) - sum(before.values()) == late > 3
+    assert sums_by_load(path)[1][0] == sum(-1.0 <= t.x_m < -0.3 for t in told.seen())
+    assert check_file(path) == []
+
+
+def tubers_of(path: Path) -> list[Tuber]:
+    with reading(path) as view:
+        return list(read_tubers(view, the_run(view, path, None).run))
+
+
+def test_what_loads_come_to_is_read_without_their_tubers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It costs the same at a million tubers: nothing but events and sums is read."""
+    path = tmp_path / "ledger.db"
+    with Ledger(path) as ledger:
+        told_with_loads(ledger)
+    read: set[str] = set()
+    scan = LedgerView.scan
+
+    def watched(self: LedgerView, table: Table, *more: Any, **named: Any) -> Any:
+        read.add(table.name)
+        return scan(self, table, *more, **named)
+
+    monkeypatch.setattr(LedgerView, "scan", watched)
+    with reading(path) as view:
+        assert [load["name"] for load in told_loads(view, limit=5)] == ["B", "A"]
+    assert len(totals_by([path], "field")[0]) == 2
+    assert read == {"load_event", "load_total", "run", "summary", "total"}
 
 
 def test_killed_at_every_write_point_of_an_order(tmp_path: Path) -> None:

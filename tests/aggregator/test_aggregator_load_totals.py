@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from aggregator.calibration.apply import CAMERA, RESTING, TUBERS
+from aggregator.calibration.tickets import read_tickets
 from aggregator.calibration.together import OneLoad, together
 from aggregator.core.coverage import Moment
 from aggregator.core.load_sums import LoadSums
@@ -28,6 +29,7 @@ from conveyor.messages import Mark
 from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_ledger import Loads, S
 from tests.aggregator.virtual_line import undisturbed
+from tuberline.cli.calibrate_load import calibrate_load
 
 DAY_NS = 86_400 * S
 
@@ -173,6 +175,21 @@ def test_tickets_of_loads_calibrate_the_others(tmp_path: Path) -> None:
     assert first["refused"] == newest["refused"] == []
     assert [said["text"] for said in newest["said"]] == ["began", "field is Berg"]
     assert check_file(path) == []
+
+
+def test_a_ticket_of_a_load_goes_to_the_file_of_tickets(tmp_path: Path) -> None:
+    path, tickets = tmp_path / "ledger.db", tmp_path / "tickets.json"
+    day_of_loads(path)
+    raw_kg = {t.label: t.raw_g / 1000 for t in totals_by([path], "load")[0]}["2 B"]
+    with pytest.raises(InputError, match=r"load 2 \(B\) has no net ticket"):
+        calibrate_load(path, tickets=tickets, load="B")
+    with Ledger(path) as ledger:
+        Loads(ledger, tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)).order("t", "ticket", load="B", kg=raw_kg)
+    calibrate_load(path, tickets=tickets, load="B")
+    (ticket,) = read_tickets(tickets)
+    assert (ticket.kind, ticket.part, ticket.cultivar, ticket.model) == ("load", "load 2", "Fontane", "m")
+    assert ticket.estimated_g == pytest.approx(1000 * raw_kg)
+    assert totals_by([path], "load", tickets=read_tickets(tickets))[0][-1].sums.tickets == 1, "it counts once"
 
 
 def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Path) -> None:
