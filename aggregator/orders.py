@@ -129,7 +129,7 @@ class Orders:
             with query:  # dropped when answered: else the asker waits for its whole timeout
                 query.reply(self._key, told.encode())
         except zenoh.ZError as error:  # who asked is gone; under the same id it learns what became of it
-            self._node.log.warning("an answer about a load found nobody: %s", error)
+            self._node.log.warning("an answer about a load did not arrive: %s", error)
 
 
 def answer_all(orders: Orders, commit: Callable[[], None], now_s: float) -> None:

@@ -279,8 +279,8 @@ ORDER_LOAD = Topic(
     ("loader",),
     Delivery.QUERY,
     Priority.INTERACTIVE_HIGH,
-    "LoadOrder",
-    "starts, ends, notes, weighs or undoes a load; answered with LoadAnswer once it is durable in the ledger",
+    "",
+    "takes a LoadOrder: starts, ends, notes, weighs or undoes a load; answered with LoadAnswer once it is durable in the ledger",
 )
 
 TOPICS: tuple[Topic, ...] = (
