@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from aggregator.calibration.apply import CAMERA, RESTING, TUBERS, UNSEEN
-from aggregator.core.totals import LoadTotals
+from aggregator.core.totals import LEAST_COVERAGE, LoadTotals
 from conveyor.statistics import NORMAL_90
 
 
@@ -28,7 +28,7 @@ class OneLoad:
     @property
     def whole(self) -> float:
         """By what is multiplied what was seen, for all of its belt."""
-        return 1.0 / self.coverage if self.coverage and self.coverage < 1.0 else 1.0
+        return 1.0 / max(self.coverage, LEAST_COVERAGE) if self.coverage and self.coverage < 1.0 else 1.0
 
     @property
     def unseen_sd_g(self) -> float:

@@ -157,6 +157,12 @@ def belt_window(sights: Mapping[str, CameraSight], from_x_m: float, to_x_m: floa
     return row_x_m - from_x_m - zero_m, row_x_m - to_x_m - zero_m
 
 
+def all_reach(sights: Mapping[str, CameraSight], travel_m: float) -> bool:
+    """Every camera's log has come to that travel (in the terms of `coverage`): what it looked at before is known."""
+    placed = _side_by_side(sights, Moment(over=False))
+    return len(placed) == len(sights) and all(own.offset + own.sight.length_m >= travel_m for own in placed.values())
+
+
 def _within(
     pieces: Sequence[tuple[Stretch, Unseen | None]], first: float, last: float
 ) -> tuple[list[Stretch], dict[Unseen, float]]:

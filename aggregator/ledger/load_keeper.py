@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Sequence
 
-from aggregator.core.coverage import Moment
+from aggregator.core.coverage import Moment, all_reach, belt_window
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import span_coverage
 from aggregator.core.loads import LoadBook, LoadEvent, Said, Span
@@ -80,7 +80,7 @@ class LoadKeeper:
     def settle(self, run: str, run_sums: RunSums) -> None:
         """The run is over: what was seen of its last stretches changes no more."""
         spans = self.book.spans.get(run, [])
-        self._write(run, {n for at, n in enumerate(span.n for span in spans) if self._seen(run, spans, at, run_sums)})
+        self._write(run, {span.n for at, span in enumerate(spans) if self._seen(run, spans, at, run_sums)})
 
     def _divide(self, run: str, spans: Sequence[Span], run_sums: RunSums) -> None:
         """A new stretch has begun; the first one has all that was counted before."""
@@ -89,9 +89,12 @@ class LoadKeeper:
             sums[spans[0].n] = SpanSums(run_sums.load.copy())
             new.add(spans[0].n)
         sums[spans[-1].n] = SpanSums(LoadSums(run_sums.load.histogram_step_g))
-        # Two changes back all cameras have passed: its belt is told now, while no older stretches were put together.
-        if len(spans) > 2 and self._seen(run, spans, len(spans) - 3, run_sums):
-            new.add(spans[-3].n)
+        # Two changes back is known for good where all cameras have passed it: a run's many gaps are told apart only so
+        # far back (`aggregator.core.sight`), so it is worked out now.
+        for at, span in enumerate(spans[:-2]):
+            _, end_m = belt_window(run_sums.sights, span.from_x_m, spans[at + 1].from_x_m)
+            if all_reach(run_sums.sights, end_m) and self._seen(run, spans, at, run_sums):
+                new.add(span.n)
         self._write(run, new)
 
     def _seen(self, run: str, spans: Sequence[Span], at: int, run_sums: RunSums) -> bool:
@@ -99,7 +102,7 @@ class LoadKeeper:
         mine = self.sums(run)[spans[at].n]
         if mine.seen is not None:
             return False
-        mine.seen = span_coverage(spans, at, mine.load, run_sums.sights, Moment(over=at + 1 == len(spans)))
+        mine.seen = span_coverage(spans, at, mine.load, run_sums.sights, Moment(over=True))
         return True
 
     def _join(self, run: str, before: Sequence[Span]) -> None:
