@@ -13,6 +13,7 @@ from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Aggregation, Batch
 from aggregator.ledger.writer import Ledger
+from aggregator.orders import Orders, answer_all
 from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
@@ -32,6 +33,9 @@ BATCH_ENTRIES = 2000
 TOTALS_EVERY_S = 0.5
 TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
+LONGEST_LOOK_S = 0.2
+"""An order about a load is not kept waiting longer, whatever the commit interval is."""
+
 GOODBYE_S = 2.0
 """How long the final acknowledgements stay available for a segmenter that does not say it has them."""
 LOOK_S = 0.02
@@ -126,6 +130,7 @@ class AggregatorNode:
             camera: KeptPublisher(node, topics.COMMITTED, camera=camera) for camera in self._config.cameras
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
+        self._orders = Orders(node, self._ledger, self._core)
         known = known_nodes(self._config)
         self._segmenters = Presence(node, "segmenter", known=known)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")
@@ -146,6 +151,7 @@ class AggregatorNode:
             self._gather(self._settings.commit_interval_s)
             self._commit()
             now_s = time.monotonic()
+            answer_all(self._orders, self._commit, now_s)
             if now_s >= committed_due_s:
                 self._acknowledge()
                 committed_due_s = now_s + COMMITTED_EVERY_S
@@ -170,9 +176,11 @@ class AggregatorNode:
         deadline_s = time.monotonic() + for_s
         for _ in range(BATCH_ENTRIES):
             left_s = deadline_s - time.monotonic()
-            entry = self._entries.get(max(left_s, 0.0)) if left_s > 0 else None
+            entry = self._entries.get(min(left_s, LONGEST_LOOK_S)) if left_s > 0 else None
             if entry is None:
-                return
+                if left_s <= LONGEST_LOOK_S or self._orders.waiting:
+                    return
+                continue
             self._take(entry)
 
     def _take(self, entry: TrackEntry) -> None:

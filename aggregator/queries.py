@@ -10,6 +10,7 @@ from typing import Any
 
 import zenoh
 
+from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.loads import last_loads
 from aggregator.ledger.reader import read_tubers, reading
 from conveyor import topics
@@ -71,7 +72,11 @@ class Queries:
     def _answer_loads(self, query: zenoh.Query) -> Any:
         limit = _whole(query, "limit", default=DEFAULT_LOADS, most=MOST_LOADS)
         with reading(self._ledger) as view:
-            return last_loads(view, limit=limit)
+            return (
+                told_loads(view, limit=limit)
+                if query.parameters.get("what") == "loads"
+                else last_loads(view, limit=limit)
+            )
 
 
 def _whole(query: zenoh.Query, name: str, *, default: int, most: int) -> int:

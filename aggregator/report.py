@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.calibration.correction import Prior
-from aggregator.calibration.tickets import read_tickets
-from aggregator.core.coverage import Coverage, coverage
+from aggregator.calibration.tickets import Ticket, read_tickets
+from aggregator.core.coverage import Coverage, Moment, coverage
 from aggregator.core.load_state import load_state
+from aggregator.core.load_told import load_now
 from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.files import tubers_csv, write_whole
+from aggregator.ledger.load_totals import Seen, count_load, tickets_of
 from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
@@ -23,12 +25,14 @@ from conveyor import __version__
 from conveyor.config import BeltConfig, LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
-from conveyor.messages import Totals, Tuber
+from conveyor.messages import LoadNow, Totals, Tuber
 
 TABLE_IN_HASTE = 5_000
 """Rows of tubers.csv that are written within the time a process has to stop."""
 
 ROWS_A_TURN = 1000
+LOOK_AT_TICKETS_EVERY_S = 5.0
+"""What a load with a ticket came to changes while its last tubers come."""
 
 
 class Reporter:
@@ -40,7 +44,8 @@ class Reporter:
         self._config = config
         self._counters = counters
         settings = config.aggregator
-        self._tickets = read_tickets(settings.tickets) if settings.tickets else ()
+        self._given = read_tickets(settings.tickets) if settings.tickets else ()
+        self._by_loads: tuple[tuple[int, int], tuple[Ticket, ...]] = ((0, 0), ())
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -60,6 +65,38 @@ class Reporter:
             ),
         )
 
+    def _tickets(self, now_s: float) -> tuple[Ticket, ...]:
+        """The tickets given, and those of the ledger's loads: a load's own takes the place of one given before."""
+        known = (self._ledger.loads.last_n, int(now_s // LOOK_AT_TICKETS_EVERY_S))
+        if not known[0]:
+            return self._given
+        if self._by_loads[0] != known:
+            found, _ = tickets_of(self._ledger, self._seen(now_s), cultivar=self._config.aggregator.cultivar)
+            keys = {ticket.key for ticket in found}
+            self._by_loads = known, (*(ticket for ticket in self._given if ticket.key not in keys), *found)
+        return self._by_loads[1]
+
+    def _seen(self, now_s: float) -> dict[str, Seen]:
+        """What cameras looked at, by run: of this run as it goes on, of others as they ended."""
+        cameras, own = self._core.cameras, self._core.run
+        runs = dict.fromkeys(run for load in self._ledger.loads.loads.values() for run, _ in load.spans)
+        found = {run: Seen(self._ledger.sums(run).sights, Moment(over=True)) for run in runs if run != own}
+        found[own] = Seen(cameras.sights, cameras.moment(now_s, over=self._over or cameras.final))
+        return found
+
+    def open_load(self, now_s: float) -> LoadNow | None:
+        """The load that is open, by its own sums; None where none is."""
+        load = self._ledger.loads.open_load(self._core.run)
+        if load is None:
+            return None
+        return load_now(
+            load,
+            count_load(self._ledger, load, self._seen(now_s)),
+            self._tickets(now_s),
+            prior=_prior(self._config.belt),
+            cultivar=self._config.aggregator.cultivar,
+        )
+
     def totals(self, now_s: float) -> Totals:
         """The totals as they are now."""
         cameras, seen, sums = self._core.cameras, self.coverage(now_s), self._ledger.sums(self._core.run)
@@ -72,7 +109,7 @@ class Reporter:
             sheets=self.sheets,
         )
         return LoadTotals(
-            sums.load, self._tickets, prior=_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
+            sums.load, self._tickets(now_s), prior=_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
         ).message(
             self._core.run,
             coverage=seen.share,
@@ -82,6 +119,7 @@ class Reporter:
             reason=reason,
             belt_m=seen.belt_m,
             unseen_m=seen.mean_unseen_m(),
+            load=self.open_load(now_s),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:

@@ -82,6 +82,8 @@ _NUMBERS = ("weight_g", "low_g", "high_g", "estimated_weight_g", "estimated_low_
 def told_totals(totals: Totals) -> dict[str, Any]:
     """The totals as plain values. Where nothing was seen there is no weight: null, never zero."""
     told: dict[str, Any] = plain(totals)
+    if totals.load is None:  # a run in which no load is open tells what it always told
+        del told["load"]
     if totals.state == LoadState.NOTHING_SEEN:
         told.update(dict.fromkeys(_NUMBERS))
     return told

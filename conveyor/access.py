@@ -49,6 +49,7 @@ def line_identities(config: LineConfig) -> tuple[Identity, ...]:
         "recorder": extra.recorders,
         "operator": extra.operators,
         "keeper": extra.keepers,
+        "loader": extra.loaders,
         "encoder": extra.encoders,
         "gnss": [*([config.gnss.name] if config.gnss else []), *extra.gnss],
     }

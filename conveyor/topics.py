@@ -259,7 +259,7 @@ QUERY_LOADS = Topic(
     Delivery.QUERY,
     Priority.DATA_HIGH,
     "",
-    "answers the ledger's last loads as JSON; parameter: limit",
+    "answers the ledger's last runs as JSON, its last loads with what=loads; parameters: limit, what",
 )
 
 QUERY_MODEL = Topic(
@@ -282,6 +282,16 @@ ORDER_MODEL = Topic(
     "",
     "takes new weights, checks them and changes over; parameters: do=piece, do=check, do=take, digest, offset, size, n",
 )
+ORDER_LOAD = Topic(
+    "order_load",
+    "order/load",
+    ("aggregator",),
+    ("loader",),
+    Delivery.QUERY,
+    Priority.INTERACTIVE_HIGH,
+    "",
+    "takes a LoadOrder: starts, ends, notes, weighs or undoes a load; answers a LoadAnswer when it is durable",
+)
 
 TOPICS: tuple[Topic, ...] = (
     FRAME,
@@ -302,4 +312,5 @@ TOPICS: tuple[Topic, ...] = (
     QUERY_LOADS,
     QUERY_MODEL,
     ORDER_MODEL,
+    ORDER_LOAD,
 )

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 from conveyor import __version__
 
 if TYPE_CHECKING:
+    from aggregator.calibration.together import Together
+    from aggregator.ledger.totals_by import Total
     from conveyor.errors import TuberlineError
     from conveyor.geometry import Intrinsics
     from regressor.network.pointraft import PointRaft
     from tuberline.api.recordings import Recording, open_recording, simulate
-    from tuberline.api.runs import Ledger, read_ledger, replay
+    from tuberline.api.runs import Ledger, read_ledger, read_totals, replay
     from tuberline.api.weighing import (
         NetworkInputs,
         Weight,
@@ -33,6 +35,8 @@ __all__ = [
     "NetworkInputs",
     "PointRaft",
     "Recording",
+    "Together",
+    "Total",
     "TuberlineError",
     "Weight",
     "Weights",
@@ -41,6 +45,7 @@ __all__ = [
     "open_recording",
     "prepare",
     "read_ledger",
+    "read_totals",
     "replay",
     "simulate",
     "weigh",
@@ -53,6 +58,8 @@ _HOMES = {
     "NetworkInputs": "tuberline.api.weighing",
     "PointRaft": "regressor.network.pointraft",
     "Recording": "tuberline.api.recordings",
+    "Together": "aggregator.calibration.together",
+    "Total": "aggregator.ledger.totals_by",
     "TuberlineError": "conveyor.errors",
     "Weight": "tuberline.api.weighing",
     "Weights": "tuberline.api.weighing",
@@ -60,6 +67,7 @@ _HOMES = {
     "open_recording": "tuberline.api.recordings",
     "prepare": "tuberline.api.weighing",
     "read_ledger": "tuberline.api.runs",
+    "read_totals": "tuberline.api.runs",
     "replay": "tuberline.api.runs",
     "simulate": "tuberline.api.recordings",
     "weigh": "tuberline.api.weighing",

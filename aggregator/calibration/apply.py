@@ -32,7 +32,8 @@ class Calibrated:
     Attributes:
         low_sd_g, high_sd_g: standard deviations below and above.
         parts_g: standard deviation by what causes it; their squares add up to the mean of the two squared.
-        corrections: by model.
+        corrections: by model. own_g: standard deviation of the tubers' own errors, of their sum; between_g: of what
+            differs from load to load. Both are within `parts_g`, under `TUBERS`.
     """
 
     weight_g: float
@@ -40,6 +41,8 @@ class Calibrated:
     high_sd_g: float
     parts_g: Mapping[str, float]
     corrections: Mapping[str, Correction]
+    own_g: float = 0.0
+    between_g: float = 0.0
 
     @property
     def tickets(self) -> int:
@@ -72,12 +75,13 @@ def calibrated(
     raw_g = sum(weighed_g.values())
     per_mm = per_mm_g / raw_g if raw_g > 0 and per_mm_g > 0 else TYPICAL_PER_MM
     corrections = {model: correction_of(tickets, model, prior, cultivar=cultivar) for _, model in weighed_g}
-    weight_g, shared_g = 0.0, dict.fromkeys((RESTING, CAMERA, TUBERS), 0.0)
+    weight_g, between_g, shared_g = 0.0, 0.0, dict.fromkeys((RESTING, CAMERA, TUBERS), 0.0)
     for (method, model), grams in weighed_g.items():
         one_g, parts = _one(corrections[model], grams, per_mm * grams, cultivar)
         if method == "volume":
             parts[CAMERA] = math.hypot(parts[CAMERA], VOLUME_SD * one_g)
         weight_g += one_g
+        between_g += corrections[model].load_sd * one_g
         # What weights of several models misjudge, they misjudge together: half-widths add up.
         shared_g = {name: shared_g[name] + parts[name] for name in shared_g}
     scale = weight_g / raw_g if raw_g > 0 else 1.0
@@ -85,7 +89,7 @@ def calibrated(
     low_sd_g, high_sd_g = (math.hypot(scale * math.sqrt(own), shared) for own in own_variance_g2)
     own_g = scale * math.sqrt(sum(own_variance_g2) / 2)
     shared_g[TUBERS] = math.hypot(shared_g[TUBERS], own_g)
-    return Calibrated(weight_g, low_sd_g, high_sd_g, shared_g, corrections)
+    return Calibrated(weight_g, low_sd_g, high_sd_g, shared_g, corrections, own_g, between_g)
 
 
 def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: str) -> tuple[float, dict[str, float]]:

@@ -48,6 +48,8 @@ class CameraState:
     """Where a belt's own encoder stood when the newest mark came."""
     marked_s: tuple[float, int] | None = None
     """When the newest mark of this process's life came, and its capture time."""
+    first_marked_s: float | None = None
+    """When this process first heard a mark of it."""
     pace: float = 1.0
     """Seconds of the camera's clock in one of ours: a recording may be played at another speed."""
     _paced_from: tuple[float, int] | None = None
@@ -55,6 +57,8 @@ class CameraState:
     def mark_came(self, captured_ns: int, now_s: float) -> None:
         """A mark that shows progress has come."""
         self.marked_s = (now_s, captured_ns)
+        if self.first_marked_s is None:
+            self.first_marked_s = now_s
         if self._paced_from is None:
             self._paced_from = self.marked_s
         since_s = now_s - self._paced_from[0]
@@ -99,7 +103,7 @@ class Cameras:
     def __init__(self, names: tuple[str, ...], *, stall_s: float, now_s: float) -> None:
         self.names = tuple(sorted(names))
         self.states = {name: CameraState(now_s) for name in self.names}
-        self._stall_s = stall_s
+        self.stall_s = self._stall_s = stall_s
         self._began_s: float | None = now_s
         self._head_start_m: float | None = None
         self._encoder_m: float | None = None
@@ -216,6 +220,15 @@ class Cameras:
     def ended(self, camera: str) -> None:
         """The camera's final mark came, and nothing else of it could be read."""
         self.states[camera].sight.final = True
+
+    def crossed(self, camera: str, x_m: float) -> None:
+        """A tuber's centre crossed the centre row of `camera` there, belt coordinates."""
+        self.states[camera].sight.crossed(x_m)
+
+    def loads_change(self) -> None:
+        """Loads begin and end in this run: what was looked at is told for each of them."""
+        for state in self.states.values():
+            state.sight.loads_change = True
 
     def restored(
         self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight

@@ -7,7 +7,8 @@ clock and the last speed. Pure: histories in, shares out.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aggregator.core.lanes import Stretch, looked_lengths, share_seen
@@ -82,31 +83,45 @@ class _Placed:
     seen: float
 
 
-def coverage(sights: Mapping[str, CameraSight], *, seen_by: Mapping[frozenset[str], int], moment: Moment) -> Coverage:
-    """What of the load was seen.
+ALL = (-math.inf, math.inf)
+
+
+def coverage(
+    sights: Mapping[str, CameraSight],
+    *,
+    seen_by: Mapping[frozenset[str], int],
+    moment: Moment,
+    window: tuple[float, float] = ALL,
+) -> Coverage:
+    """What of the run's belt was seen, or of a load's.
 
     Args:
         sights: all expected cameras.
         seen_by: tubers counted, by the set of cameras that saw them.
+        window: from and to which travel, metres (`belt_window`).
     """
     placed = _side_by_side(sights, moment)
     low = min((own.begin for own in placed.values()), default=0.0)
     high = max((own.end for own in placed.values()), default=0.0)
-    belt_m = high - low
+    first, last = max(low, window[0]), min(high, window[1])
+    belt_m = last - first
     if belt_m <= WHOLE:
         return Coverage(None, 0.0, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
     stretches: dict[str, list[Stretch]] = {}
     unseen: dict[str, dict[Unseen, float]] = {}
     for name in sights:
         if name in placed:
-            stretches[name], unseen[name] = _own(placed[name], low, high, moment, away=name in moment.away)
+            pieces = _own(placed[name], low, high, moment, away=name in moment.away)
         else:
-            stretches[name], unseen[name] = [Stretch(low, high, 0.0)], {Unseen.NEVER: belt_m}
+            pieces = [(Stretch(low, high, 0.0), Unseen.NEVER)]
+        stretches[name], unseen[name] = _within(pieces, first, last)
     shares = {name: _snapped(sum(s.share * s.length_m for s in own) / belt_m) for name, own in stretches.items()}
     return Coverage(
         share=_snapped(share_seen(looked_lengths(stretches), belt_m=belt_m, shares=shares, seen_by=seen_by)),
         belt_m=belt_m,
-        looked_at_m=sum(own.sight.looked_at_m for own in placed.values()),
+        looked_at_m=sum(own.sight.looked_at_m for own in placed.values())
+        if window == ALL
+        else sum(share * belt_m for share in shares.values()),
         cameras=dict(shares),
         unseen_m={name: {why: m for why, m in own.items() if m > WHOLE} for name, own in unseen.items()},
     )
@@ -138,31 +153,60 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
     return placed
 
 
-def _own(
-    own: _Placed, low: float, high: float, moment: Moment, *, away: bool
+def belt_window(sights: Mapping[str, CameraSight], from_x_m: float, to_x_m: float) -> tuple[float, float]:
+    """The travel at which a stretch of belt between two places (the first the larger) lies at the centre rows of the
+    cameras, in the mean of those that have seen a tuber cross it; in the terms of `coverage`.
+    """
+    rows = [sight.row_x_m for sight in sights.values() if sight.row_x_m is not None]
+    row_x_m = sum(rows) / len(rows) if rows else 0.0
+    reference = sights[min(sights)] if sights else CameraSight()
+    zero_m = reference.first_travel_m if reference.estimated else 0.0
+    return row_x_m - from_x_m - zero_m, row_x_m - to_x_m - zero_m
+
+
+def all_reach(sights: Mapping[str, CameraSight], travel_m: float) -> bool:
+    """Every camera's log has come to that travel (in the terms of `coverage`): what it looked at before is known."""
+    placed = _side_by_side(sights, Moment(over=False))
+    return len(placed) == len(sights) and all(own.offset + own.sight.length_m >= travel_m for own in placed.values())
+
+
+def _within(
+    pieces: Sequence[tuple[Stretch, Unseen | None]], first: float, last: float
 ) -> tuple[list[Stretch], dict[Unseen, float]]:
-    """One camera's looked-at stretches from `low` to `high`, and what it missed. Where it began later or ended earlier
-    than others by no more than the slack, that belt is left to the others' judgement: it counts as looked at.
+    """The stretches from `first` to `last`, and how much of them was missed by reason, metres."""
+    stretches, unseen = [], dict.fromkeys((Unseen.BEFORE, Unseen.BETWEEN, Unseen.AFTER), 0.0)
+    for stretch, why in pieces:
+        inside = Stretch(max(stretch.low, first), min(stretch.high, last), stretch.share)
+        if inside.length_m > 0:
+            stretches.append(inside)
+            if why is not None:
+                unseen[why] = unseen.get(why, 0.0) + inside.length_m * (1.0 - inside.share)
+    return stretches, unseen
+
+
+def _own(own: _Placed, low: float, high: float, moment: Moment, *, away: bool) -> list[tuple[Stretch, Unseen | None]]:
+    """One camera's stretches from `low` to `high`, and why what it missed of each was missed. Where it began later or
+    ended earlier than others by no more than the slack, that belt is left to the others' judgement: it counts as looked
+    at.
     """
     slack = _slack(own.sight, high - low)
     before, after = own.begin - low, high - own.end
     late, early = before > slack, after > slack and (moment.over or away)
-    stretches = [Stretch(low, own.begin, 0.0 if late else 1.0), Stretch(own.begin, own.offset, 0.0)]
-    at, between = own.offset, 0.0
+    pieces: list[tuple[Stretch, Unseen | None]] = [
+        (Stretch(low, own.begin, 0.0 if late else 1.0), Unseen.BEFORE),
+        (Stretch(own.begin, own.offset, 0.0), Unseen.BEFORE),
+    ]
+    at = own.offset
     for length, looked in own.sight.pieces:
         end = min(at + length, own.seen)
         if end > at:
-            share = 1.0 if length - looked < WHOLE else looked / length
-            stretches.append(Stretch(at, end, share))
-            between += (end - at) * (1.0 - share)
+            pieces.append((Stretch(at, end, 1.0 if length - looked < WHOLE else looked / length), Unseen.BETWEEN))
         at += length
-    stretches += [Stretch(own.seen, own.end, 0.0), Stretch(own.end, high, 0.0 if early else 1.0)]
-    unseen = {
-        Unseen.BEFORE: (before if late else 0.0) + own.offset - own.begin,
-        Unseen.BETWEEN: between,
-        Unseen.AFTER: own.end - own.seen + (after if early else 0.0),
-    }
-    return [stretch for stretch in stretches if stretch.length_m > 0], unseen
+    return [
+        *pieces,
+        (Stretch(own.seen, own.end, 0.0), Unseen.AFTER),
+        (Stretch(own.end, high, 0.0 if early else 1.0), Unseen.AFTER),
+    ]
 
 
 def _snapped(share: float) -> float:

@@ -50,10 +50,36 @@ class LoadSums:
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
-        bin_ = min(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), HISTOGRAM_CLASSES - 1)
-        self.classes += [0] * (bin_ + 1 - len(self.classes))
-        self.classes[bin_] += 1
+        self._put(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), 1)
         self.passed(tuber.crossed_ns)
+
+    def _put(self, bin_: int, n: int) -> None:
+        """Count `n` tubers of a weight class."""
+        bin_ = min(bin_, HISTOGRAM_CLASSES - 1)
+        self.classes += [0] * (bin_ + 1 - len(self.classes))
+        self.classes[bin_] += n
+
+    def take(self, other: Self) -> None:
+        """Add what `other` counted; its classes go where their middles lie, if they are of another width."""
+        self.count += other.count
+        for key, (n, weight_g) in other.weighed.items():
+            had_n, had_g = self.weighed.get(key, (0, 0.0))
+            self.weighed[key] = (had_n + n, had_g + weight_g)
+        self.low_variance_g2 += other.low_variance_g2
+        self.high_variance_g2 += other.high_variance_g2
+        self.squares_g2 += other.squares_g2
+        self.per_mm_g += other.per_mm_g
+        self.seen_by.update(other.seen_by)
+        self.merged += other.merged
+        self.late += other.late
+        for at, n in enumerate(other.classes):
+            self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
+
+    def copy(self) -> Self:
+        """The same sums, on their own from now on; the rate begins again."""
+        fresh = type(self)(self.histogram_step_g)
+        fresh.take(self)
+        return fresh
 
     def passed(self, crossed_ns: int) -> None:
         """A tuber crossed the centre row: for the rate alone."""

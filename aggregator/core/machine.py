@@ -199,6 +199,11 @@ class Aggregation:
         """Entries that wait for an earlier one of their log."""
         return sum(len(log.waiting) for log in self._logs.values())
 
+    @property
+    def watermark_x_m(self) -> float:
+        """Tubers at this place and further along are committed."""
+        return self._watermark_x_m
+
     def applied(self) -> dict[str, int]:
         """How far each camera's log is applied; to be acknowledged once the batch is durable."""
         return {name: log.applied for name, log in self._logs.items()}
@@ -250,6 +255,7 @@ class Aggregation:
         elif logged.ends:
             self.cameras.ended(entry.camera)
         elif entry.track is not None:
+            self.cameras.crossed(entry.camera, entry.track.crossed_x_m)
             self._add_track(PendingTrack(entry.camera, entry.n, entry.track, self._watermark_x_m))
 
     def _add_track(self, pending: PendingTrack) -> None:

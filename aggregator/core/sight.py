@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, Self
 
 from conveyor.messages import CameraInfo, Mark
@@ -17,6 +18,9 @@ PIECES = 256
 GAP_M = 0.25
 """A stretch that lacks more than this lacks it in one piece, at its end: a camera whose frames come no more sends no
 mark before the next one does."""
+
+NEWEST_PIECES = 192
+"""Of them are left as they are where loads change on the way: coverage of the newest loads is told from them."""
 
 SAMPLES = 96
 """Of (time, s) per camera, for the speed and for laying cameras side by side; beyond it older ones thin out."""
@@ -68,6 +72,13 @@ class CameraSight:
     processed: int = 0
     frames: dict[str, int] = field(default_factory=dict)
     published: Published = field(default_factory=Published)
+    row_x_m: float | None = None
+    """Where tubers cross the camera's centre row, belt coordinates; None before one did."""
+    loads_change: bool = False
+
+    def crossed(self, x_m: float) -> None:
+        """A tuber's centre crossed the centre row there: each one counts for a twentieth."""
+        self.row_x_m = x_m if self.row_x_m is None else self.row_x_m + 0.05 * (x_m - self.row_x_m)
 
     def marked(self, mark: Mark) -> None:
         """Take the next mark of the camera's log."""
@@ -137,7 +148,8 @@ class CameraSight:
             self._coarsen()
 
     def _coarsen(self) -> None:
-        sizes = [a[0] + b[0] for a, b in zip(self.pieces, self.pieces[1:], strict=False)]
+        older = self.pieces[:-NEWEST_PIECES] if self.loads_change else self.pieces
+        sizes = [a[0] + b[0] for a, b in pairwise(older)]
         at = sizes.index(min(sizes))
         a, b = self.pieces[at : at + 2]
         self.pieces[at : at + 2] = [(a[0] + b[0], a[1] + b[1])]

@@ -13,7 +13,7 @@ from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
-from conveyor.messages import Totals
+from conveyor.messages import LoadNow, Totals
 from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
@@ -121,6 +121,7 @@ class LoadTotals:
         reason: str = "",
         belt_m: float | None = None,
         unseen_m: Mapping[str, float] | None = None,
+        load: LoadNow | None = None,
     ) -> Totals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
@@ -155,4 +156,5 @@ class LoadTotals:
                 high_g=estimated_high_g,
                 coverage=min(coverage, 1.0) if coverage else 1.0,
             ),
+            load=load,
         )

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.loads import Span
 from aggregator.ledger.faults import DAMAGE
-from aggregator.ledger.reader import read_last_batch, read_runs, read_sums
+from aggregator.ledger.load_rows import read_book, read_span_sums
+from aggregator.ledger.reader import read_last_batch, read_runs, read_sums, read_tubers
 from aggregator.ledger.receipt import receipt_path
-from aggregator.ledger.recount import recount
-from aggregator.ledger.schema import ENTRY, OBSERVATION, RUN, TABLES, TOTAL, TUBER, WRITTEN_ONCE
+from aggregator.ledger.recount import recount, recounted_spans
+from aggregator.ledger.schema import (
+    ENTRY,
+    LOAD_EVENT,
+    LOAD_TOTAL,
+    MOVING,
+    OBSERVATION,
+    RUN,
+    TABLES,
+    TUBER,
+    WRITTEN_ONCE,
+)
 from aggregator.ledger.seal import seal_faults
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, named_key, reading
@@ -116,18 +129,23 @@ def _log_faults(view: LedgerView) -> Iterator[str]:
     ((count, last),) = view.tally("SELECT count(*), coalesce(max(seq), 0) FROM batch")
     if last != count:
         yield f"{count} batches are there, the last is number {last}: some are missing"
+    if view.version >= LOAD_EVENT.since:
+        ((count, last),) = view.tally("SELECT count(*), coalesce(max(n), 0) FROM load_event")
+        if last != count:
+            yield f"{count} events of loads are there, the last is number {last}: some are missing"
 
 
 def _sum_faults(view: LedgerView) -> Iterator[str]:
     """The rows, added up, against the sums carried along and against the last batch."""
     runs = {known.run for known in read_runs(view)}
-    for table in (*(t for t in WRITTEN_ONCE if t is not RUN), TOTAL):
-        if table is TOTAL and view.version < 2:
+    for table in (*(t for t in WRITTEN_ONCE if t is not RUN), *MOVING):
+        if view.version < table.since:
             continue
         strays = {run for (run,) in view.tally(f"SELECT DISTINCT run FROM {table.name}")} - runs
         if strays:
             named = ", ".join(sorted(map(str, strays))[:_SHOWN])
             yield f"rows of {table.name} belong to runs that are not there: {named}"
+    spans = read_book(view).spans
     for run in sorted(runs):
         step_g = read_sums(view, run).load.histogram_step_g if view.version >= 2 else 50.0
         counted = recount(view, run, histogram_step_g=step_g)
@@ -137,6 +155,8 @@ def _sum_faults(view: LedgerView) -> Iterator[str]:
                 yield f"run {run} has {counted.count(table)} rows of {table.name}, its last batch says {expected}"
         if view.version >= 2:
             yield from _differences(run, counted, read_sums(view, run))
+        if view.version >= LOAD_TOTAL.since:
+            yield from _span_differences(view, run, spans.get(run, []), step_g)
 
 
 def _differences(run: str, counted: RunSums, carried: RunSums) -> Iterator[str]:
@@ -151,6 +171,18 @@ def _differences(run: str, counted: RunSums, carried: RunSums) -> Iterator[str]:
             yield f"run {run}: {name} come to {getattr(counted, name)}, its sums say {getattr(carried, name)}"
     if not counted.load.same_as(carried.load):
         yield f"run {run}: the tubers' weights do not come to what its sums say"
+
+
+def _span_differences(view: LedgerView, run: str, spans: Sequence[Span], step_g: float) -> Iterator[str]:
+    """The tubers of each stretch of belt, added up by their places, against the sums carried along."""
+    carried = read_span_sums(view, run)
+    counted = recounted_spans(read_tubers(view, run), spans, histogram_step_g=step_g)
+    for n in sorted({*carried, *counted}):
+        mine = counted.get(n) or LoadSums(step_g)  # a stretch whose change was undone keeps its row, empty
+        if n not in carried:
+            yield f"run {run} has no sums of its stretch of belt {n}"
+        elif not mine.same_as(carried[n].load):
+            yield f"run {run}: the tubers of its stretch of belt {n} do not come to what its sums say"
 
 
 _ORPHANS = (

@@ -1,7 +1,8 @@
-"""Brings a ledger of version 1 (Tuberline 0.1) up to date, in one transaction of its writer.
+"""Brings a ledger of an older version up to date, in one transaction of its writer.
 
-Version 2 carries the sums of each run along (`total`) and calls a batch's watermark by its name. Every row is read and
-verified on the way; a ledger that is damaged is left as it is and refused.
+Version 2 carries the sums of each run along (`total`) and calls a batch's watermark by its name; on the way from
+version 1 (Tuberline 0.1) every row is read and verified, and a ledger that is damaged is left as it is and refused.
+Version 3 adds tables for loads, empty, so it costs the same whatever a ledger holds.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from aggregator.ledger.check import ledger_faults
 from aggregator.ledger.reader import read_runs
 from aggregator.ledger.recount import recount
-from aggregator.ledger.schema import SCHEMA_VERSION, total_definition
+from aggregator.ledger.schema import SCHEMA_VERSION, TOTAL, load_definition, moving_definition
 from aggregator.ledger.steps import first_step
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import LedgerError
@@ -27,6 +28,17 @@ def migrate(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None
     Raises:
         LedgerError: it is damaged.
     """
+    if view.version < 2:
+        _to_version_2(db, view, step)
+    if view.version < 3:
+        for statement in load_definition():
+            db.execute(statement)
+            step("migration: loads' table, index or guard made")
+    db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    step("migration: version written")
+
+
+def _to_version_2(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None]) -> None:
     faults = ledger_faults(view, acknowledged=None, receipt=False)
     if faults:
         shown = "\n".join(f"  {fault}" for fault in faults[:10])
@@ -35,7 +47,7 @@ def migrate(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None
             f"`tuberline ledger repair {view.path}` saves what is intact into a new file and keeps this one"
         )
     sums = {known.run: recount(view, known.run) for known in read_runs(view)}
-    for statement in total_definition():
+    for statement in moving_definition(TOTAL):
         db.execute(statement)
         step("migration: table made")
     for run, own in sums.items():
@@ -43,5 +55,3 @@ def migrate(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None
         step("migration: sums written")
     db.execute("ALTER TABLE batch RENAME COLUMN line_x_m TO watermark_x_m")
     step("migration: column named")
-    db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-    step("migration: version written")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from aggregator.core.load_sums import LoadSums
+from aggregator.core.loads import Span, span_of
 from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.rows import tuber_from
 from aggregator.ledger.schema import COVERAGE, ENTRY, OBSERVATION, TUBER, WRITTEN_ONCE, Table, row
 from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
 from aggregator.ledger.verified import LedgerView, Row
-from conveyor.messages import Mark
+from conveyor.messages import Mark, Tuber
 
 ORDER = {TUBER.name: "tuber_id", ENTRY.name: "camera, n", OBSERVATION.name: "camera, n", COVERAGE.name: "camera, n"}
 
@@ -60,6 +61,14 @@ def recounted(tables: Iterable[tuple[Table, Iterable[Row]]], *, histogram_step_g
         if numbers:
             sums.settled[camera] = min(numbers) - 1
     return sums
+
+
+def recounted_spans(tubers: Iterable[Tuber], spans: Sequence[Span], *, histogram_step_g: float) -> dict[int, LoadSums]:
+    """What the tubers of a run come to in each of its stretches; empty where it has none."""
+    found = {span.n: LoadSums(histogram_step_g) for span in spans}
+    for tuber in tubers if found else ():
+        found[span_of(spans, tuber.place_x_m).n].add(tuber)
+    return found
 
 
 def mark_from(columns: Row) -> Mark:

@@ -15,20 +15,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from aggregator.core.loads import NO_LOAD, LoadBook, LoadEvent, Said
 from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.reasons import Role
 from aggregator.core.tubers import make_tuber
 from aggregator.ledger.faults import DAMAGE, explained
+from aggregator.ledger.load_rows import SpanSums, event_from, event_row
 from aggregator.ledger.receipt import Receipt, receipt_path
-from aggregator.ledger.recount import recounted
-from aggregator.ledger.rows import tuber_row
+from aggregator.ledger.recount import recounted, recounted_spans
+from aggregator.ledger.rows import tuber_from, tuber_row
 from aggregator.ledger.schema import (
     BATCH,
     COVERAGE,
     ENTRY,
+    LOAD_EVENT,
+    LOAD_TOTAL,
     OBSERVATION,
     RUN,
     SUMMARY,
+    TABLES,
     TOTAL,
     TUBER,
     WRITTEN_ONCE,
@@ -38,7 +43,7 @@ from aggregator.ledger.schema import (
     row,
 )
 from aggregator.ledger.seal import break_seal
-from aggregator.ledger.steps import first_step
+from aggregator.ledger.steps import first_step, span_step
 from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
 from conveyor.errors import LedgerError, MessageError
 from conveyor.messages import TrackEntry
@@ -74,6 +79,7 @@ def repair(path: Path) -> Repaired:
             raise LedgerError(f"no run can be read from {path}: there is nothing to save")
         _mend_tubers(rows, report)
         _mend_logs(rows, report)
+        _mend_events(rows, report)
         _drop_orphans(rows, report)
         seq = _number_batches(rows)
         _write(fresh, rows)
@@ -81,7 +87,7 @@ def repair(path: Path) -> Repaired:
         _swap(path, fresh)
         receipt.write(seq)
         receipt.write(seq - 1)
-    report.saved = {name: len(found) for name, found in rows.items() if name != TOTAL.name}
+    report.saved = {table.name: len(rows[table.name]) for table in WRITTEN_ONCE}
     return report
 
 
@@ -89,7 +95,7 @@ def _intact_rows(path: Path, report: Repaired) -> dict[str, list[Row]]:
     """Rows of every table whose checksum is right, read one by one past the damage."""
     db = sqlite3.connect(path, isolation_level=None)
     try:
-        return {table.name: _read_table(db, table, report) for table in (*WRITTEN_ONCE, TOTAL)}
+        return {table.name: _read_table(db, table, report) for table in TABLES}
     finally:
         db.close()
 
@@ -111,8 +117,8 @@ def _read_table(db: sqlite3.Connection, table: Table, report: Repaired) -> list[
 def _both_ways(db: sqlite3.Connection, table: Table, report: Repaired) -> list[Row]:
     """Rows from the front until the damage, and from the back until the damage; columns as they were made."""
     rows: list[Row] = []
-    if table is TOTAL and not db.execute("SELECT 1 FROM sqlite_master WHERE name = 'total'").fetchone():
-        return rows  # a ledger of version 1
+    if table.since > 1 and not db.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (table.name,)).fetchone():
+        return rows  # a ledger of an older version
     for order in ("ASC", "DESC"):
         cursor = db.cursor()
         try:
@@ -169,6 +175,18 @@ def _mend_logs(rows: dict[str, list[Row]], report: Repaired) -> None:
     rows[ENTRY.name].sort(key=lambda entry: entry[:3])
 
 
+def _mend_events(rows: dict[str, list[Row]], report: Repaired) -> None:
+    """Fill the holes among the events of loads, so that they stay numbered without a gap."""
+    have = {event[0] for event in rows[LOAD_EVENT.name]}
+    holes = [n for n in range(1, max(have, default=0) + 1) if n not in have]
+    run = rows[RUN.name][0][0]
+    for n in holes:
+        event = LoadEvent(n, run, f"lost-{n}", Said.LOST, NO_LOAD, None, 0, "", {})
+        rows[LOAD_EVENT.name].append(event_row(event))
+        report.lost.append(f"event {n} of loads: what it said is damaged, belt that it began goes to what was before")
+    rows[LOAD_EVENT.name].sort(key=lambda event: int(event[0]))
+
+
 def _drop_orphans(rows: dict[str, list[Row]], report: Repaired) -> None:
     """Leave out observations of tubers that are lost, and tubers that no observation is left of."""
     tubers = {(tuber[0], tuber[1]) for tuber in rows[TUBER.name]}
@@ -202,6 +220,8 @@ def _write(path: Path, rows: dict[str, list[Row]]) -> None:
             db.executemany(table.insert, rows[table.name])
         for (run, *_), sums in zip(rows[RUN.name], _sums(rows), strict=True):
             first_step(db, run, sums)
+            for n, span in _spans(rows, run, sums).items():
+                span_step(db, run, n, span)
         db.execute("COMMIT")
     finally:
         db.close()
@@ -219,6 +239,15 @@ def _sums(rows: dict[str, list[Row]]) -> list[RunSums]:
             sums.sights, sums.head_start_m = old[run].sights, old[run].head_start_m
         found.append(sums)
     return found
+
+
+def _spans(rows: dict[str, list[Row]], run: str, sums: RunSums) -> dict[int, SpanSums]:
+    """The sums of each stretch of a run's belt, added up again; what was seen of it as intact old sums have it."""
+    book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
+    tubers = (tuber_from(tuber[:-1]) for tuber in rows[TUBER.name] if tuber[0] == run)
+    counted = recounted_spans(tubers, book.spans.get(run, []), histogram_step_g=sums.load.histogram_step_g)
+    old = {key[1]: SpanSums.from_text(key[3]).seen for key in rows[LOAD_TOTAL.name] if key[0] == run}
+    return {n: SpanSums(load, old.get(n)) for n, load in counted.items()}
 
 
 def _run_at(table: Table) -> int:

@@ -1,5 +1,5 @@
-"""The ledger's tables. Rows are written once, carry a checksum and are never changed; but for a run's `total`, which
-moves on by one with each transaction.
+"""The ledger's tables. Rows are written once, carry a checksum and are never changed; but for the sums of a run
+(`total`) and of a stretch of its belt (`load_total`), which move on by one with each transaction.
 
 A row's `crc` is the CRC-32 of its other columns as one MessagePack list, in the order given here.
 """
@@ -13,7 +13,7 @@ from typing import Any
 
 import msgpack
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 OLDEST_VERSION = 1
 """Read as it is, and brought up to date when it is written to (`aggregator.ledger.migrate`)."""
 APPLICATION_ID = 0x54554252
@@ -22,11 +22,12 @@ APPLICATION_ID = 0x54554252
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table: its columns (name and SQL type, without `crc`) and its key."""
+    """One table: its columns (name and SQL type, without `crc`), its key, and the schema version it came with."""
 
     name: str
     columns: tuple[tuple[str, str], ...]
     key: str
+    since: int = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -155,11 +156,49 @@ BATCH = Table(
 )
 SUMMARY = Table("summary", (("run", "TEXT NOT NULL"), ("payload", "TEXT NOT NULL")), "run")
 
-TOTAL = Table("total", (("run", "TEXT NOT NULL"), ("step", "INTEGER NOT NULL"), ("payload", "TEXT NOT NULL")), "run")
+LOAD_EVENT = Table(
+    "load_event",
+    (
+        ("n", "INTEGER NOT NULL"),
+        ("run", "TEXT NOT NULL"),
+        ("request", "TEXT NOT NULL"),
+        ("kind", "TEXT NOT NULL"),
+        ("load", "INTEGER NOT NULL"),
+        ("place_x_m", "REAL"),
+        ("said_ns", "INTEGER NOT NULL"),
+        ("said_by", "TEXT NOT NULL"),
+        ("payload", "TEXT NOT NULL"),
+    ),
+    "n",
+    since=3,
+)
+"""What was said of loads, in order (`aggregator.core.loads`): all that is known of a load follows from it."""
+
+TOTAL = Table(
+    "total",
+    (("run", "TEXT NOT NULL"), ("step", "INTEGER NOT NULL"), ("payload", "TEXT NOT NULL")),
+    "run",
+    since=2,
+)
 """The sums of a run, carried along in each of its transactions (`aggregator.ledger.sums`); `step` counts them."""
 
-WRITTEN_ONCE: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY)
-TABLES: tuple[Table, ...] = (*WRITTEN_ONCE, TOTAL)
+LOAD_TOTAL = Table(
+    "load_total",
+    (
+        ("run", "TEXT NOT NULL"),
+        ("span", "INTEGER NOT NULL"),
+        ("step", "INTEGER NOT NULL"),
+        ("payload", "TEXT NOT NULL"),
+    ),
+    "run, span",
+    since=3,
+)
+"""The sums of a stretch of a run's belt, from one change of loads to the next; `span` is the event that began it, 0 for
+the run's beginning. There are none where no load was started: then the run is one load."""
+
+WRITTEN_ONCE: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY, LOAD_EVENT)
+MOVING: tuple[Table, ...] = (TOTAL, LOAD_TOTAL)
+TABLES: tuple[Table, ...] = (*WRITTEN_ONCE, *MOVING)
 
 INDEXES: tuple[str, ...] = (
     "CREATE UNIQUE INDEX observation_once ON observation (run, track_id) WHERE role != 'repeat'",
@@ -167,25 +206,42 @@ INDEXES: tuple[str, ...] = (
     "CREATE INDEX batch_run ON batch (run, seq)",
     "CREATE INDEX tuber_place ON tuber (run, place_x_m)",
 )
+LOAD_INDEXES: tuple[str, ...] = (
+    "CREATE UNIQUE INDEX load_event_request ON load_event (request)",
+    "CREATE INDEX load_event_run ON load_event (run)",
+)
 
 
-def total_definition() -> list[str]:
-    """SQL that makes `total` and what guards it: a row takes one step after the other and is never removed."""
+def moving_definition(table: Table) -> list[str]:
+    """SQL that makes a table of `MOVING` and what guards it: a row takes one step after the other and is never
+    removed."""
+    other = " OR ".join(f"NEW.{name} != OLD.{name}" for name in table.key.split(", "))
     return [
-        TOTAL.create,
-        "CREATE TRIGGER total_update BEFORE UPDATE ON total WHEN NEW.run != OLD.run OR NEW.step != OLD.step + 1 "
-        "BEGIN SELECT RAISE(ABORT, 'rows of total are never changed but by the next step'); END",
-        _never("total", "DELETE"),
+        table.create,
+        f"CREATE TRIGGER {table.name}_update BEFORE UPDATE ON {table.name} WHEN {other} OR NEW.step != OLD.step + 1 "
+        f"BEGIN SELECT RAISE(ABORT, 'rows of {table.name} are never changed but by the next step'); END",
+        _never(table.name, "DELETE"),
+    ]
+
+
+def load_definition() -> list[str]:
+    """SQL that version 3 adds."""
+    return [
+        LOAD_EVENT.create,
+        *LOAD_INDEXES,
+        *(_never(LOAD_EVENT.name, verb) for verb in ("UPDATE", "DELETE")),
+        *moving_definition(LOAD_TOTAL),
     ]
 
 
 def definition() -> list[str]:
     """All SQL statements of an empty ledger: tables, indexes, and triggers that keep rows as they were written."""
     return [
-        *(table.create for table in WRITTEN_ONCE),
+        *(table.create for table in WRITTEN_ONCE if table is not LOAD_EVENT),
         *INDEXES,
-        *(_never(table.name, verb) for table in WRITTEN_ONCE for verb in ("UPDATE", "DELETE")),
-        *total_definition(),
+        *(_never(table.name, v) for table in WRITTEN_ONCE if table is not LOAD_EVENT for v in ("UPDATE", "DELETE")),
+        *moving_definition(TOTAL),
+        *load_definition(),
         f"PRAGMA application_id = {APPLICATION_ID}",
         f"PRAGMA user_version = {SCHEMA_VERSION}",
     ]

@@ -110,7 +110,8 @@ class RunSums:
         """Back from `text`."""
         values = json.loads(text)
         sights = {camera: CameraSight.from_plain(plain) for camera, plain in values.pop("sights").items()}
-        return cls(load=LoadSums.from_plain(values.pop("load")), sights=sights, **values)
+        rows = {table.name: [0, 0] for table in WRITTEN_ONCE} | values.pop("rows")  # of version 2: none of loads
+        return cls(load=LoadSums.from_plain(values.pop("load")), sights=sights, rows=rows, **values)
 
 
 def _counted(observations: Sequence[Observation]) -> int:

@@ -19,7 +19,6 @@ from aggregator.ledger.schema import (
     OLDEST_VERSION,
     SCHEMA_VERSION,
     TABLES,
-    TOTAL,
     Table,
     checksum,
 )
@@ -64,7 +63,7 @@ class LedgerView:
 
     def scan(self, table: Table, where: str = "", arguments: Sequence[Any] = ()) -> Iterator[tuple[Row, bool]]:
         """Rows without their checksum, and whether it is right: for who lists damage or saves what is left."""
-        if table is TOTAL and self.version < 2:
+        if self.version < table.since:
             return
         with explained(self.path, f"reading table {table.name}"):
             for *columns, crc in self._db.execute(f"{self._select(table)} {where}", arguments):
@@ -115,7 +114,7 @@ def checked_version(db: sqlite3.Connection, path: Path) -> int:
             f"{OLDEST_VERSION}: use the Tuberline that wrote it, or start a new ledger"
         )
     tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    missing = [t.name for t in TABLES if t.name not in tables and (t is not TOTAL or version >= 2)]
+    missing = [t.name for t in TABLES if t.name not in tables and t.since <= version]
     if missing:
         raise LedgerError(
             f"ledger {path} lacks its tables {', '.join(missing)}: its schema is damaged; `tuberline ledger repair "

@@ -8,6 +8,7 @@ is ever repaired silently. The whole is verified by `tuberline ledger check` and
 from __future__ import annotations
 
 import json
+import math
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,13 +17,16 @@ from types import TracebackType
 from typing import Any, Self
 
 from aggregator.core.load_sums import LoadSums
+from aggregator.core.loads import LoadBook, LoadEvent
 from aggregator.core.machine import Batch, Restored
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.check import opening_faults
 from aggregator.ledger.committed import RunTubers
 from aggregator.ledger.faults import explained
+from aggregator.ledger.load_keeper import LoadKeeper
+from aggregator.ledger.load_rows import SpanSums
 from aggregator.ledger.migrate import migrate
-from aggregator.ledger.reader import RunRow, read_run, read_runs, read_sums, read_tubers
+from aggregator.ledger.reader import RunRow, read_last_batch, read_run, read_runs, read_sums, read_tubers
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
 from aggregator.ledger.resume import restore
 from aggregator.ledger.rows import coverage_row, entry_row, observation_row, tuber_row
@@ -80,6 +84,7 @@ class Ledger:
             break_seal(receipt_path(self.path))
             with explained(self.path, "opening"):
                 self._db = sqlite3.connect(self.path, isolation_level=None, timeout=BUSY_TIMEOUT_S)
+                self._loads = LoadKeeper(self._db, lambda: self.view, self._step)
                 try:
                     self._prepare(acknowledged)
                 except BaseException:
@@ -185,8 +190,10 @@ class Ledger:
         sums = read_sums(self.view, run)
         if sums.load.histogram_step_g != histogram_step_g:
             sums.load = LoadSums(histogram_step_g)
+            self._loads.begin_again(run, histogram_step_g)
             for tuber in read_tubers(self.view, run):
                 sums.load.add(tuber)
+                self._loads.add_again(run, tuber)
         else:
             for tuber in read_tubers(self.view, run, since=max(0, sums.last_tuber_id - RATE_TUBERS)):
                 sums.load.passed(tuber.crossed_ns)
@@ -228,13 +235,45 @@ class Ledger:
             sums.add_rows(table, rows)
             self._step(f"{table.name} written")
         sums.add_batch(batch)
+        self._loads.count(run, batch.tubers)
+        self._number(run, sums, batch.watermark_x_m)
+
+    def _number(self, run: str, sums: RunSums, watermark_x_m: float) -> None:
+        """The row of a batch, and the sums after it."""
         counts = [sums.count(table) for table in (ENTRY, TUBER, OBSERVATION)]
-        written = row((self._seq + 1, run, batch.watermark_x_m, *counts))
+        written = row((self._seq + 1, run, watermark_x_m, *counts))
         self._db.execute(BATCH.insert, written)
         sums.add_rows(BATCH, [written])
         self._step("batch written")
         next_step(self._db, run, sums)
         self._step("sums written")
+
+    def say(self, event: LoadEvent) -> None:
+        """Make an event of a load durable; when this returns, it may be acknowledged. One that is there changes
+        nothing.
+
+        Raises:
+            LedgerError: it could not be written. Nothing of it was, and it may not be acknowledged.
+        """
+        if event.request in self.loads.events:
+            return
+        with explained(self.path, "writing what was said of a load"):
+            with self._transaction("batch"):
+                last, sums = read_last_batch(self.view, event.run), self.sums(event.run)
+                self._loads.say(event, sums)
+                self._number(event.run, sums, last[2] if last else math.inf)
+            self._step("before receipt")
+            self._receipt.write(self._seq)
+            self._step("after receipt")
+
+    @property
+    def loads(self) -> LoadBook:
+        """All that was said of loads, as committed."""
+        return self._loads.book
+
+    def span_sums(self, run: str) -> Mapping[int, SpanSums]:
+        """The sums of each stretch of `run`, as committed; empty where no load changed in it."""
+        return self._loads.sums(run)
 
     def finish(self, run: str, summary: str, *, sights: Mapping[str, CameraSight] | None = None) -> None:
         """Keep the summary of a run that ended; the run takes nothing more. A second time changes nothing."""
@@ -245,10 +284,16 @@ class Ledger:
                 sums.sights = dict(sights) if sights is not None else sums.sights
                 self._db.execute(SUMMARY.insert, written)
                 sums.add_rows(SUMMARY, [written])
+                self._loads.settle(run, sums)
                 next_step(self._db, run, sums)
 
     def _transaction(self, name: str) -> _Transaction:
         return _Transaction(self, name)
+
+    def _forget(self) -> None:
+        """Sums may hold what was not written: the next one reads them again."""
+        self._sums.clear()
+        self._loads.forget()
 
     def sums(self, run: str) -> RunSums:
         """The sums of `run` as committed."""
@@ -259,6 +304,10 @@ class Ledger:
     def run_row(self, run: str) -> RunRow | None:
         """The run of that id."""
         return read_run(self.view, run)
+
+    def runs(self) -> list[RunRow]:
+        """All runs in the order they were begun."""
+        return read_runs(self.view)
 
     def tubers(self, run: str) -> Iterator[Tuber]:
         """All committed tubers of `run`, by id."""
@@ -289,7 +338,7 @@ class _Transaction:
                 self._ledger._step(f"before commit of {self._name}")
                 db.execute("COMMIT")
             except BaseException:
-                self._ledger._sums.clear()
+                self._ledger._forget()
                 if db.in_transaction:
                     db.execute("ROLLBACK")
                 raise
@@ -297,6 +346,6 @@ class _Transaction:
                 self._ledger._seq += 1
             self._ledger._step(f"after commit of {self._name}")
         else:
-            self._ledger._sums.clear()  # they may hold what was not written: the next one reads them again
+            self._ledger._forget()
             if db.in_transaction:
                 db.execute("ROLLBACK")

@@ -2,6 +2,7 @@
 
 from conveyor.messages.base import Message
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
 from conveyor.messages.positions import Position
 from conveyor.messages.reports import Counters, Totals, Tuber
 from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, WeighedView
@@ -13,6 +14,9 @@ __all__ = [
     "Counters",
     "Frame",
     "FrameProgress",
+    "LoadAnswer",
+    "LoadNow",
+    "LoadOrder",
     "Mark",
     "Message",
     "Position",

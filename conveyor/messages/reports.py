@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from conveyor.messages.base import Message
+from conveyor.messages.loads import LoadNow
 from conveyor.ranges import (
     BeltPlace,
     Count,
@@ -54,7 +55,8 @@ class Tuber(Message):
 
 @dataclass(frozen=True, slots=True)
 class Totals(Message):
-    """What the load weighs so far: as seen, and as estimated for the belt that was not looked at.
+    """What the run weighs so far: as seen, and as estimated for the belt that was not looked at. Where loads are
+    started and ended in it, `load` is the one that is open; None where none is, and then the run is one load.
 
     `coverage` is the share of belt travel really looked at (None before the belt moved). `histogram` counts tubers per
     weight class of `histogram_step_g` grams, the first from 0 g. `final`: all cameras ended. `as_weighed_g` is the sum
@@ -88,6 +90,7 @@ class Totals(Message):
     unseen_m: Annotated[dict[Word, BeltPlace], Items(64)] = field(default_factory=dict)
     calibrated_by: Line = ""
     parts_percent: Annotated[dict[Word, Annotated[float, Range(0, 1e6, "%")]], Items(16)] = field(default_factory=dict)
+    load: LoadNow | None = None
 
     @property
     def no_number(self) -> bool:

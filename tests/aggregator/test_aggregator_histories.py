@@ -23,7 +23,10 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from aggregator.core.load_orders import decide
+from aggregator.ledger.recount import recounted_spans
 from aggregator.ledger.writer import Ledger
+from conveyor.messages import LoadOrder
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 
@@ -102,6 +105,25 @@ class Histories(RuleBasedStateMachine):
             self.sent = dict(self.it.acknowledged)
         self.steps.left = None
 
+    @rule(ahead_m=st.floats(0.0, 0.3), at=st.integers(0, 9))
+    def loads_change(self, ahead_m: float, at: int) -> None:
+        """A load begins at or ahead of what is committed, and sometimes the process dies on the way; asked again."""
+        spans = self.ledger.loads.spans.get(self.story.run, [])
+        latest_m = min([self.it.core.watermark_x_m, 0.1, *(span.from_x_m for span in spans)])
+        request = f"{self.story.run}-{len(self.ledger.loads.events)}"
+        order = LoadOrder(request, "start", place_x_m=latest_m - ahead_m)
+        self.steps.left = at
+        for _ in range(2):
+            event = decide(order, self.ledger.loads, run=self.story.run, now_ns=0, line={}, place_x_m=_stated)
+            try:
+                self.ledger.say(event)
+                break
+            except Crash:
+                self.it.start()
+                self.sent = dict(self.it.acknowledged)
+        self.steps.left = None
+        assert request in self.ledger.loads.events
+
     @rule(camera=st.integers(0, 2))
     def segmenter_restarts(self, camera: int) -> None:
         """Its token vanishes for less than it may; it sends again what was not acknowledged."""
@@ -138,6 +160,19 @@ class Histories(RuleBasedStateMachine):
         assert self.it.canonical() == self.calm
         assert self.it.core.pending == 0
         assert self.it.counts.get("tracks_late", 0) == 0
+        self.each_tuber_is_in_the_load_of_its_place()
+
+    def each_tuber_is_in_the_load_of_its_place(self) -> None:
+        spans = self.ledger.loads.spans.get(self.story.run, [])
+        found = recounted_spans(self.it.tubers(), spans, histogram_step_g=50.0)
+        carried = self.ledger.span_sums(self.story.run)
+        assert all(found[n].same_as(carried[n].load) for n in found)
+        assert sum(sums.count for sums in found.values()) == (len(self.it.tubers()) if spans else 0)
+
+
+def _stated(order: LoadOrder) -> float:
+    assert order.place_x_m is not None
+    return order.place_x_m
 
 
 def test_any_history_ends_in_the_undisturbed_ledger() -> None:

@@ -1,7 +1,7 @@
 """Ledgers of version 0.1 (commit a7bbfcc): every reader reads them as they are, the writer brings them up to date.
 
 `data/v0_1`: a replay of 12 simulated tubers under two cameras, finished. `data/v0_1_unfinished`: story 11 after its
-ninth entries. Both were written by that commit.
+ninth entries. Both were written by that commit. `data/v2_unfinished`: the same story, by e1dbf15, of version 2.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, undisturbed
 
 DATA = Path(__file__).parent / "data"
-MIGRATION_STEPS = 10
+MIGRATION_STEPS = {"v0_1_unfinished": 18, "v2_unfinished": 13}
 
 
 def copied(name: str, folder: Path) -> Path:
@@ -114,10 +114,10 @@ def test_an_unfinished_run_of_it_is_gone_on_with(tmp_path: Path) -> None:
     assert check_file(path) == []
 
 
-@pytest.mark.parametrize("at", range(MIGRATION_STEPS))
-def test_a_migration_killed_on_the_way_is_done_by_the_next(at: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "at"), [(name, at) for name, steps in MIGRATION_STEPS.items() for at in range(steps)])
+def test_a_migration_killed_on_the_way_is_done_by_the_next(name: str, at: int, tmp_path: Path) -> None:
     """kill -9 at each write point of the migration: it is of the old version, whole, or of the new one, whole."""
-    path = copied("v0_1_unfinished", tmp_path / "copy")
+    path = copied(name, tmp_path / "copy")
     expected = canonical(path)
     child = os.fork()
     if child == 0:
@@ -131,7 +131,8 @@ def test_a_migration_killed_on_the_way_is_done_by_the_next(at: int, tmp_path: Pa
         Ledger(path, step=step).__enter__()
         os._exit(0)
     _, status = os.waitpid(child, 0)
-    assert status == (signal.SIGKILL if at < MIGRATION_STEPS - 1 else 0), "MIGRATION_STEPS is not their number plus one"
+    last = MIGRATION_STEPS[name] - 1
+    assert status == (signal.SIGKILL if at < last else 0), "MIGRATION_STEPS is not their number plus one"
     assert check_file(path) == []
     assert canonical(path) == expected
     with Ledger(path) as ledger:

@@ -50,6 +50,8 @@ EXAMPLES: list[m.Message] = [
     m.Counters("segmenter", "c", "r", 1, "host", "0", 1.0, {"a": 1}, {"b": 1.0}),
     TUBER,
     TOTALS,
+    m.LoadOrder("r1", "start", "gate", 0.5, fields={"name": "A", "variety": "Agria"}, note="wet", place_x_m=-1.5),
+    m.LoadAnswer("r1", True, text="load 1 (A) has begun", load=1, name="A", event=1, place_x_m=-1.5),
 ]
 NAMES = [f"{type(example).__name__}-{i}" for i, example in enumerate(EXAMPLES)]
 
@@ -64,7 +66,7 @@ def changed(good: bytes, change: Any) -> bytes:
 
 
 def test_every_kind_of_message_is_here() -> None:
-    kinds = {getattr(m, name) for name in m.__all__} - {m.Message, m.Track, m.Mark, m.WeighedView}
+    kinds = {getattr(m, name) for name in m.__all__} - {m.Message, m.LoadNow, m.Track, m.Mark, m.WeighedView}
     assert kinds == {type(example) for example in EXAMPLES}
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
-from conveyor.messages import Totals, Tuber
+from aggregator.ledger.totals_by import Total, totals_by
+from conveyor.messages import LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
 
@@ -110,5 +111,26 @@ def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
     )
 
 
+def read_totals(
+    *paths: str | Path, by: Literal["load", "field", "variety", "day", "season"] = "load"
+) -> tuple[Total, ...]:
+    """What the loads of one or many ledgers come to, calibrated by their own tickets.
+
+    Args:
+        paths: folders of runs (with their ledger.db), or the ledgers themselves; also while they are being written.
+        by: what to add up: loads one by one, or by their field, variety, day or season.
+
+    Returns:
+        One total per label, and the sum of all, 'all', last. A run in which no load was started is one load by itself.
+
+    Raises:
+        TuberlineError: no ledger, a damaged one, or one of another version.
+    """
+    found, _ = totals_by([Path(path) for path in paths], by)
+    return tuple(found)
+
+
 def _totals(values: dict[str, Any]) -> Totals:
-    return Totals(**{**values, "histogram": tuple(values["histogram"])})
+    load = values.get("load")
+    loads = {"load": LoadNow(**load)} if load else {}
+    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads})

@@ -33,8 +33,20 @@ FUNCTIONS = (
     "simulate",
     "replay",
     "read_ledger",
+    "read_totals",
 )
-CLASSES = ("Weight", "Weights", "NetworkInputs", "PointRaft", "Recording", "Ledger", "Intrinsics", "TuberlineError")
+CLASSES = (
+    "Weight",
+    "Weights",
+    "NetworkInputs",
+    "PointRaft",
+    "Recording",
+    "Ledger",
+    "Total",
+    "Together",
+    "Intrinsics",
+    "TuberlineError",
+)
 _SECTIONS = {"Args:": "Arguments", "Attributes:": "Attributes", "Returns:": "Gives", "Raises:": "Raises"}
 
 

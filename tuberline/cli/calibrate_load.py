@@ -11,8 +11,9 @@ def calibrate_load(
     run_dir: Path,
     /,
     *,
-    ticket_kg: float,
+    ticket_kg: float | None = None,
     tickets: Path,
+    load: str = "",
     scale_error_kg: float | None = None,
     run: str | None = None,
     again: bool = False,
@@ -30,9 +31,11 @@ def calibrate_load(
     run_dir
         Folder of the counted run (with its ledger.db), or the ledger itself.
     ticket_kg
-        Net weight of that load on the scale.
+        Net weight of the whole run on the scale; where loads were started in it, give --load instead.
     tickets
         File of tickets; made where it does not exist. Name it as aggregator.tickets in the line's file.
+    load
+        A load of that ledger, by number or name, whose ticket was entered with `tuberline load ticket`.
     scale_error_kg
         Standard deviation of the scale and of what is stuck in the trailer; default: 0.5 % of the ticket.
     run
@@ -47,17 +50,25 @@ def calibrate_load(
         Print tickets and factor as JSON on stdout.
     """
     from aggregator.calibration.load import ticket_of
+    from aggregator.ledger.load_totals import ticket_of_load
+    from conveyor.errors import InputError
     from tuberline.cli.calibration_told import add_ticket, after_ticket, as_json
 
-    sd_g = 1000 * scale_error_kg if scale_error_kg is not None else 5.0 * abs(ticket_kg)
-    ticket = ticket_of(
-        run_dir,
-        run=run,
-        ticket_g=1000 * ticket_kg,
-        ticket_sd_g=sd_g,
-        cultivar=cultivar,
-        stated_offset_mm=resting_offset_mm,
-    )
+    if (ticket_kg is None) != bool(load):
+        raise InputError(
+            "give the run's net weight with --ticket-kg, or a load of the ledger that has a ticket, --load"
+        )
+    if ticket_kg is None:
+        ticket = ticket_of_load(run_dir, load, cultivar=cultivar)
+    else:
+        ticket = ticket_of(
+            run_dir,
+            run=run,
+            ticket_g=1000 * ticket_kg,
+            ticket_sd_g=1000 * scale_error_kg if scale_error_kg is not None else 5.0 * abs(ticket_kg),
+            cultivar=cultivar,
+            stated_offset_mm=resting_offset_mm,
+        )
     known = add_ticket(tickets, ticket, again=again)
     if json:
         sys.stdout.write(json_module.dumps(as_json(known, ticket), indent=2) + "\n")

@@ -1,4 +1,4 @@
-"""`tuberline ledger`: check, repair or export a ledger."""
+"""`tuberline ledger`: check, repair or export a ledger, add up its loads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cyclopts import App
 
-ledger = App(name="ledger", help="Check, repair or export a ledger.")
+ledger = App(name="ledger", help="Check, repair or export a ledger; add up its loads.")
 
 
 @ledger.command
@@ -36,6 +36,11 @@ def check(path: Path, /, *, json: bool = False) -> None:
         sys.stdout.write(f"ledger {file} is sound\n")
     if faults:
         sys.exit(1)
+
+
+ledger.command(
+    "tuberline.cli.ledger_totals:totals", name="totals", help="Totals by load, field, variety, day or season."
+)
 
 
 @ledger.command

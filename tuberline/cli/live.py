@@ -12,7 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from conveyor.messages import Counters, Totals
+from conveyor.messages import Counters, LoadNow, Totals
 
 _SHOWN = {
     "camera": ("frames_published", "frames_resent"),
@@ -101,15 +101,27 @@ def totals_panel(totals: Totals | None) -> Panel:
         return Panel(f"[bold red]nothing seen[/]: {totals.reason}", title=title)
     if totals.state == "starting" and not totals.count:
         return Panel(f"starting, not counting: {totals.reason}", title=title)
-    half_g = (totals.high_g - totals.low_g) / 2
-    coverage = "-" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
-    text = (
-        f"[bold]{totals.weight_g / 1000:8.2f} kg[/] ± {half_g / 1000:.2f}   [bold]{totals.count}[/] tubers   "
-        f"{totals.tubers_per_s:.1f}/s   belt seen {coverage}"
-    )
+    text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
+    if totals.load is not None:
+        return Panel(Text.from_markup(f"{_so_far(totals.load)}\nrun: {text}"), title=_load_title(totals.load))
     return Panel(text, title=title)
+
+
+def _so_far(told: Totals | LoadNow) -> str:
+    half_g = (told.high_g - told.low_g) / 2
+    coverage = "-" if told.coverage is None else f"{100 * told.coverage:.1f} %"
+    return (
+        f"[bold]{told.weight_g / 1000:8.2f} kg[/] ± {half_g / 1000:.2f}   [bold]{told.count}[/] tubers   "
+        f"belt seen {coverage}"
+    )
+
+
+def _load_title(load: LoadNow) -> Text:
+    """Number, name and what else is known of the open load; what a person typed is no markup."""
+    known = (load.name, load.trailer, load.field, load.variety, load.customer)
+    return Text(" · ".join(filter(None, (f"load {load.number}", *known))))
 
 
 def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Table:

@@ -1,0 +1,166 @@
+"""From an order about a load to the event that the ledger is to keep, or the reason in words why it cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
+from conveyor.errors import InputError
+from conveyor.messages.loads import LoadAnswer, LoadOrder
+
+UNDO_WITHIN_S = 60.0
+LAST = "last"
+MOST_KG = 200_000.0
+SCALE_ERROR = 0.005
+"""Of a ticket, where the scale's error is not told."""
+NAMED_IN_ERRORS = 8
+
+
+def decide(
+    order: LoadOrder,
+    book: LoadBook,
+    *,
+    run: str,
+    now_ns: int,
+    line: Mapping[str, float],
+    place_x_m: Callable[[LoadOrder], float],
+) -> LoadEvent:
+    """The event that `order` comes to; the one it came to before, where it was carried out already.
+
+    Args:
+        now_ns: wall clock of the aggregator's machine; line: what a load keeps of the line as
+            it is, 'utc_offset_s' and 'stated_offset_mm'.
+        place_x_m: where on the belt an order that changes loads does so; may raise InputError.
+
+    Raises:
+        InputError: it cannot be carried out; the text says why, and what can.
+    """
+    if (known := book.events.get(order.request)) is not None:
+        return known
+    decisions: dict[str, Callable[[], tuple[Said, int, float | None, Mapping[str, Any]]]] = {
+        "start": lambda: _start(order, book, run, line, place_x_m),
+        "end": lambda: _end(order, book, run, place_x_m),
+        "note": lambda: _note(order, book, run),
+        "ticket": lambda: _ticket(order, book, run),
+        "undo": lambda: _undo(book, run, now_ns),
+    }
+    kind, load, place, payload = decisions[order.action]()
+    return LoadEvent(book.last_n + 1, run, order.request, kind, load, place, now_ns, order.by, payload)
+
+
+def answer(order: LoadOrder, event: LoadEvent, book: LoadBook) -> LoadAnswer:
+    """What is told of an order that was carried out."""
+    load = book.loads[event.load]
+    place = event.place_x_m
+    finite = place if place is not None and abs(place) < 1e7 else None
+    return LoadAnswer(
+        order.request,
+        True,
+        text=_told(event, load),
+        load=load.number,
+        name=load.name,
+        event=event.n,
+        place_x_m=finite,
+    )
+
+
+def refusal(order: LoadOrder, error: Exception) -> LoadAnswer:
+    """What is told of an order that was not."""
+    return LoadAnswer(order.request, False, error=str(error)[:4000])
+
+
+def _told(event: LoadEvent, load: Load) -> str:
+    if event.kind is Said.TICKET:
+        ticket = event.payload
+        kind = "net" if ticket["net"] else "gross"
+        if ticket["ticket_g"] is None:
+            return f"the {kind} ticket of {load.told} is withdrawn"
+        return f"{load.told}: {ticket['ticket_g'] / 1000:.1f} kg {kind} on the scale"
+    words = {
+        Said.START: "has begun",
+        Said.RESUME: "goes on",
+        Said.END: "has ended",
+        Said.NOTE: "is noted",
+        Said.UNDO: "is as it was: the last change is undone",
+    }
+    return f"{load.told} {words[event.kind]}"
+
+
+def find(book: LoadBook, wanted: str, run: str) -> Load:
+    """The load meant by a number or a name; '' is the open one, or the last one that was.
+
+    Raises:
+        InputError: none, or several of that name; the text lists some.
+    """
+    there = [load for load in book.loads.values() if not load.undone]
+    if not wanted or wanted == LAST:
+        if not wanted and (load := book.open_load(run)) is not None:
+            return load
+        if there:
+            return max(there, key=lambda load: load.number)
+        raise InputError("this ledger has no load yet: start one with `tuberline load start NAME`")
+    number = int(wanted) if wanted.isascii() and wanted.isdigit() else None
+    found = [load for load in there if load.number == number] or [load for load in there if load.name == wanted]
+    if len(found) == 1:
+        return found[0]
+    newest = (found or there)[-NAMED_IN_ERRORS:]
+    told = ", ".join(load.told for load in newest) or "none"
+    if found:
+        raise InputError(f"{len(found)} loads are named {wanted!r}: give the number; they are {told}")
+    raise InputError(f"no load {wanted!r}; the last ones are {told}")
+
+
+def _start(
+    order: LoadOrder, book: LoadBook, run: str, line: Mapping[str, float], place_x_m: Callable[[LoadOrder], float]
+) -> tuple[Said, int, float | None, dict[str, Any]]:
+    payload: dict[str, Any] = {"fields": dict(order.fields), "note": order.note, **line}
+    if not order.load:
+        return Said.START, max(book.loads, default=NO_LOAD) + 1, place_x_m(order), payload
+    load = find(book, order.load, run)
+    if book.open_load(run) is load:
+        raise InputError(f"{load.told} is open already")
+    return Said.RESUME, load.number, place_x_m(order), {**payload, "was_ended_ns": load.ended_ns}
+
+
+def _end(
+    order: LoadOrder, book: LoadBook, run: str, place_x_m: Callable[[LoadOrder], float]
+) -> tuple[Said, int, float | None, dict[str, Any]]:
+    load = book.open_load(run)
+    if load is None:
+        raise InputError("no load is open: nothing to end; `tuberline load show` lists those of this ledger")
+    if order.load and find(book, order.load, run) is not load:
+        raise InputError(f"{find(book, order.load, run).told} is not open; {load.told} is")
+    return Said.END, load.number, place_x_m(order), {"note": order.note}
+
+
+def _note(order: LoadOrder, book: LoadBook, run: str) -> tuple[Said, int, None, dict[str, Any]]:
+    if not order.note and not order.fields:
+        raise InputError("a note needs a text, or a field to correct: --variety, --field, ...")
+    return Said.NOTE, find(book, order.load, run).number, None, {"fields": dict(order.fields), "note": order.note}
+
+
+def _ticket(order: LoadOrder, book: LoadBook, run: str) -> tuple[Said, int, None, dict[str, Any]]:
+    load = find(book, order.load, run)
+    if order.kg is None:
+        if load.ticket(net=order.net) is None:
+            raise InputError(f"{load.told} has no {'net' if order.net else 'gross'} ticket to withdraw")
+        return Said.TICKET, load.number, None, {"ticket_g": None, "sd_g": 0.0, "net": order.net, "note": order.note}
+    if not 0 < order.kg <= MOST_KG:
+        raise InputError(f"a ticket of {order.kg:g} kg: give what the scale said of the load, up to {MOST_KG:g} kg")
+    sd_kg = SCALE_ERROR * order.kg if order.scale_error_kg is None else order.scale_error_kg
+    said = {"ticket_g": 1000 * order.kg, "sd_g": 1000 * sd_kg, "net": order.net, "note": order.note}
+    return Said.TICKET, load.number, None, said
+
+
+def _undo(book: LoadBook, run: str, now_ns: int) -> tuple[Said, int, None, dict[str, Any]]:
+    change = book.last_change(run)
+    if change is None:
+        raise InputError("nothing to undo: no load was started or ended in this run")
+    ago_s = (now_ns - change.said_ns) / 1e9
+    if ago_s > UNDO_WITHIN_S:
+        raise InputError(
+            f"the last change ({change.kind} of {book.loads[change.load].told}) was {ago_s:.0f} s ago, a change can be "
+            f"undone within {UNDO_WITHIN_S:.0f} s; start or end the load again"
+        )
+    return Said.UNDO, change.load, None, {"event": change.n}

@@ -1,0 +1,85 @@
+"""What a load comes to: sums and coverage of all its stretches of belt, told with its interval. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from aggregator.calibration.correction import Prior
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.coverage import Coverage, Moment, belt_window, coverage
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.loads import Load, Span
+from aggregator.core.sight import CameraSight
+from aggregator.core.totals import LoadTotals
+from conveyor.messages import LoadNow
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCounted:
+    """A load as counted.
+
+    Attributes:
+        sums: over its tubers. coverage: share of its belt that was looked at; None where it has no belt.
+        belt_m: of all its stretches. unseen_m: of that not seen, by reason, metres in the mean of the cameras.
+    """
+
+    sums: LoadSums
+    coverage: float | None
+    belt_m: float
+    unseen_m: Mapping[str, float]
+
+
+def span_coverage(
+    spans: Sequence[Span], at: int, sums: LoadSums, sights: Mapping[str, CameraSight], moment: Moment
+) -> Coverage:
+    """What of a stretch of belt was seen; `spans` are all of its run, in order."""
+    end_x_m = spans[at + 1].from_x_m if at + 1 < len(spans) else -math.inf
+    window = belt_window(sights, spans[at].from_x_m, end_x_m)
+    return coverage(sights, seen_by=sums.seen_by, moment=moment, window=window)
+
+
+def counted(parts: Sequence[tuple[LoadSums, Coverage]]) -> LoadCounted:
+    """A load of these stretches; there must be one."""
+    sums = LoadSums(parts[0][0].histogram_step_g)
+    unseen_m: dict[str, float] = {}
+    seen_m = belt_m = 0.0
+    for own, seen in parts:
+        sums.take(own)
+        belt_m += seen.belt_m
+        seen_m += (seen.share or 0.0) * seen.belt_m
+        for why, metres in seen.mean_unseen_m().items():
+            unseen_m[why] = unseen_m.get(why, 0.0) + metres
+    return LoadCounted(sums, seen_m / belt_m if belt_m > 0 else None, belt_m, unseen_m)
+
+
+def load_now(
+    load: Load, found: LoadCounted, tickets: Sequence[Ticket], *, prior: Prior | None = None, cultivar: str = ""
+) -> LoadNow:
+    """The open load as the totals tell it; `cultivar` where it names no variety of its own."""
+    totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=load.variety or cultivar)
+    low_g, high_g = totals.interval_g()
+    whole_g, whole_low_g, whole_high_g = totals.estimated(found.coverage, belt_m=found.belt_m)
+    return LoadNow(
+        number=load.number,
+        name=load.name,
+        trailer=load.trailer,
+        field=load.field,
+        variety=load.variety,
+        customer=load.customer,
+        operator=load.operator,
+        since_unix_s=load.began_ns / 1e9,
+        count=found.sums.count,
+        weight_g=totals.weight_g,
+        low_g=low_g,
+        high_g=high_g,
+        coverage=found.coverage,
+        estimated_weight_g=whole_g,
+        estimated_low_g=whole_low_g,
+        estimated_high_g=whole_high_g,
+        as_weighed_g=found.sums.as_weighed_g,
+        belt_m=found.belt_m,
+        unseen_m=dict(found.unseen_m),
+        calibrated_by=totals.calibrated().told,
+    )

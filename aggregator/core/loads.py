@@ -1,0 +1,252 @@
+"""Loads as the ledger tells of them: what was said in order, and the loads and stretches of belt that follow from it.
+
+A load begins and ends at a place on the belt, so a tuber belongs to exactly one, whenever and by whatever camera it
+comes. Places fall as the belt runs: a stretch (`Span`) reaches from its own place down to that of the next one. Nothing
+that was said is ever changed: an undo, a correction or another ticket is one more event. Pure: events in, loads out.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import Any
+
+from conveyor.messages.loads import FIELDS
+
+NO_LOAD = 0
+"""Number of what passes while no load is open."""
+
+
+class Said(StrEnum):
+    """What an event says."""
+
+    START = "start"
+    RESUME = "resume"
+    """A load that had ended goes on."""
+    END = "end"
+    NOTE = "note"
+    TICKET = "ticket"
+    UNDO = "undo"
+    LOST = "lost"
+    """A repair filled the place of an event that was damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadEvent:
+    """One thing said of a load.
+
+    Attributes:
+        n: 1, 2, 3, ... in its ledger. run: in which it was said. request: id of the order, unique.
+        load: number of the load it is about. place_x_m: where on the belt it changes, infinite at a run's beginning;
+            None where it changes nothing there.
+        said_ns: by the clock of the aggregator's machine. said_by: as the asker said it.
+        payload: 'fields', 'note', 'ticket_g', 'sd_g', 'net', 'utc_offset_s', 'stated_offset_mm', 'event', by kind.
+    """
+
+    n: int
+    run: str
+    request: str
+    kind: Said
+    load: int
+    place_x_m: float | None
+    said_ns: int
+    said_by: str
+    payload: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of a run's belt, from `from_x_m` on down to the next one's; `n`: the event that began it, or 0."""
+
+    n: int
+    load: int
+    from_x_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What somebody remarked, and the fields that were corrected with it."""
+
+    n: int
+    said_ns: int
+    said_by: str
+    text: str
+    fields: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadTicket:
+    """What a scale said of a load, grams; `ticket_g` None: the one before was withdrawn. `net`: tubers alone, else with
+    soil and stones."""
+
+    n: int
+    said_ns: int
+    said_by: str
+    ticket_g: float | None
+    sd_g: float
+    net: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A load by all that was said of it.
+
+    Attributes:
+        began_ns, ended_ns: wall clock; `ended_ns` is None while it is open. utc_offset_s: of the line's clock.
+        stated_offset_mm: resting offset that the line stated when it began.
+        spans: (run, span) of its stretches of belt; several where it went on after an end.
+        notes, tickets: all, oldest first. undone: its start was undone; it holds no belt.
+    """
+
+    number: int
+    run: str
+    began_ns: int
+    began_by: str
+    utc_offset_s: int = 0
+    stated_offset_mm: float = 0.0
+    ended_ns: int | None = None
+    name: str = ""
+    trailer: str = ""
+    field: str = ""
+    variety: str = ""
+    customer: str = ""
+    operator: str = ""
+    spans: tuple[tuple[str, int], ...] = ()
+    notes: tuple[Note, ...] = ()
+    tickets: tuple[LoadTicket, ...] = ()
+    undone: bool = False
+
+    @property
+    def told(self) -> str:
+        """Number and name, for a person."""
+        return f"load {self.number}{f' ({self.name})' if self.name else ''}"
+
+    def ticket(self, *, net: bool) -> LoadTicket | None:
+        """The ticket that counts: the last one of its kind, unless that withdrew it."""
+        last = next((ticket for ticket in reversed(self.tickets) if ticket.net == net), None)
+        return last if last is not None and last.ticket_g is not None else None
+
+
+def span_of(spans: Sequence[Span], place_x_m: float) -> Span:
+    """The stretch that holds a place; `spans` in order along the belt, the first from the run's beginning."""
+    return spans[max(0, bisect_left(spans, -place_x_m, key=lambda span: -span.from_x_m) - 1)]
+
+
+@dataclass(slots=True)
+class LoadBook:
+    """Everything said so far, and what follows from it. `spans` are by run, and of runs in which a load changed."""
+
+    loads: dict[int, Load] = field(default_factory=dict)
+    spans: dict[str, list[Span]] = field(default_factory=dict)
+    events: dict[str, LoadEvent] = field(default_factory=dict)
+    """By request."""
+    last_n: int = 0
+
+    @classmethod
+    def of(cls, events: Iterable[LoadEvent]) -> LoadBook:
+        """The book of all events of a ledger, in order."""
+        book = cls()
+        for event in events:
+            book.apply(event)
+        return book
+
+    def open_load(self, run: str) -> Load | None:
+        """The load that is open in `run`."""
+        spans = self.spans.get(run)
+        return self.loads.get(spans[-1].load) if spans else None
+
+    def last_change(self, run: str) -> LoadEvent | None:
+        """The event that began the last stretch of `run`; None where nothing changed, or all of it was undone."""
+        spans = self.spans.get(run)
+        return next((e for e in reversed(self.events.values()) if spans and e.n == spans[-1].n), None)
+
+    def apply(self, event: LoadEvent) -> None:
+        """Take the next event."""
+        self.events[event.request] = event
+        self.last_n = event.n
+        follows: dict[Said, Callable[[LoadEvent], None]] = {
+            Said.START: self._start,
+            Said.RESUME: self._resume,
+            Said.END: self._end,
+            Said.NOTE: self._note,
+            Said.TICKET: self._ticket,
+            Said.UNDO: self._undo,
+        }
+        if event.kind in follows:
+            follows[event.kind](event)
+
+    def _start(self, event: LoadEvent) -> None:
+        self._close_open(event)
+        self.loads[event.load] = Load(
+            event.load,
+            event.run,
+            event.said_ns,
+            event.said_by,
+            utc_offset_s=int(event.payload.get("utc_offset_s", 0)),
+            stated_offset_mm=float(event.payload.get("stated_offset_mm", 0.0)),
+            spans=((event.run, event.n),),
+            notes=_notes(event),
+            **_fields(event),
+        )
+        self._begin_span(event, event.load)
+
+    def _known(self, event: LoadEvent) -> Load:
+        """The load of an event; where the event that began it was lost to damage, one without any description."""
+        return self.loads.get(event.load) or Load(event.load, event.run, event.said_ns, event.said_by)
+
+    def _resume(self, event: LoadEvent) -> None:
+        self._close_open(event)
+        load = self._known(event)
+        spans, notes = (*load.spans, (event.run, event.n)), (*load.notes, *_notes(event))
+        self.loads[event.load] = replace(load, ended_ns=None, spans=spans, notes=notes, **_fields(event))
+        self._begin_span(event, event.load)
+
+    def _end(self, event: LoadEvent) -> None:
+        self._close_open(event)
+        self._note(event)
+        self._begin_span(event, NO_LOAD)
+
+    def _close_open(self, event: LoadEvent) -> None:
+        if (open_load := self.open_load(event.run)) is not None:
+            self.loads[open_load.number] = replace(open_load, ended_ns=event.said_ns)
+
+    def _begin_span(self, event: LoadEvent, load: int) -> None:
+        spans = self.spans.setdefault(event.run, [Span(0, NO_LOAD, math.inf)])
+        spans.append(Span(event.n, load, math.inf if event.place_x_m is None else event.place_x_m))
+
+    def _note(self, event: LoadEvent) -> None:
+        load = self._known(event)
+        self.loads[event.load] = replace(load, notes=(*load.notes, *_notes(event)), **_fields(event))
+
+    def _ticket(self, event: LoadEvent) -> None:
+        load, said = self._known(event), event.payload
+        ticket = LoadTicket(event.n, event.said_ns, event.said_by, said["ticket_g"], said["sd_g"], bool(said["net"]))
+        self.loads[event.load] = replace(load, tickets=(*load.tickets, ticket), notes=(*load.notes, *_notes(event)))
+
+    def _undo(self, event: LoadEvent) -> None:
+        """The last stretch of the run goes back to the one before it, and so does the state of both their loads."""
+        undone = self.last_change(event.run)
+        if undone is None or undone.n != event.payload.get("event"):
+            return  # what it undid was lost to damage
+        gone = self.spans[event.run].pop()
+        if gone.load != NO_LOAD:
+            load = self._known(undone)
+            spans = tuple(span for span in load.spans if span != (event.run, gone.n))
+            ended = undone.payload.get("was_ended_ns") if undone.kind is Said.RESUME else event.said_ns
+            self.loads[gone.load] = replace(load, spans=spans, ended_ns=ended, undone=undone.kind is Said.START)
+        if (again := self.open_load(event.run)) is not None:
+            self.loads[again.number] = replace(again, ended_ns=None)
+
+
+def _fields(event: LoadEvent) -> dict[str, Any]:
+    return {name: str(text) for name, text in event.payload.get("fields", {}).items() if name in FIELDS}
+
+
+def _notes(event: LoadEvent) -> tuple[Note, ...]:
+    text, fields = str(event.payload.get("note", "")), _fields(event)
+    if not text and not (fields and event.kind in (Said.NOTE, Said.RESUME)):
+        return ()
+    return (Note(event.n, event.said_ns, event.said_by, text, fields if event.kind is not Said.START else {}),)

@@ -1,0 +1,37 @@
+"""Orders about loads of a ledger that no line is writing: notes and tickets, which often come in the evening."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from aggregator.core.load_orders import answer, decide, refusal
+from aggregator.ledger.writer import Ledger
+from conveyor.errors import InputError
+from conveyor.messages import LoadAnswer, LoadOrder
+
+
+def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
+    """Carry out `order` in the ledger at `path`, durably.
+
+    Raises:
+        LedgerError: no ledger, damaged, or being written by a line: ask that line instead.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
+    if order.action in ("start", "end", "undo"):
+        return refusal(
+            order, InputError("a load starts, ends or is undone while its line runs; without it, notes and tickets")
+        )
+    with Ledger(path) as ledger:
+        runs = ledger.runs()
+        if not runs:
+            return refusal(order, InputError(f"ledger {path} holds no run"))
+        try:
+            event = decide(
+                order, ledger.loads, run=runs[-1].run, now_ns=time.time_ns(), line={}, place_x_m=lambda order: 0.0
+            )
+        except InputError as error:
+            return refusal(order, error)
+        ledger.say(event)
+        return answer(order, event, ledger.loads)

@@ -1,0 +1,67 @@
+"""The loads of a ledger as plain values: for commands, for who asks over the link, for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from aggregator.calibration.load_tickets import load_ticket
+from aggregator.core.load_told import load_now
+from aggregator.core.loads import Load
+from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_of
+from aggregator.ledger.verified import LedgerView
+from conveyor.errors import InputError
+from conveyor.messages.base import plain
+
+
+def told_loads(view: LedgerView, *, limit: int, undone: bool = False) -> list[dict[str, Any]]:
+    """The newest loads first, calibrated by the tickets of this ledger's loads. Names and units as in
+    `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what scales said), `said` (all
+    that was said of it) and `refused` (why its ticket does not calibrate).
+    """
+    ledger = ReadLoads(view)
+    seen = ledger.seen()
+    tickets, _ = tickets_of(ledger, seen)
+    chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
+    newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]
+    return [_told(ledger, load, seen, tickets) for load in newest]
+
+
+def _told(ledger: ReadLoads, load: Load, seen: Mapping[str, Seen], tickets: list[Any]) -> dict[str, Any]:
+    found = count_load(ledger, load, seen)
+    refused = []
+    try:
+        load_ticket(load, found)
+    except InputError as error:
+        refused.append(str(error))
+    is_open = any(ledger.loads.open_load(run) is load and not ledger.runs[run].finished for run, _ in load.spans)
+    net, gross = load.ticket(net=True), load.ticket(net=False)
+    values: dict[str, Any] = plain(load_now(load, found, tickets))
+    return {
+        **values,
+        "run": load.run,
+        "began_unix_s": load.began_ns / 1e9,
+        "ended_unix_s": None if load.ended_ns is None else load.ended_ns / 1e9,
+        "open": is_open,
+        "undone": load.undone,
+        "net_g": None if net is None else net.ticket_g,
+        "gross_g": None if gross is None else gross.ticket_g,
+        "refused": refused,
+        "said": _said(load),
+    }
+
+
+def _said(load: Load) -> list[dict[str, Any]]:
+    """All that was said of a load after its start, oldest first: who, when, what."""
+    told = [(load.began_ns, 0, load.began_by, "began")]
+    for note in load.notes:
+        fields = ", ".join(f"{name} is {text}" for name, text in note.fields.items())
+        told.append((note.said_ns, note.n, note.said_by, "; ".join(filter(None, (note.text, fields)))))
+    for ticket in load.tickets:
+        kind = "net" if ticket.net else "gross"
+        grams = ticket.ticket_g
+        text = f"{kind} ticket withdrawn" if grams is None else f"{kind} ticket {grams / 1000:.1f} kg"
+        told.append((ticket.said_ns, ticket.n, ticket.said_by, text))
+    return [
+        {"unix_s": ns / 1e9, "by": by, "text": text} for ns, _, by, text in sorted(told, key=lambda t: (t[1], t[0]))
+    ]

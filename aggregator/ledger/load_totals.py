@@ -1,0 +1,126 @@
+"""The loads of a ledger, each with what it came to: from the sums carried along, whatever their size is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from aggregator.calibration.load_tickets import load_ticket
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.coverage import Coverage, Moment
+from aggregator.core.load_orders import find
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_told import LoadCounted, counted, span_coverage
+from aggregator.core.loads import NO_LOAD, Load, LoadBook
+from aggregator.core.sight import CameraSight
+from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
+from aggregator.ledger.reader import RunRow, coverage_of, ledger_file, read_runs, read_sums, reading
+from aggregator.ledger.verified import LedgerView
+from conveyor.errors import InputError
+
+
+class Sums(Protocol):
+    """Where sums come from: a ledger that is being written, or one that is read."""
+
+    @property
+    def loads(self) -> LoadBook:
+        """All that was said of loads."""
+        ...
+
+    def span_sums(self, run: str) -> Mapping[int, SpanSums]:
+        """The sums of each stretch of a run."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the cameras of a run looked at, and when that is asked for."""
+
+    sights: Mapping[str, CameraSight]
+    moment: Moment
+
+
+def parts_of(ledger: Sums, run: str, load: int, seen: Seen) -> list[tuple[LoadSums, Coverage]]:
+    """Sums and coverage of each stretch of `run` that belongs to `load`, `NO_LOAD` included."""
+    spans, sums = ledger.loads.spans.get(run, []), ledger.span_sums(run)
+    found = []
+    for at, span in enumerate(spans):
+        if span.load == load:
+            mine = sums[span.n]
+            told = mine.seen or span_coverage(spans, at, mine.load, seen.sights, seen.moment)
+            found.append((mine.load, told))
+    return found
+
+
+def count_load(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> LoadCounted:
+    """What a load came to, over all runs in which it has belt; `seen` by run."""
+    runs = dict.fromkeys(run for run, _ in load.spans)
+    parts = [part for run in runs for part in parts_of(ledger, run, load.number, seen[run])]
+    return counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, 0.0, {}, {}))])
+
+
+def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], list[str]]:
+    """(the tickets of a ledger's loads that can calibrate, why the others cannot, in words)."""
+    tickets, refused = [], []
+    for load in ledger.loads.loads.values():
+        if load.ticket(net=True) is None:
+            continue
+        try:
+            ticket = load_ticket(load, count_load(ledger, load, seen), cultivar=cultivar)
+        except InputError as error:
+            refused.append(str(error))
+        else:
+            tickets += [ticket] if ticket is not None else []
+    return tickets, refused
+
+
+def ticket_of_load(path: Path, wanted: str, *, cultivar: str = "") -> Ticket:
+    """The ticket of a load in the ledger (or a run's folder) at `path`, by number or name.
+
+    Raises:
+        LedgerError: no ledger, or one that cannot be read. InputError: no such load, none entered, or one that cannot
+            calibrate; the text says why.
+    """
+    with reading(ledger_file(path)) as view:
+        ledger = ReadLoads(view)
+        load = find(ledger.loads, wanted, run="")
+        ticket = load_ticket(load, count_load(ledger, load, ledger.seen()), cultivar=cultivar)
+    if ticket is None:
+        raise InputError(f"{load.told} has no net ticket: tuberline load ticket {load.number} --kg ... --ledger {path}")
+    return ticket
+
+
+class ReadLoads:
+    """The loads of a ledger that is read, as `Sums`."""
+
+    def __init__(self, view: LedgerView) -> None:
+        self._view = view
+        self.loads = read_book(view)
+        self.runs = {run.run: run for run in read_runs(view)}
+        self._sums: dict[str, dict[int, SpanSums]] = {}
+
+    def span_sums(self, run: str) -> Mapping[int, SpanSums]:
+        """The sums of each stretch of a run."""
+        if run not in self._sums:
+            self._sums[run] = read_span_sums(self._view, run)
+        return self._sums[run]
+
+    def seen(self) -> dict[str, Seen]:
+        """What the cameras of each run looked at: the run is taken to be over."""
+        found = {}
+        for name, run in self.runs.items():
+            sights = read_sums(self._view, name).sights
+            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, Moment(over=True))
+        return found
+
+    def whole(self, run: RunRow) -> LoadCounted:
+        """A run in which no load was started: it is one load by itself."""
+        sums = read_sums(self._view, run.run)
+        return counted([(sums.load, coverage_of(run, sums))])
+
+    def without_load(self, run: str, seen: Seen) -> LoadCounted | None:
+        """What passed in `run` while no load was open; None where a load was open all the time."""
+        parts = [(own, told) for own, told in parts_of(self, run, NO_LOAD, seen) if own.count or told.belt_m > 0]
+        return counted(parts) if parts else None

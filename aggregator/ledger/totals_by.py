@@ -1,0 +1,133 @@
+"""Totals per load, field, variety, day and season, over one or many ledgers."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from aggregator.calibration.correction import Prior
+from aggregator.calibration.tickets import Ticket
+from aggregator.calibration.together import OneLoad, Together, together
+from aggregator.core.load_told import LoadCounted
+from aggregator.core.loads import Load
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.load_totals import ReadLoads, count_load, tickets_of
+from aggregator.ledger.reader import RunRow, ledger_file, read_summary, reading
+from aggregator.ledger.verified import LedgerView
+from conveyor.errors import InputError
+
+BY = ("load", "field", "variety", "day", "season")
+NOT_TOLD = "(not told)"
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Total:
+    """What the loads under one label come to together (`aggregator.calibration.together.Together`).
+
+    `loads`: how many. `weighed`: how many of them have a net ticket, and `net_g` what those say together; `raw_g` is
+    the estimate of all before any calibration.
+    """
+
+    label: str
+    loads: int
+    weighed: int
+    net_g: float
+    raw_g: float
+    sums: Together
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """A load to be added, with the label that it has by each of `BY`."""
+
+    labels: dict[str, str]
+    one: OneLoad
+    net_g: float | None
+
+
+def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ()) -> tuple[list[Total], list[str]]:
+    """(totals by label, the sum of all last; tickets that cannot calibrate, in words).
+
+    A run in which no load was started is one load by itself; what passed while none was open is told as that.
+
+    Args:
+        paths: folders of runs, or ledgers.
+        by: one of `BY`.
+        tickets: more than the ledgers' own loads have, which take the place of such of the same load.
+
+    Raises:
+        LedgerError: a ledger that cannot be read. InputError: `by` is none of these.
+    """
+    if by not in BY:
+        raise InputError(f"totals by {by!r}: known are {', '.join(BY)}")
+    with ExitStack() as stack:
+        files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
+        views = [stack.enter_context(reading(file)) for file in files]
+        ledgers = [(view, ReadLoads(view)) for view in views]
+        own, refused = [], []
+        for _, ledger in ledgers:
+            found, words = tickets_of(ledger, ledger.seen())
+            own += found
+            refused += words
+        keys = {ticket.key for ticket in own}
+        known = [*(ticket for ticket in tickets if ticket.key not in keys), *own]
+        loads = [load for view, ledger in ledgers for load in labelled(view, ledger, known)]
+    groups: dict[str, list[Labelled]] = {}
+    for load in loads:
+        groups.setdefault(load.labels[by], []).append(load)
+    totals = [_total(label, group) for label, group in groups.items()]
+    return ([*totals, _total(ALL, loads)] if loads else []), refused
+
+
+def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
+    """Every load of a ledger, runs without loads and what passed without one included, in the order they began."""
+    seen = ledger.seen()
+    found: list[tuple[int, Labelled]] = []
+    for load in ledger.loads.loads.values():
+        if load.spans and not load.undone:
+            one = _one(count_load(ledger, load, seen), tickets, _prior(view, load.run), load.variety)
+            net = load.ticket(net=True)
+            found.append((load.began_ns, Labelled(_labels(load), one, net.ticket_g if net else None)))
+    for name, run in ledger.runs.items():
+        rest = ledger.without_load(name, seen[name]) if name in ledger.loads.spans else ledger.whole(run)
+        if rest is not None:
+            label = f"{name}, without a load" if name in ledger.loads.spans else name
+            one = _one(rest, tickets, _prior(view, name), "")
+            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None)))
+    return [load for _, load in sorted(found, key=lambda pair: pair[0])]
+
+
+def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:
+    totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=variety)
+    return OneLoad(totals, found.coverage, found.belt_m, variety)
+
+
+def _labels(load: Load) -> dict[str, str]:
+    day = time.strftime("%Y-%m-%d", time.gmtime(load.began_ns / 1e9 + load.utc_offset_s))
+    name = f"{load.number} {load.name}".strip()
+    described = {"field": load.field or NOT_TOLD, "variety": load.variety or NOT_TOLD}
+    return {"load": name, **described, "day": day, "season": day[:4]}
+
+
+def _run_labels(run: RunRow, label: str) -> dict[str, str]:
+    day = time.strftime("%Y-%m-%d", time.localtime(run.started_ns / 1e9))
+    return {"load": label, "field": NOT_TOLD, "variety": NOT_TOLD, "day": day, "season": day[:4]}
+
+
+def _prior(view: LedgerView, run: str) -> Prior:
+    """What the line stated of its resting level in that run; as wide as before any calibration where it did not."""
+    summary = read_summary(view, run)
+    belt = json.loads(summary).get("belt", {}) if summary else {}
+    stated_mm, sd_mm = belt.get("resting_offset_mm") or 0.0, belt.get("resting_sd_mm")
+    return Prior(stated_offset_mm=stated_mm) if sd_mm is None else Prior(stated_mm, sd_mm)
+
+
+def _total(label: str, loads: Sequence[Labelled]) -> Total:
+    tickets_g = [load.net_g for load in loads if load.net_g is not None]
+    raw_g = sum(load.one.whole * load.one.totals.sums.as_weighed_g for load in loads)
+    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, together([load.one for load in loads]))

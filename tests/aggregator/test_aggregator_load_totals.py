@@ -1,0 +1,203 @@
+"""Totals of loads, fields and days: coverage of each load's belt, intervals of sums that hold, tickets of loads."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.calibration.apply import CAMERA, RESTING, TUBERS
+from aggregator.calibration.tickets import read_tickets
+from aggregator.calibration.together import OneLoad, together
+from aggregator.core.coverage import Moment
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_told import counted, span_coverage
+from aggregator.core.loads import Span
+from aggregator.core.sight import CameraSight
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.check import check_file
+from aggregator.ledger.load_list import told_loads
+from aggregator.ledger.reader import reading
+from aggregator.ledger.totals_by import ALL, NOT_TOLD, totals_by
+from aggregator.ledger.writer import Ledger
+from conveyor.errors import InputError
+from conveyor.messages import Mark
+from tests.aggregator.belt_story import tell
+from tests.aggregator.test_aggregator_load_ledger import Loads, S
+from tests.aggregator.virtual_line import undisturbed
+from tuberline.cli.calibrate_load import calibrate_load
+
+DAY_NS = 86_400 * S
+
+
+def mark(s_m: float, looked_m: float) -> Mark:
+    return Mark(
+        captured_ns=round((100 + s_m / 0.3) * 1e9), travel_m=s_m, travel_estimated=False,
+        complete_ns=round((100 + s_m / 0.3) * 1e9), complete_place_x_m=-s_m, final=False,
+        looked_at_m=looked_m, travelled_m=s_m, frames={"processed": 1}, views={}, tracks={},
+    )  # fmt: skip
+
+
+def test_belt_that_was_missed_counts_against_its_own_load() -> None:
+    """Two cameras with an encoder; one is blind for a metre. Its centre rows lie 0.2 m before the belt's zero."""
+    sights = {"a": CameraSight(row_x_m=-0.2), "b": CameraSight(row_x_m=-0.2)}
+    for s_m in np.arange(0.0, 12.001, 0.1):
+        sights["a"].marked(mark(float(s_m), float(s_m)))
+        sights["b"].marked(mark(float(s_m), float(min(s_m, 6.0) + max(0.0, s_m - 7.0))))
+    spans = [Span(0, 0, float("inf")), Span(1, 1, -0.2 - 5.0), Span(2, 2, -0.2 - 8.0)]
+    sums = LoadSums(50.0)
+    sums.seen_by.update({frozenset("a"): 60, frozenset("b"): 40})
+    moment = Moment(over=False)
+    first, second, third = (span_coverage(spans, at, sums, sights, moment) for at in range(3))
+    assert (first.share, first.belt_m) == (1.0, pytest.approx(5.0))
+    assert second.belt_m == pytest.approx(3.0)
+    assert second.cameras == {"a": 1.0, "b": pytest.approx(2 / 3)}
+    assert second.share == pytest.approx(1 - 0.5 / 3, abs=0.03)
+    assert second.mean_unseen_m() == {"between_frames": pytest.approx(0.5)}
+    assert (third.share, third.belt_m) == (1.0, pytest.approx(4.0))
+    whole = counted([(sums, first), (sums, second), (sums, third)])
+    assert whole.belt_m == pytest.approx(12.0)
+    assert whole.coverage == pytest.approx(1 - 0.5 / 12, abs=0.01)
+    assert whole.sums.count == 0
+
+
+def load_of(weight_g: float, *, tubers: int = 300) -> LoadSums:
+    """A load's sums, each tuber with an own error of 10 %."""
+    sums = LoadSums(50.0, count=tubers, weighed={("pointraft", "m"): (tubers, weight_g)})
+    sums.low_variance_g2 = sums.high_variance_g2 = tubers * (0.1 * weight_g / tubers) ** 2
+    sums.squares_g2 = 1.3 * weight_g**2 / tubers
+    sums.per_mm_g = 0.022 * weight_g
+    return sums
+
+
+@pytest.mark.parametrize("coverage", [1.0, 0.93])
+def test_one_load_is_told_as_it_always_was(coverage: float) -> None:
+    totals = LoadTotals(load_of(50e3))
+    alone = together([OneLoad(totals, coverage, 60.0)])
+    assert (alone.estimated_g, alone.low_g, alone.high_g) == pytest.approx(totals.estimated(coverage, belt_m=60.0))
+
+
+def test_what_loads_share_does_not_shrink_with_their_number() -> None:
+    one = together([OneLoad(LoadTotals(load_of(50e3)), 1.0, 60.0)])
+    many = together([OneLoad(LoadTotals(load_of(50e3)), 1.0, 60.0) for _ in range(25)])
+    assert many.estimated_g == pytest.approx(25 * one.estimated_g)
+    for shared in (RESTING, CAMERA):
+        assert many.parts_percent[shared] == pytest.approx(one.parts_percent[shared])
+    assert many.parts_percent[TUBERS] < one.parts_percent[TUBERS]
+    half = (many.high_g - many.low_g) / 2 / many.estimated_g
+    assert half > 0.9 * (one.high_g - one.low_g) / 2 / one.estimated_g, "as if each load had a line of its own"
+    mixed = [OneLoad(LoadTotals(load_of(50e3), cultivar=v), 1.0, 60.0, v) for v in ("Agria", "Fontane")]
+    same = [OneLoad(LoadTotals(load_of(50e3), cultivar="Agria"), 1.0, 60.0, "Agria") for _ in range(2)]
+    assert together(mixed).high_g < together(same).high_g
+
+
+def test_intervals_of_sums_hold(rng: np.random.Generator) -> None:
+    """400 days of 20 loads, drawn as the prior says: what is shared is drawn once a day."""
+    days, loads, inside = 400, 20, 0
+    for _ in range(days):
+        shared = float(np.exp(rng.normal(0, 0.03)) * (1 - 0.022 * rng.normal(0, 4.0)) * np.exp(rng.normal(0, 0.02)))
+        true_g = rng.uniform(40e3, 60e3, loads)
+        told_g = true_g * shared * np.exp(rng.normal(0, 0.019, loads)) * rng.normal(1, 0.1 / np.sqrt(300), loads)
+        day = together([OneLoad(LoadTotals(load_of(float(g))), 1.0, 60.0) for g in told_g])
+        inside += day.low_g <= true_g.sum() <= day.high_g
+    assert 0.86 <= inside / days <= 0.95
+
+
+def day_of_loads(path: Path, *, seed: int = 5) -> None:
+    """A run with two loads of two fields and varieties, a day apart, and belt without a load before them."""
+    story = tell(seed, n=60, cameras=2, length_m=5.0, noise_mm=0.0)
+    with Ledger(path) as ledger:
+        it = Loads(ledger, story)
+        for n in it.commits():
+            if n == 2:
+                it.order(
+                    "a", "start", x_m=-0.6, fields={"name": "A", "field": "Kamp", "variety": "Agria"}, now_ns=DAY_NS
+                )
+            if n == 5:
+                it.order("b", "start", x_m=-2.8, fields={"name": "B", "variety": "Fontane"}, now_ns=2 * DAY_NS)
+        assert it.core.finished
+        ledger.finish(story.run, "{}", sights=it.core.cameras.sights)
+        it.order("c", "note", load="B", fields={"field": "Berg"}, now_ns=3 * DAY_NS)
+
+
+def test_totals_by_what_loads_are_described_by(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    with Ledger(tmp_path / "plain.db") as ledger:
+        undisturbed(ledger, tell(6, n=10, cameras=2))
+    by = {name: {t.label: t for t in totals_by([path, tmp_path / "plain.db"], name)[0]} for name in
+          ("load", "field", "variety", "day", "season")}  # fmt: skip
+    assert list(by["load"])[-1] == ALL
+    assert {"1 A", "2 B", "story, without a load"} < set(by["load"])
+    assert len(by["load"]) == 5
+    assert set(by["field"]) == {"Kamp", "Berg", NOT_TOLD, ALL}
+    assert set(by["variety"]) == {"Agria", "Fontane", NOT_TOLD, ALL}
+    assert {"1970-01-02", "1970-01-03"} < set(by["day"])
+    assert set(by["season"]) == {"1970", ALL}
+    for totals in by.values():
+        parts, whole = [t for label, t in totals.items() if label != ALL], totals[ALL]
+        assert sum(t.sums.tubers for t in parts) == whole.sums.tubers
+        assert sum(t.sums.estimated_g for t in parts) == pytest.approx(whole.sums.estimated_g)
+        assert sum(t.sums.belt_m for t in parts) == pytest.approx(whole.sums.belt_m)
+        assert whole.sums.coverage == pytest.approx(1.0)
+    with pytest.raises(InputError, match="known are load, field, variety, day, season"):
+        totals_by([path], "cultivar")
+
+
+def test_tickets_of_loads_calibrate_the_others(tmp_path: Path) -> None:
+    """Tubers weigh 8 % more than they read: after one load's ticket the other is told nearer, and narrower."""
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    before = {t.label: t for t in totals_by([path], "load")[0]}
+    true_kg = {name: 1.08 * before[name].raw_g / 1000 for name in ("1 A", "2 B")}
+    told = subprocess.run(
+        [sys.executable, "-m", "tuberline", "load", "ticket", "A", "--kg", f"{true_kg['1 A']:.3f}", "--ledger",
+         str(path), "--json"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert told.returncode == 0, told.stderr
+    assert json.loads(told.stdout)["done"]
+    after = {t.label: t for t in totals_by([path], "load")[0]}
+    assert after["1 A"].net_g == pytest.approx(1000 * true_kg["1 A"], abs=1.0)
+    assert after["2 B"].sums.tickets == 1
+    assert after["2 B"].raw_g == before["2 B"].raw_g
+    off = {k: abs(t["2 B"].sums.estimated_g / 1000 / true_kg["2 B"] - 1) for k, t in (("b", before), ("a", after))}
+    assert off["b"] == pytest.approx(1 - 1 / 1.08)
+    assert off["a"] < 0.03
+    assert after["2 B"].sums.high_g - after["2 B"].sums.low_g < before["2 B"].sums.high_g - before["2 B"].sums.low_g
+    with reading(path) as view:
+        newest, first = told_loads(view, limit=9)
+    assert (first["net_g"], newest["net_g"]) == (pytest.approx(1000 * true_kg["1 A"], abs=1.0), None)
+    assert first["refused"] == newest["refused"] == []
+    assert [said["text"] for said in newest["said"]] == ["began", "field is Berg"]
+    assert check_file(path) == []
+
+
+def test_a_ticket_of_a_load_goes_to_the_file_of_tickets(tmp_path: Path) -> None:
+    path, tickets = tmp_path / "ledger.db", tmp_path / "tickets.json"
+    day_of_loads(path)
+    raw_kg = {t.label: t.raw_g / 1000 for t in totals_by([path], "load")[0]}["2 B"]
+    with pytest.raises(InputError, match=r"load 2 \(B\) has no net ticket"):
+        calibrate_load(path, tickets=tickets, load="B")
+    with Ledger(path) as ledger:
+        Loads(ledger, tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)).order("t", "ticket", load="B", kg=raw_kg)
+    calibrate_load(path, tickets=tickets, load="B")
+    (ticket,) = read_tickets(tickets)
+    assert (ticket.kind, ticket.part, ticket.cultivar, ticket.model) == ("load", "load 2", "Fontane", "m")
+    assert ticket.estimated_g == pytest.approx(1000 * raw_kg)
+    assert totals_by([path], "load", tickets=read_tickets(tickets))[0][-1].sums.tickets == 1, "it counts once"
+
+
+def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    with Ledger(path) as ledger:
+        Loads(ledger, tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)).order("t", "ticket", load="A", kg=5000.0)
+    totals, refused = totals_by([path], "load")
+    assert totals[-1].sums.tickets == 0
+    assert totals[-1].weighed == 1
+    assert "the ticket says 5000.0 kg" in refused[0]

@@ -1,0 +1,76 @@
+"""`tuberline ledger totals`: what loads, fields, varieties, days and seasons come to."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from aggregator.ledger.totals_by import Total
+
+
+def totals(
+    *paths: Path,
+    by: Literal["load", "field", "variety", "day", "season"] = "load",
+    tickets: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Print what the loads of one or many ledgers come to, raw and calibrated, with 90 % intervals.
+
+    What loads have in common (the resting level, the camera, a variety's factor) is one error in all of them: the
+    interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate.
+
+    Parameters
+    ----------
+    paths
+        Folders of runs (with their ledger.db), or the ledgers themselves.
+    by
+        What to add up: loads one by one, or by their field, variety, day or season (the year).
+    tickets
+        A file of more tickets, as `tuberline calibrate` keeps it.
+    json
+        For machines.
+    """
+    from aggregator.calibration.tickets import read_tickets
+    from aggregator.ledger.totals_by import totals_by
+    from conveyor.errors import InputError
+
+    if not paths:
+        raise InputError("name the folders of the runs whose loads are to be added up")
+    found, refused = totals_by(paths, by, tickets=read_tickets(tickets) if tickets else ())
+    if json:
+        values = {"by": by, "totals": [asdict(total) for total in found], "tickets_refused": refused}
+        sys.stdout.write(json_module.dumps(values, indent=2) + "\n")
+        return
+    _print(found, refused, by)
+
+
+def _print(found: list[Total], refused: list[str], by: str) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console()
+    table = Table(by, "loads", "tubers", "raw kg", "kg", "90 %", "belt seen", "on scales kg", box=None)
+    for total in found:
+        sums = total.sums
+        scales = f"{total.net_g / 1000:.1f} ({total.weighed} of {total.loads})" if total.weighed else ""
+        table.add_row(
+            Text(total.label),
+            str(total.loads),
+            str(sums.tubers),
+            f"{total.raw_g / 1000:.2f}",
+            f"{sums.estimated_g / 1000:.2f}",
+            f"{sums.low_g / 1000:.2f} to {sums.high_g / 1000:.2f}",
+            "-" if sums.coverage is None else f"{100 * sums.coverage:.1f} %",
+            scales,
+        )
+    console.print(table)
+    if found and found[-1].sums.parts_percent:
+        parts = ", ".join(f"{name} {part:.1f} %" for name, part in found[-1].sums.parts_percent.items())
+        console.print(f"the 90 % interval of all is made of: {parts}", highlight=False)
+    for words in refused:
+        console.print(Text(f"a ticket does not calibrate: {words}"))

@@ -1,0 +1,85 @@
+"""Loads of a line or a ledger as a person reads them."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from conveyor.errors import InputError
+from tuberline.cli.address import LineAddress
+
+DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
+
+
+def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit: int) -> list[dict[str, Any]]:
+    """The loads of a ledger, or of the one that a running line writes, the newest first; or the one that is wanted.
+
+    Raises:
+        InputError: none of that number or name.
+    """
+    if ledger is not None:
+        from aggregator.ledger.load_list import told_loads as of_ledger
+        from aggregator.ledger.reader import ledger_file, reading
+
+        with reading(ledger_file(ledger)) as view:
+            loads = of_ledger(view, limit=10**9 if wanted else limit)
+    else:
+        from conveyor import topics
+        from conveyor.observer import Observer
+
+        link, name = address.link()
+        with Observer(link, line=name) as observer:
+            loads = observer.query(
+                topics.QUERY_LOADS, parameters=f"limit={50 if wanted else min(limit, 50)};what=loads"
+            )
+    if not wanted:
+        return loads
+    found = [load for load in loads if str(load["number"]) == wanted] or [
+        load for load in loads if load["name"] == wanted
+    ]
+    if not found:
+        known = ", ".join(f"{load['number']} ({load['name']})" for load in loads[:8]) or "none"
+        raise InputError(f"no load {wanted!r} is there; the newest are {known}")
+    return found
+
+
+def print_loads(loads: list[dict[str, Any]]) -> None:
+    """One line a load."""
+    console = Console()
+    if not loads:
+        console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
+        return
+    table = Table("", "load", "began", "ended", "tubers", "kg", "90 %", "belt seen", "ticket kg", box=None)
+    for load in loads:
+        said = [load["name"], *(load[name] for name in DESCRIBED)]
+        table.add_row(
+            str(load["number"]),
+            Text(", ".join(filter(None, said))),
+            _clock(load["began_unix_s"]),
+            "undone" if load["undone"] else _clock(load["ended_unix_s"]) if not load["open"] else "open",
+            str(load["count"]),
+            f"{load['estimated_weight_g'] / 1000:.2f}",
+            f"{load['estimated_low_g'] / 1000:.2f} to {load['estimated_high_g'] / 1000:.2f}",
+            "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
+            "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
+        )
+    console.print(table)
+
+
+def print_load(load: dict[str, Any]) -> None:
+    """One load with all that was said of it."""
+    console = Console()
+    print_loads([load])
+    for said in load["said"]:
+        console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {said['text']}"))
+    for refused in load["refused"]:
+        console.print(Text(f"its ticket does not calibrate: {refused}"))
+
+
+def _clock(unix_s: float | None) -> str:
+    return "-" if unix_s is None else time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
