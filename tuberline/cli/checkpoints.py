@@ -61,17 +61,3 @@ def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = N
     with whole_output(out) as partial:
         write(partial, model, sidecar, batch=batch)
     sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")
-
-
-def export(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
-    """The former name of export-onnx.
-
-    Parameters
-    ----------
-    out, weights, batch
-        As for export-onnx.
-    """
-    sys.stderr.write(
-        "tuberline: `export` is now `tuberline export-onnx`; the tubers of a run come from `tuberline ledger export`\n"
-    )
-    export_onnx(out=out, weights=weights, batch=batch)

@@ -20,6 +20,7 @@ GROUPS: dict[str, Commands] = {
         "weigh": ("tuberline.cli.weigh:weigh", "Weigh single clouds or depth and mask pairs; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
+        "export": ("tuberline.cli.export:export", "Tubers, loads and maps for other programs: CSV, Parquet, ISOXML."),
         "map": ("tuberline.cli.map:map_field", "The field's yield in t/ha, from runs and positions."),
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),
     },
@@ -106,7 +107,6 @@ LISTINGS: dict[str, tuple[Commands, str]] = {
     "parts": (PARTS, "List the parts of a line as commands: camera, router, ..."),
 }
 FORMER: Commands = {
-    "export": ("tuberline.cli.checkpoints:export", "Now export-onnx."),
     "cut-portraits": ("tuberline.cli.train_classifier:make_patches", "Now make-patches."),
     "train-eyes": ("tuberline.cli.train_classifier:train_classifier", "Now train-classifier."),
 }

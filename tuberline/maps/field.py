@@ -29,6 +29,7 @@ from aggregator.yield_map.delay import Delay, delays
 from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
 from aggregator.yield_map.smooth import smoothed
 from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
+from aggregator.yield_map.track import Path as Way
 from conveyor.errors import InputError
 from conveyor.formats.positions import POSITIONS_FILE, read_positions
 from conveyor.messages import Totals
@@ -61,6 +62,7 @@ class MachineShare:
 
     Attributes:
         run: its id.
+        way: the machine's way, as far as it is believed.
         delay: by which the crop lags behind the ground; `by` 'given' where it was set.
         points: its yield points, each with the reason why it is not used.
         factor: by what its kilograms were multiplied to meet the other runs.
@@ -71,6 +73,7 @@ class MachineShare:
 
     run: str
     delay: Delay
+    way: Way
     points: Points
     factor: float
     faults: dict[str, int]
@@ -135,13 +138,14 @@ def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) 
         MachineShare(
             run=machine.run,
             delay=delay,
+            way=way,
             points=_scaled(points, factor),
             factor=factor,
-            faults=faults,
+            faults=way.faults,
             lost_kg=lost_kg,
             kg=float(machine.crop.kg.sum()),
         )
-        for machine, (points, delay, faults, lost_kg), factor in zip(read, found, factors, strict=True)
+        for machine, (points, delay, way, lost_kg), factor in zip(read, found, factors, strict=True)
     )
     shared = max(machine.shared_percent for machine in read)
     cells = cells_of([share.points for share in shares], cell_m=settings.cell_m, shared_percent=shared)
@@ -209,7 +213,7 @@ def _so_far(db: LedgerView, run: RunRow) -> Totals:
     )
 
 
-def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, dict[str, int], float]:
+def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, Way, float]:
     path = believed(machine.track, plane)
     crop = machine.crop
     if crop.time_s[-1] < path.time_s[0] or crop.time_s[0] > path.time_s[-1] + 600:
@@ -226,7 +230,7 @@ def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Point
     points, lost_kg = yield_points(path, crop, how)
     unplaced = ~points.used
     lost_kg += float(points.kg[unplaced].sum())
-    return cleaned(points) if settings.clean else points, delay, path.faults, lost_kg
+    return cleaned(points) if settings.clean else points, delay, path, lost_kg
 
 
 def _found_delay(run: str, found: list[Delay]) -> Delay:

@@ -1,0 +1,223 @@
+"""Exports as other programs read them: GDAL, DuckDB, openpyxl, the schemas of ISO 11783, npm's isoxml."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import shutil
+import subprocess
+import zipfile
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.ledger.reader import read_tubers, reading
+from benchmarks.written_run import write_run
+from camera_sim.sim.field import FieldWorld, simulate_field
+from conveyor.errors import InputError
+from conveyor.formats.positions import PositionsWriter
+from tuberline.cli.export import export
+from tuberline.export.isoxml.archive import read_time_logs
+from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME
+from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
+
+pytest.importorskip("pyproj")
+pa_parquet = pytest.importorskip("pyarrow.parquet")
+
+WORLD = FieldWorld(size_m=(15.0, 60.0), shown_share=0.1, outages=1, stop_every_s=60, stop_s=12)
+SEED = 7303
+HOW = {"width_m": 3.0, "overlap_m": 0.1, "delay_s": 17.0}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run with its own positions.csv."""
+    folder = tmp_path_factory.mktemp("field") / "monday"
+    (day,) = simulate_field(WORLD, seed=SEED).machines
+    write_run(folder, run="monday", crossed_ns=day.crossed_ns, weight_g=day.weight_g)
+    with PositionsWriter(folder / "positions.csv") as file:
+        for at_ns, lat, lon, quality in zip(day.time_ns, day.lat_deg, day.lon_deg, day.quality, strict=True):
+            file.write((int(at_ns), int(at_ns), float(lat), float(lon), int(quality), 0.7, 14))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def weights_g(run: Path) -> list[float]:
+    with reading(run / "ledger.db") as db:
+        return [tuber.weight_g for tuber in read_tubers(db, "monday")]
+
+
+def exported(run: Path, tmp_path: Path, form: str, what: str = "tubers") -> Path:
+    out = tmp_path / f"out.{form}"
+    export([run], format=form, what=what, out=out, **HOW)  # type: ignore[arg-type]
+    return out
+
+
+def test_csv_has_its_units_beside_it(run: Path, weights_g: list[float], tmp_path: Path) -> None:
+    out = exported(run, tmp_path, "csv")
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["weight_g"]) for row in rows] == weights_g
+    placed = [row for row in rows if row["lat_deg"]]
+    assert 0.8 * len(rows) < len(placed) < len(rows), "some passed while there was no fix"
+    assert all(52.69 < float(row["lat_deg"]) < 52.71 for row in placed)
+    told = json.loads(out.with_name("out.csv-metadata.json").read_text())
+    units = {column["name"]: column.get("schema:unitText") for column in told["tableSchema"]["columns"]}
+    assert list(units) == list(rows[0])
+    assert (units["weight_g"], units["length_mm"], units["model"]) == ("g", "mm", None)
+    (of_run,) = told["dc:description"]["runs"]
+    assert (of_run["weights"], of_run["calibrated_by"], of_run["coverage"]) == (["written@0"], "nothing", 1.0)
+
+
+def test_parquet_opens_in_duckdb(run: Path, weights_g: list[float], tmp_path: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    out = exported(run, tmp_path, "parquet")
+    ((count, sum_g, year),) = duckdb.sql(f"SELECT count(*), sum(weight_g), min(year(time)) FROM '{out}'").fetchall()
+    assert (count, sum_g) == (len(weights_g), pytest.approx(sum(weights_g)))
+    assert year == 2026
+    schema = pa_parquet.read_schema(out)
+    assert schema.field("weight_g").metadata[b"unit"] == b"g"
+    assert json.loads(schema.metadata[b"tuberline"])["runs"][0]["run"] == "monday"
+
+
+@pytest.mark.parametrize("what", ["tubers", "cells"])
+def test_geojson_and_geoparquet_open_in_gdal(run: Path, tmp_path: Path, what: str) -> None:
+    pyogrio = pytest.importorskip("pyogrio")
+    shapely = pytest.importorskip("shapely")
+    out = exported(run, tmp_path, "geojson", what)
+    info = pyogrio.read_info(out)
+    assert info["geometry_type"] == ("Point" if what == "tubers" else "Polygon")
+    assert "4326" in info["crs"]
+    bounds = pyogrio.read_bounds(out)[1]
+    (west, south), (east, north) = np.nanmin(bounds[:2], axis=1), np.nanmax(bounds[2:], axis=1)
+    assert (west, south) == (pytest.approx(5.75, abs=1e-3), pytest.approx(52.7, abs=1e-3))
+    assert 0 <= east - west < 0.01
+    assert 0 <= north - south < 0.01
+    geo = exported(run, tmp_path, "geoparquet", what)
+    table = pa_parquet.read_table(geo)
+    told = json.loads(table.schema.metadata[b"geo"])
+    assert (told["version"], told["primary_column"]) == ("1.1.0", "geometry")
+    shapes = shapely.from_wkb([value for value in table["geometry"].to_pylist() if value is not None])
+    assert all(shapely.is_valid(shapes))
+    features = json.loads(out.read_text())["features"]
+    of_json = [shapely.from_geojson(json.dumps(f["geometry"])) for f in features if f["geometry"] is not None]
+    assert len(shapes) == len(of_json)
+    assert shapely.bounds(shapes[0]) == pytest.approx(shapely.bounds(of_json[0]))
+    if "Parquet" in pyogrio.list_drivers():
+        assert pyogrio.read_info(geo)["features"] == len(table)
+
+
+def test_a_workbook_has_tubers_loads_and_what_they_are(run: Path, weights_g: list[float], tmp_path: Path) -> None:
+    pytest.importorskip("xlsxwriter")
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.load_workbook(exported(run, tmp_path, "xlsx"), read_only=True)
+    assert book.sheetnames == ["tubers", "loads", "about"]
+    head, units, *rows = book["tubers"].values
+    at = head.index("weight_g")
+    assert units[at] == "g"
+    assert [row[at] for row in rows] == pytest.approx(weights_g, rel=1e-14)
+    load = dict(zip(next(book["loads"].values), list(book["loads"].values)[-1], strict=True))
+    assert load["tubers"] == len(weights_g)
+    assert load["low_kg"] < load["weight_kg"] < load["high_kg"]
+
+
+def test_isoxml_says_what_the_map_says(run: Path, tmp_path: Path) -> None:
+    out = exported(run, tmp_path, "isoxml")
+    (records,) = read_time_logs(out).values()
+    flow_kg = sum(record.values[PER_TIME] for record in records) / 1e6
+    (day,) = simulate_field(WORLD, seed=SEED).machines
+    assert 0.8 * day.weight_g.sum() / 1000 < flow_kg <= 1.001 * day.weight_g.sum() / 1000
+    yields = [record.values[PER_AREA] / 1e5 for record in records if PER_AREA in record.values]
+    assert np.mean(yields) == pytest.approx(WORLD.mean_t_ha * WORLD.shown_share, rel=0.5)
+    assert all((b.time - a.time).total_seconds() >= 1 for a, b in pairwise(records))
+
+
+def test_isoxml_validates_against_the_schemas(run: Path, shared: Path, tmp_path: Path) -> None:
+    xmlschema = pytest.importorskip("xmlschema")
+    folder = shared / "data" / "isoxml_examples" / "xsd"
+    with zipfile.ZipFile(exported(run, tmp_path, "isoxml")) as archive:
+        archive.extractall(tmp_path)
+    task = xmlschema.XMLSchema(folder / "ISO11783_TaskFile_V4-3.xsd")
+    log = xmlschema.XMLSchema(folder / "ISO11783_TimeLog_V4-3.xsd")
+    task.validate(tmp_path / "TASKDATA" / "TASKDATA.XML")
+    faults = [error.reason for error in log.iter_errors(tmp_path / "TASKDATA" / "TLG00001.XML")]
+    # A log refers to the device element of its TASKDATA.XML, which the schema of one file cannot see.
+    assert set(faults) <= {"IDREF 'DET-1' not found in XML document"}
+
+
+@pytest.mark.slow
+def test_npms_isoxml_reads_our_values_back(run: Path, tmp_path: Path) -> None:
+    if shutil.which("npm") is None:
+        pytest.skip("npm is not installed: its isoxml cannot read the export")
+    subprocess.run(["npm", "install", "--silent", "isoxml@1.11.2"], cwd=tmp_path, check=True, timeout=600)
+    out = exported(run, tmp_path, "isoxml")
+    script = """
+        const {ISOXMLManager, TAGS} = require('isoxml'); const fs = require('fs');
+        (async () => {
+          const m = new ISOXMLManager();
+          await m.parseISOXMLFile(new Uint8Array(fs.readFileSync(process.argv[1])), 'application/zip');
+          const task = m.rootElement.attributes.Task[0];
+          const log = task.attributes.TimeLog[0].parseBinaryFile();
+          const told = {warnings: m.getWarnings().map(String), n: log.timeLogs.length, first: log.timeLogs[0]};
+          console.log(JSON.stringify(told));
+        })();"""
+    done = subprocess.run(["node", "-e", script, str(out)], cwd=tmp_path, capture_output=True, text=True, check=True)
+    told = json.loads(done.stdout)
+    (records,) = read_time_logs(out).values()
+    assert [text for text in told["warnings"] if "Letter case" not in text] == []
+    assert told["n"] == len(records)
+    first = told["first"]
+    assert first["position"]["PositionNorth"] == pytest.approx(records[0].lat_deg, abs=1e-7)
+    assert first["position"]["PositionEast"] == pytest.approx(records[0].lon_deg, abs=1e-7)
+    assert sorted(v for k, v in first["values"].items()) == sorted(records[0].values.values())
+
+
+def test_time_logs_of_other_terminals_are_read(shared: Path) -> None:
+    folder = shared / "data" / "isoxml_examples"
+    (records,) = read_time_logs(folder / "2021-04-09T15_33_26_taskdata.zip").values()
+    assert len(records) > 10
+    assert {record.time.year for record in records} == {2021}
+    assert all(record.lat_deg is not None and 40 < record.lat_deg < 60 for record in records)
+    assert read_time_logs(folder / "task_with_grid.zip") == {}
+
+
+@pytest.mark.parametrize("name", ["duplicate-xmlid.zip", "grid-without-binary.zip", "task_full.zip", "test1.zip"])
+def test_broken_archives_are_read_or_told(shared: Path, name: str) -> None:
+    path = shared / "data" / "isoxml_examples" / name
+    with contextlib.suppress(InputError):  # any other error is a fault
+        assert all(isinstance(records, list) for records in read_time_logs(path).values())
+
+
+def test_a_log_that_is_cut_short_or_lies_is_an_error(run: Path, tmp_path: Path) -> None:
+    column = LoggedValue(84, "DET-1")
+    record = LogRecord(datetime(2026, 9, 14, 12, 0, 0, 250000, UTC), 52.7, 5.75, {column: 45_000_00})
+    header, data = header_xml([column]), pack_records([record, record], [column])
+    assert unpack_records(header, data, where="log") == [record, record]
+    with pytest.raises(InputError, match="ends within record 1"):
+        unpack_records(header, data[:-1], where="log")
+    with pytest.raises(InputError, match="record 0 has a value 0, its header names 0"):
+        unpack_records(header_xml([]), data, where="log")
+    with pytest.raises(InputError, match="is no XML"):
+        unpack_records(b"<TIM", data, where="log")
+    with pytest.raises(InputError, match="does not fit 32 bits"):
+        pack_records([LogRecord(record.time, 52.7, 5.75, {column: 1 << 31})], [column])
+    (tmp_path / "two").mkdir()
+    with pytest.raises(InputError, match="holds 0 files TASKDATA"):
+        read_time_logs(tmp_path / "two")
+
+
+def test_what_needs_a_place_says_so_and_nothing_is_left(run: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(run, bare, ignore=shutil.ignore_patterns("positions.csv"))
+    for form, what in (("geojson", "tubers"), ("isoxml", "tubers"), ("csv", "cells")):
+        with pytest.raises(InputError, match="needs to know where the machine was"):
+            export([bare], format=form, what=what, out=tmp_path / "out")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"needs to know|have none"):
+        export([run], format="geojson", what="loads", out=tmp_path / "out", **HOW)  # type: ignore[arg-type]
+    assert not list(tmp_path.glob("*out*"))
+    export([bare], format="csv", out=tmp_path / "tubers.csv")
+    assert "lat_deg" not in (tmp_path / "tubers.csv").read_text().splitlines()[0]

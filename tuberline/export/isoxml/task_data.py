@@ -1,0 +1,117 @@
+"""TASKDATA of a field's map: one task per run with its time log, and the totals of the run.
+
+Second by second the log has where the share was, the yield per area (DDI 84, mg/m2), the mass and count per time
+(87, mg/s; 88, 0.001/s) and the working width (67, mm). Seconds that the map leaves out have a place and no yield.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from conveyor import __version__
+from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records
+from tuberline.maps.field import FieldMap, MachineShare
+
+DEVICE, ELEMENT = "DVC-1", "DET-1"
+PER_AREA, PER_TIME, COUNT_PER_TIME, WIDTH = (LoggedValue(ddi, ELEMENT) for ddi in (84, 87, 88, 67))
+COLUMNS = (PER_AREA, PER_TIME, COUNT_PER_TIME, WIDTH)
+TOTAL_MASS, TOTAL_COUNT = 90, 91
+_NAMES = {
+    84: "Yield per area",
+    87: "Mass flow",
+    88: "Count flow",
+    67: "Working width",
+    90: "Total mass",
+    91: "Total count",
+}
+
+
+def write_taskdata(field: FieldMap, path: Path, *, about: dict[str, Any]) -> None:
+    """A zip with TASKDATA/TASKDATA.XML and its time logs, version 4."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("TASKDATA/TASKDATA.XML", task_xml(field, about))
+        for n, share in enumerate(field.shares, start=1):
+            archive.writestr(f"TASKDATA/TLG{n:05d}.XML", header_xml(COLUMNS))
+            archive.writestr(f"TASKDATA/TLG{n:05d}.BIN", pack_records(log_of(field, share), COLUMNS))
+
+
+def log_of(field: FieldMap, share: MachineShare) -> list[LogRecord]:
+    """One record per second whose place is known."""
+    points = share.points
+    placed = np.isfinite(points.xy_m).all(axis=1)
+    lat, lon = field.plane.to_degrees(np.nan_to_num(points.xy_m))
+    width_mm = round(field.settings.width_m * 1000)
+    t_ha = points.t_ha
+    records = []
+    for i in np.flatnonzero(placed):
+        values = {WIDTH: width_mm, PER_TIME: round(points.kg[i] * 1e6), COUNT_PER_TIME: int(points.count[i]) * 1000}
+        if points.used[i] and np.isfinite(t_ha[i]):
+            values[PER_AREA] = round(t_ha[i] * 1e5)  # a tonne per hectare is 100,000 mg/m2
+        at = datetime.fromtimestamp(round(points.time_s[i], 3), UTC)
+        records.append(LogRecord(at, float(lat[i]), float(lon[i]), values))
+    return records
+
+
+def task_xml(field: FieldMap, about: dict[str, Any]) -> bytes:
+    """TASKDATA.XML."""
+    root = ElementTree.Element(
+        "ISO11783_TaskData",
+        VersionMajor="4",
+        VersionMinor="3",
+        ManagementSoftwareManufacturer="Tuberline",
+        ManagementSoftwareVersion=__version__,
+        TaskControllerManufacturer="Tuberline",
+        TaskControllerVersion=__version__,
+        DataTransferOrigin="2",
+    )
+    _device(root)
+    ElementTree.SubElement(root, "PDT", A="PDT-1", B="Potatoes")
+    for n, share in enumerate(field.shares, start=1):
+        _task(root, n, share, about["runs"][n - 1])
+    ElementTree.indent(root)
+    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root) + b"\n"
+
+
+def _device(root: ElementTree.Element) -> None:
+    # Structure and localization labels and the working-set name are a terminal's own; zeros say that there is none.
+    device = ElementTree.SubElement(
+        root,
+        "DVC",
+        A=DEVICE,
+        B="Tuberline",
+        C=__version__[:32],
+        D="A000000000000000",
+        F="00000000000000",
+        G="FF000000000000",
+    )
+    element = ElementTree.SubElement(device, "DET", A=ELEMENT, B="1", C="1", D="Harvester", E="0", F="0")
+    for n, ddi in enumerate((*(value.ddi for value in COLUMNS), TOTAL_MASS, TOTAL_COUNT), start=2):
+        ElementTree.SubElement(element, "DOR", A=str(n))
+        trigger = "16" if ddi in (TOTAL_MASS, TOTAL_COUNT) else "1"
+        ElementTree.SubElement(device, "DPD", A=str(n), B=f"{ddi:04X}", C="0", D=trigger, E=_NAMES[ddi])
+
+
+def _task(root: ElementTree.Element, n: int, share: MachineShare, told: dict[str, Any]) -> None:
+    task = ElementTree.SubElement(root, "TSK", A=f"TSK-{n}", B=share.run[:32], G="4")
+    start, stop = (datetime.fromtimestamp(at, UTC) for at in (share.points.time_s[0], share.points.time_s[-1]))
+    time = ElementTree.SubElement(
+        task, "TIM", A=_iso(start), B=_iso(stop), C=str(round((stop - start).total_seconds())), D="4"
+    )
+    ElementTree.SubElement(time, "DLV", A=f"{TOTAL_MASS:04X}", B=str(round(share.kg)), C=ELEMENT)
+    ElementTree.SubElement(time, "DLV", A=f"{TOTAL_COUNT:04X}", B=str(int(share.points.count.sum())), C=ELEMENT)
+    ElementTree.SubElement(task, "TLG", A=f"TLG{n:05d}", C="1")
+    ElementTree.SubElement(task, "DAN", A="A000000000000000", C=DEVICE)
+    coverage = told.get("coverage")
+    seen = "" if coverage is None else f", {100 * coverage:.0f} % of the belt seen"
+    text = f"weights {'+'.join(told['weights']) or 'unknown'}, calibrated by {told['calibrated_by']}{seen}"
+    task.append(ElementTree.Comment(f" {text.replace('--', '-')} "))
+
+
+def _iso(at: datetime) -> str:
+    return at.strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,152 @@
+"""Tubers and loads of runs as tables."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
+from aggregator.ledger.totals_by import totals_by
+from conveyor import __version__
+from conveyor.errors import InputError
+from conveyor.messages import Tuber
+from tuberline.export.table import Column, Table
+from tuberline.maps.field import FieldMap
+
+TUBER_COLUMNS = (
+    Column("run", "text", "", "id of the run"),
+    Column("tuber", "whole", "", "number of the tuber in its run, along the belt"),
+    Column("time", "time", "", "when it crossed the camera's centre row"),
+    Column("weight_g", "number", "g", "as weighed, not calibrated"),
+    Column("low_g", "number", "g", "lower end of the weight's 90 % interval"),
+    Column("high_g", "number", "g", "upper end of the weight's 90 % interval"),
+    Column("length_mm", "number", "mm", "longest axis"),
+    Column("width_mm", "number", "mm", "second axis"),
+    Column("height_mm", "number", "mm", "height over where it rested"),
+    Column("belt_x_m", "number", "m", "place on the belt, along"),
+    Column("belt_y_m", "number", "m", "place on the belt, across"),
+    Column("views", "whole", "", "views that weighed it"),
+    Column("method", "text", "", "pointraft, or volume where no view could be weighed"),
+    Column("model", "text", "", "weights that weighed it"),
+    Column("flags", "text", "", "what is to be known of it, joined by ;"),
+)
+PLACE_COLUMNS = (
+    Column("lat_deg", "number", "deg", "where it grew, WGS84"),
+    Column("lon_deg", "number", "deg", "where it grew, WGS84"),
+)
+LOAD_COLUMNS = (
+    Column("load", "text", "", "name of the load; all: their sum"),
+    Column("tubers", "whole", "", "counted"),
+    Column("as_weighed_kg", "number", "kg", "not calibrated, made up for belt that was not seen"),
+    Column("weight_kg", "number", "kg", "calibrated, made up for belt that was not seen"),
+    Column("low_kg", "number", "kg", "lower end of the weight's 90 % interval"),
+    Column("high_kg", "number", "kg", "upper end of the weight's 90 % interval"),
+    Column("coverage", "number", "share", "of the belt that was looked at"),
+    Column("ticket_kg", "number", "kg", "what a scale said, net"),
+)
+
+
+def tubers_table(runs: Sequence[Path], field: FieldMap | None) -> Table:
+    """Every tuber of `runs`; with a place where `field` knows the machines' ways.
+
+    Raises:
+        InputError: the runs hold no tuber.
+    """
+    rows: list[tuple[Any, ...]] = []
+    for number, path in enumerate(runs):
+        file = ledger_file(path)
+        with reading(file) as db:
+            tubers = list(read_tubers(db, the_run(db, file, None).run))
+        values = [_tuber(tuber) for tuber in tubers]
+        if field is not None:
+            places = _places(field, number, tubers)
+            values = [(*row, *place) for row, place in zip(values, places, strict=True)]
+        rows += values
+    if not rows:
+        raise InputError(f"{', '.join(map(str, runs))}: no tuber was counted, there is nothing to export")
+    columns = TUBER_COLUMNS if field is None else TUBER_COLUMNS + PLACE_COLUMNS
+    return Table("tubers", columns, rows, about(runs))
+
+
+def loads_table(runs: Sequence[Path]) -> Table:
+    """One row per load, with its interval."""
+    rows = [
+        (
+            total.label,
+            total.sums.tubers,
+            total.raw_g / 1000,
+            total.sums.estimated_g / 1000,
+            total.sums.low_g / 1000,
+            total.sums.high_g / 1000,
+            total.sums.coverage,
+            total.net_g / 1000 if total.weighed else None,
+        )
+        for total in totals_by(runs, "load")[0]
+    ]
+    return Table("loads", LOAD_COLUMNS, rows, about(runs))
+
+
+def about(runs: Sequence[Path]) -> dict[str, Any]:
+    """What holds for all rows: program, runs with weights, calibration, coverage and totals."""
+    found = []
+    for path in runs:
+        file = ledger_file(path)
+        with reading(file) as db:
+            run = the_run(db, file, None)
+            told = read_summary(db, run.run)
+        summary = json.loads(told) if told else {}
+        totals = summary.get("totals", {})
+        found.append(
+            {
+                "run": run.run,
+                "line": run.line,
+                "finished": bool(summary),
+                "weights": sorted(summary.get("models", {})),
+                "calibrated_by": totals.get("calibrated_by") or "nothing",
+                "coverage": totals.get("coverage"),
+                "weight_g": totals.get("estimated_weight_g"),
+                "low_g": totals.get("estimated_low_g"),
+                "high_g": totals.get("estimated_high_g"),
+                "belt": summary.get("belt", {}),
+            }
+        )
+    return {"made_by": f"tuberline {__version__}", "made_at": _time(datetime.now(UTC).timestamp()), "runs": found}
+
+
+def _tuber(tuber: Tuber) -> tuple[Any, ...]:
+    return (
+        tuber.run,
+        tuber.tuber_id,
+        _time(tuber.crossed_ns / 1e9),
+        tuber.weight_g,
+        tuber.low_g,
+        tuber.high_g,
+        tuber.length_mm,
+        tuber.width_mm,
+        tuber.height_mm,
+        tuber.place_x_m,
+        tuber.place_y_m,
+        tuber.views,
+        tuber.method,
+        tuber.model,
+        ";".join(tuber.flags),
+    )
+
+
+def _places(field: FieldMap, number: int, tubers: Sequence[Tuber]) -> list[tuple[float | None, float | None]]:
+    """Latitude and longitude of where each tuber grew; None where the machine's place was not known."""
+    share = field.shares[number]
+    crossed_s = np.array([tuber.crossed_ns for tuber in tubers]) / 1e9
+    xy_m = share.way.at(crossed_s - share.delay.delay_s)
+    known = np.isfinite(xy_m).all(axis=1).tolist()
+    lat, lon = field.plane.to_degrees(np.nan_to_num(xy_m))
+    return [(float(a), float(b)) if there else (None, None) for a, b, there in zip(lat, lon, known, strict=True)]
+
+
+def _time(unix_s: float) -> str:
+    return datetime.fromtimestamp(unix_s, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")

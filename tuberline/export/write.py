@@ -1,0 +1,88 @@
+"""Which file of which format holds what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+
+from conveyor.errors import InputError
+from conveyor.files import whole_output
+from tuberline.export.cells import cells_table
+from tuberline.export.table import Table
+from tuberline.export.tubers import about, loads_table, tubers_table
+from tuberline.maps.field import FieldMap
+
+
+class Format(StrEnum):
+    """A file format, named as the command names it."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    GEOJSON = "geojson"
+    GEOPARQUET = "geoparquet"
+    ISOXML = "isoxml"
+    XLSX = "xlsx"
+
+
+ENDINGS = {Format.GEOPARQUET: "parquet", Format.ISOXML: "zip"}
+NEED_PLACES = (Format.GEOJSON, Format.GEOPARQUET, Format.ISOXML)
+
+
+def export(runs: Sequence[Path], out: Path, *, form: Format, what: str, field: FieldMap | None) -> int:
+    """Write `out`, whole or not at all; returns the rows written.
+
+    Args:
+        what: 'tubers', 'loads' or 'cells'; ISOXML holds the map's seconds, a workbook tubers and loads.
+        field: the map, where positions are known.
+
+    Raises:
+        InputError: the format needs places and none are known, or a package for it is not installed.
+    """
+    if field is None and (form in NEED_PLACES or what == "cells"):
+        wanted = "a map" if what == "cells" else form.value
+        raise InputError(f"{wanted} needs to know where the machine was: give --track FILE")
+    if form is Format.ISOXML:
+        from tuberline.export.isoxml.task_data import write_taskdata
+
+        assert field is not None
+        with whole_output(out) as path:
+            write_taskdata(field, path, about=about(runs))
+        return sum(len(share.points.time_s) for share in field.shares)
+    table = _table(runs, what, field)
+    with whole_output(out) as path:
+        _write(table, runs, path, form)
+    return len(table.rows)
+
+
+def _table(runs: Sequence[Path], what: str, field: FieldMap | None) -> Table:
+    if what == "cells" and field is not None:
+        return cells_table(runs, field)
+    return loads_table(runs) if what == "loads" else tubers_table(runs, field)
+
+
+def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> None:
+    if form is Format.CSV:
+        from tuberline.export.text_files import write_csv
+
+        write_csv(table, path)
+    elif form is Format.GEOJSON:
+        from tuberline.export.text_files import write_geojson
+
+        _check_placed(table, form)
+        write_geojson(table, path)
+    elif form is Format.XLSX:
+        from tuberline.export.binary_files import write_xlsx
+
+        write_xlsx([table] if table.name == "loads" else [table, loads_table(runs)], path)
+    else:
+        from tuberline.export.binary_files import write_parquet
+
+        if form is Format.GEOPARQUET:
+            _check_placed(table, form)
+        write_parquet(table, path, geometry=form is Format.GEOPARQUET)
+
+
+def _check_placed(table: Table, form: Format) -> None:
+    if not table.placed:
+        raise InputError(f"{form} holds places, {table.name} have none: export tubers or cells, or choose csv")
