@@ -59,7 +59,6 @@ class Coverage:
 
     share: float | None
     belt_m: float
-    looked_at_m: float
     cameras: Mapping[str, float | None]
     unseen_m: Mapping[str, Mapping[Unseen, float]]
 
@@ -94,7 +93,7 @@ def coverage(sights: Mapping[str, CameraSight], *, seen_by: Mapping[frozenset[st
     high = max((own.end for own in placed.values()), default=0.0)
     belt_m = high - low
     if belt_m <= WHOLE:
-        return Coverage(None, 0.0, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
+        return Coverage(None, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
     stretches: dict[str, list[Stretch]] = {}
     unseen: dict[str, dict[Unseen, float]] = {}
     for name in sights:
@@ -106,7 +105,6 @@ def coverage(sights: Mapping[str, CameraSight], *, seen_by: Mapping[frozenset[st
     return Coverage(
         share=_snapped(share_seen(looked_lengths(stretches), belt_m=belt_m, shares=shares, seen_by=seen_by)),
         belt_m=belt_m,
-        looked_at_m=sum(own.sight.looked_at_m for own in placed.values()),
         cameras=dict(shares),
         unseen_m={name: {why: m for why, m in own.items() if m > WHOLE} for name, own in unseen.items()},
     )
