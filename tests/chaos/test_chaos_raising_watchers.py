@@ -125,9 +125,8 @@ def test_a_watcher_ends_on_every_fault_and_comes_back(
         wait_until(lambda: watchers.pid("alarms") is not None, what="alarms", timeout_s=60)
         # Two faults may come in two threads of one process at the same moment.
         ended = {(file.name.split()[0], file.read_text()) for file in raised.iterdir()}
-        assert watchers.crashes == {
-            name: sum(role == name for role, _ in ended) for name in ("page", "metrics", "alarms")
-        }
+        crashes = {name: sum(role == name for role, _ in ended) for name in ("page", "metrics", "alarms")}
+        wait_until(lambda: watchers.crashes == crashes, what=f"{crashes} restarts", timeout_s=30)
         assert watchers.failures == {}
 
 
