@@ -60,7 +60,6 @@ class Coverage:
 
     share: float | None
     belt_m: float
-    looked_at_m: float
     cameras: Mapping[str, float | None]
     unseen_m: Mapping[str, Mapping[Unseen, float]]
 
@@ -106,7 +105,7 @@ def coverage(
     first, last = max(low, window[0]), min(high, window[1])
     belt_m = last - first
     if belt_m <= WHOLE:
-        return Coverage(None, 0.0, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
+        return Coverage(None, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
     stretches: dict[str, list[Stretch]] = {}
     unseen: dict[str, dict[Unseen, float]] = {}
     for name in sights:
@@ -119,9 +118,6 @@ def coverage(
     return Coverage(
         share=_snapped(share_seen(looked_lengths(stretches), belt_m=belt_m, shares=shares, seen_by=seen_by)),
         belt_m=belt_m,
-        looked_at_m=sum(own.sight.looked_at_m for own in placed.values())
-        if window == ALL
-        else sum(share * belt_m for share in shares.values()),
         cameras=dict(shares),
         unseen_m={name: {why: m for why, m in own.items() if m > WHOLE} for name, own in unseen.items()},
     )

@@ -28,7 +28,8 @@ def load_state(
         sheets: newest balance sheet of each camera's frames, told by its segmenter beside its log.
     """
     waiting = [name for name, sight in sights.items() if sight.first_ns is None and name not in given_up]
-    saw = coverage.looked_at_m > 0 or count > 0
+    # Belt looked at that is in no tuber yet was not seen: of it there is no number either.
+    saw = bool(coverage.share) or count > 0
     if over:
         return (LoadState.ENDED, "") if saw else (LoadState.NOTHING_SEEN, _why(sights, sheets))
     if waiting:

@@ -23,6 +23,9 @@ evenly. What the count's own chance adds comes on top."""
 LEAST_COVERAGE = 1e-9
 """Of a share smaller than that no whole is computed: it would not be a finite number."""
 
+TUBER_M = 0.1
+"""Belt under one tuber."""
+
 UNEVEN = 0.7
 """Of the load of one metre of belt, standard deviation as a share of the mean, one metre independent of the next: an
 assumption; it widens the interval where little belt was seen, or little was not."""
@@ -86,9 +89,12 @@ class LoadTotals:
 
         The unseen part is known to `UNSEEN_SPREAD`, as evenly as the belt's metres are loaded (`UNEVEN`), and as the
         numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
-        sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen.
+        sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen; but the belt
+        under a tuber that was counted was.
         """
         low_g, high_g = self.interval_g()
+        if coverage is not None and self.sums.count and belt_m:
+            coverage = max(coverage, TUBER_M / belt_m)
         if not coverage or coverage >= 1.0:
             return self.weight_g, low_g, high_g
         coverage = max(coverage, LEAST_COVERAGE)

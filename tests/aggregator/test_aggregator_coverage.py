@@ -175,6 +175,9 @@ def test_no_number_without_sight() -> None:
         "no belt was found in the frames (28 of 30 frames)",
     )
     assert state_of({"a": CameraSight()}, given_up={"a"})[0] is LoadState.NOTHING_SEEN
+    early = look(np.arange(0, 101) * 0.03, [], estimated=False, final=False).sight
+    early.complete_ns = START_NS  # stopped before any of it was in a tuber: that is no load of 0 kg
+    assert state_of({"a": early}, over=True)[0] is LoadState.NOTHING_SEEN
     still = look(np.zeros(50), [], estimated=False, final=True).sight
     assert state_of({"a": still}, over=True) == (LoadState.NOTHING_SEEN, "the belt did not move")
 

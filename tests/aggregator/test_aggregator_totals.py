@@ -90,6 +90,17 @@ def test_full_coverage_estimates_what_was_seen() -> None:
     assert totals.estimated(None) == (totals.weight_g, *totals.interval_g())
 
 
+def test_tubers_on_belt_of_which_nothing_is_said_are_not_the_whole_load() -> None:
+    """A line stopped with nearly all of its tracks pending said 0 %, and as its estimate what it had counted."""
+    totals = load(12)
+    seen_g = totals.weight_g
+    estimated_g, low_g, high_g = totals.estimated(0.0, belt_m=5.0)
+    assert estimated_g == pytest.approx(seen_g * 50)
+    assert low_g < estimated_g / 2
+    assert high_g > 1.5 * estimated_g
+    assert totals.estimated(0.0, belt_m=0.05) == (seen_g, *totals.interval_g())
+
+
 def test_missed_belt_raises_the_estimate_and_widens_its_interval() -> None:
     totals = load(100)
     low_g, high_g = totals.interval_g()

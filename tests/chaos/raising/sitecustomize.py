@@ -32,7 +32,8 @@ def raising(work: Callable[..., Any], role: str, name: str, call: int) -> Callab
             calls += 1
             if calls == call:
                 try:
-                    (RAISED / f"{role} {name}").touch(exist_ok=False)
+                    with (RAISED / f"{role} {name}").open("x") as file:
+                        file.write(str(os.getpid()))
                 except FileExistsError:
                     return work(*args, **named)
                 raise RuntimeError(f"injected into {name} of the {role}")
