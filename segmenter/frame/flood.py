@@ -34,10 +34,10 @@ def _falling(levels: NDArray[np.uint16], counts: NDArray[np.int64], count: int) 
         starts[top - level + 1] = starts[top - level] + counts[level]
     order = np.empty(count, np.int32)
     for cell in range(len(levels)):
-        level = np.int64(levels[cell])
-        if level > 0:
-            order[starts[top - level]] = cell
-            starts[top - level] += 1
+        height = np.int64(levels[cell])
+        if height > 0:
+            order[starts[top - height]] = cell
+            starts[top - height] += 1
     return order
 
 
@@ -119,7 +119,7 @@ def flood(
                 if nodes[near, RELIEF] > highest:
                     highest = nodes[near, RELIEF]
                     home = near
-                meet |= first >= 0 and parent != first
+                meet = meet or (first >= 0 and parent != first)
                 first = parent
         if home < 0:
             nodes[cell, PARENT] = cell
