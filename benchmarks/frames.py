@@ -156,7 +156,7 @@ def _sender(way: str, endpoint: str) -> Iterator[Any]:
         deadline = time.monotonic() + WAIT_S
         while not publisher.has_listener:
             if time.monotonic() > deadline:
-                raise TimeoutError(f"nobody listens {way}")
+                raise TimeoutError(f"no one listens {way}")
             time.sleep(0.01)
         yield publisher.put
 

@@ -13,6 +13,8 @@ import argparse
 import json
 import os
 import platform
+import re
+import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -61,6 +63,8 @@ class Measured:
     """At the start and the end; the line's own processes are in it."""
     sheets: dict[str, Counters] = field(default_factory=dict)
     sheets_before: dict[str, Counters] = field(default_factory=dict)
+    router_bytes: int | None = None
+    """That the router received; None where no `ss` tells."""
     latencies: dict[str, list[float]] = field(default_factory=dict)
     tubers: int = 0
 
@@ -94,6 +98,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--regressors", type=int, default=2)
     parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
     parser.add_argument("--centroids", type=int, choices=(64,))
+    parser.add_argument("--direct", choices=("auto", "off"), default="auto", help="off: frames pass the router")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")
     return parser.parse_args(arguments)
@@ -132,7 +137,10 @@ def live_config(recording: Path, out: Path, options: argparse.Namespace) -> Line
     if options.centroids:
         regressor["centroids"] = options.centroids
     live: Mapping[str, Any] = {
-        "cameras": {name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False} for name in names},
+        "cameras": {
+            name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False, "direct": options.direct}
+            for name in names
+        },
         "segmenter": {"weigh_deadline_s": 60.0},
         "regressor": regressor,
         "aggregator": {"exit_when_final": False, "camera_stall_s": 10.0},
@@ -158,9 +166,12 @@ def measure(config: LineConfig, out: Path, *, warm_up_s: float, seconds: float) 
         from_ns, load_before = time.time_ns(), os.getloadavg()[0]
         measured.sheets_before = watcher.observer.nodes()
         before = {spec.name: cpu_s(supervisor.pid(spec.name)) for spec in specs}
-        begun = time.monotonic()
+        begun, bytes_before = time.monotonic(), received_bytes(supervisor.pid("router"))
         time.sleep(seconds)
         measured.seconds = time.monotonic() - begun
+        bytes_after = received_bytes(supervisor.pid("router"))
+        if bytes_before is not None and bytes_after is not None:
+            measured.router_bytes = bytes_after - bytes_before
         for spec in specs:
             pid = supervisor.pid(spec.name)
             used_s = cpu_s(pid) - before[spec.name]
@@ -184,6 +195,16 @@ def cpu_s(pid: int | None) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
+def received_bytes(pid: int | None) -> int | None:
+    """Bytes that the TCP sockets of a process, still open, have received; None where no `ss` tells."""
+    try:
+        listed = subprocess.run(["ss", "-tinpHO"], capture_output=True, text=True, check=True).stdout
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    own = [line for line in listed.splitlines() if f"pid={pid}," in line]
+    return sum(int(found[1]) for line in own if (found := re.search(r"bytes_received:(\d+)", line)))
+
+
 def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
     """Everything that was measured, as plain values."""
     hops = {
@@ -195,10 +216,21 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
         "machine": {"cores": os.cpu_count(), "machine": platform.machine(), "python": platform.python_version()},
         "asked": {
             name: getattr(options, name)
-            for name in ("cameras", "fps", "tubers_per_s", "regressors", "precision", "centroids", "seed", "seconds")
+            for name in (
+                "cameras",
+                "fps",
+                "tubers_per_s",
+                "regressors",
+                "precision",
+                "centroids",
+                "direct",
+                "seed",
+                "seconds",
+            )
         },
         "load_average": measured.load_average,
         "tubers_per_s": measured.tubers / measured.seconds,
+        "router_mb_per_s": None if measured.router_bytes is None else measured.router_bytes / 1e6 / measured.seconds,
         "cpu_percent": sum(usage.cpu_percent for usage in measured.usage.values()),
         "processes": {
             name: {"cpu_percent": usage.cpu_percent, "rss_mib": usage.rss_mib, "restarts": usage.restarts}

@@ -30,6 +30,8 @@ def markdown(report: Mapping[str, Any]) -> str:
         *(f"| {hop} | {t['p50_s']:.2f} | {t['p99_s']:.2f} | {t['n']} |" for hop, t in report["latency"].items()),
         "",
     ]
+    if report.get("router_mb_per_s") is not None:
+        lines += [f"The router received {report['router_mb_per_s']:.2f} MB/s (direct: {asked['direct']}).", ""]
     for name, books in report["segmenters"].items():
         lines.append(f"{name}: {_books(books)}.")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Where a camera's frames go: straight to its segmenter on the same host, and by the router to whoever else listens."""
+"""Where a camera's frames go: straight to its segmenter on the same host, by the router to all others who listen."""
 
 from __future__ import annotations
 

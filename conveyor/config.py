@@ -162,7 +162,7 @@ class SegmenterConfig(Section):
         1.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
     )
     spare_grace_s: float = Field(
-        0.15, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
+        0.08, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
     )
     weigh_deadline_s: float = Field(
         60.0,

@@ -2,7 +2,7 @@
 
 A frame of 1.8 MB that passes the router is received and sent once more, and a site's network ends at nine cameras. So
 where both ends run on one host, the segmenter listens on a socket of that host and the camera connects to it. Nothing
-but that camera's frames passes there; everything else, and frames for whoever looks from beyond, goes by the router.
+but that camera's frames passes there; everything else, and frames for who looks from beyond, goes by the router.
 The link is there or it is not: the segmenter takes no frames from the router meanwhile, and what it missed shows in
 their numbers, as on any link.
 """
@@ -61,14 +61,14 @@ class DirectLink:
             LinkError: the socket is taken or cannot be made.
         """
         settings = common_settings(link)
-        settings["scouting"]["delay"] = 0  # there is nobody to be found
+        settings["scouting"]["delay"] = 0  # there is no one to be found
         if listens:
             settings["listen"] = {"endpoints": [endpoint]}
         else:
             settings["listen"] = {"endpoints": []}
             settings["connect"] = {"endpoints": [endpoint], "timeout_ms": -1, "exit_on_failure": False, "retry": RETRY}
         try:
-            # Two peers and nothing between them: peers relay for nobody.
+            # Two peers and nothing between them: peers relay for no one.
             session = zenoh.open(zenoh.Config.from_json5(json.dumps({"mode": "peer", **settings})))
         except zenoh.ZError as error:
             raise LinkError(

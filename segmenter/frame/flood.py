@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
+MOST_LEVELS = 65535
+"""16 m of relief: what is higher is flooded as if it were as high."""
 RELIEF, PARENT = 0, 1
 """Columns of a node. Its relief stands there as its float32 bits, which order as the heights do where none is negative:
 so all that is asked of a neighbour lies in one place of the memory."""
@@ -24,20 +26,18 @@ def _find(nodes: NDArray[np.int32], node: Any) -> Any:
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _falling(levels: NDArray[np.int32], count: int, top: int) -> NDArray[np.int32]:
-    """Cells with a level above 0, highest level first: a counting sort."""
+def _falling(levels: NDArray[np.uint16], counts: NDArray[np.int64], count: int) -> NDArray[np.int32]:
+    """Cells with a level above 0, highest level first: a counting sort. `counts`: cells of each level."""
+    top = len(counts) - 1
     starts = np.zeros(top + 2, np.int64)
-    for level in levels:
-        if level > 0:
-            starts[top - level + 1] += 1
-    for index in range(1, top + 2):
-        starts[index] += starts[index - 1]
+    for level in range(top, 0, -1):
+        starts[top - level + 1] = starts[top - level] + counts[level]
     order = np.empty(count, np.int32)
     for cell in range(len(levels)):
-        level = levels[cell]
-        if level > 0:
-            order[starts[top - level]] = cell
-            starts[top - level] += 1
+        height = np.int64(levels[cell])
+        if height > 0:
+            order[starts[top - height]] = cell
+            starts[top - height] += 1
     return order
 
 
@@ -86,24 +86,29 @@ def flood(
     # A rim of one cell around the image, so that no neighbour needs a check of the border.
     rows, columns = relief_mm.shape
     width = columns + 2
-    levels = np.zeros((rows + 2) * width, np.int32)
-    relief = np.zeros((rows + 2) * width, np.float32)
-    count, top = 0, 0
+    highest_mm = np.float32(0.0)
+    for i in range(rows):
+        for j in range(columns):
+            if foreground[i, j]:
+                highest_mm = max(highest_mm, relief_mm[i, j])
+    # `PARENT` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
+    nodes = np.full(((rows + 2) * width, 2), np.int32(-1), np.int32)
+    relief = nodes.view(np.float32)
+    levels = np.zeros((rows + 2) * width, np.uint16)
+    counts = np.zeros(min(int(highest_mm / LEVEL_MM) + 1, MOST_LEVELS) + 1, np.int64)
+    count = 0
     for i in range(rows):
         for j in range(columns):
             if foreground[i, j]:
                 cell = (i + 1) * width + j + 1
-                relief[cell] = relief_mm[i, j]
-                level = max(0, int(relief_mm[i, j] / LEVEL_MM)) + 1
+                relief[cell, RELIEF] = relief_mm[i, j]
+                level = min(max(0, int(relief_mm[i, j] / LEVEL_MM)) + 1, MOST_LEVELS)
                 levels[cell] = level
-                top = max(top, level)
+                counts[level] += 1
                 count += 1
-    order = _falling(levels, count, top)
+    order = _falling(levels, counts, count)
     peaks = np.empty(count, np.int32)
     found = 0
-    # `PARENT` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
-    nodes = np.full(((rows + 2) * width, 2), np.int32(-1), np.int32)
-    nodes[:, RELIEF] = relief.view(np.int32)
     for cell in order:
         # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
         home, highest, first, meet = np.int32(-1), np.int32(-1), np.int32(-1), False
@@ -114,7 +119,7 @@ def flood(
                 if nodes[near, RELIEF] > highest:
                     highest = nodes[near, RELIEF]
                     home = near
-                meet |= first >= 0 and parent != first
+                meet = meet or (first >= 0 and parent != first)
                 first = parent
         if home < 0:
             nodes[cell, PARENT] = cell
@@ -131,9 +136,9 @@ def flood(
             if nodes[near, PARENT] >= 0 and nodes[near, PARENT] != root:
                 other = _find(nodes, near)
                 if other != root:
-                    low, high = (other, root) if relief[other] < relief[root] else (root, other)
+                    low, high = (other, root) if nodes[other, RELIEF] < nodes[root, RELIEF] else (root, other)
                     # The lower peak hardly rises over the pass: no tuber of its own.
-                    if relief[low] - relief[cell] < max(least_mm, share * relief[low]):
+                    if relief[low, RELIEF] - relief[cell, RELIEF] < max(least_mm, share * relief[low, RELIEF]):
                         nodes[low, PARENT] = high
                         root = high
     return _named(nodes, peaks[:found], foreground)

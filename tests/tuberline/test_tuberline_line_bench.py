@@ -118,5 +118,6 @@ def test_shipped_settings_let_a_tuber_be_committed_within_a_second_of_the_virtua
     assert len(line.logged) == len({track.track_id for track in line.logged})
     arrived = line.run.dispatcher.requeued[Requeue.LOST_ON_THE_WAY] + line.run.dispatcher.requeued[Requeue.DEADLINE]
     lost_views = sum(worker.link.lost for worker in line.crew.values())  # type: ignore[attr-defined]
-    assert lost_views - 4 <= arrived, "a lost view was never missed"
+    given_up = line.lost.get("late", 0)  # a spare view may be too late before it is missed
+    assert lost_views - 4 <= arrived + given_up, "a lost view was never missed"
     assert (lost_views > 0) == (lost > 0)

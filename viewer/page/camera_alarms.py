@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from conveyor.reasons import ViewLoss
 from viewer.page.state import LineState, NodeState
 from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, plain, span
 
@@ -100,7 +101,7 @@ def _frames(camera: str, source: NodeState | None, segmenter: NodeState, *, wait
 def _views(camera: str, segmenter: NodeState) -> Iterator[Found]:
     for counter, seconds in sorted(segmenter.growing_s.items()):
         reason = counter.removeprefix("views_lost_")
-        if reason == counter or seconds < BRIEF_S:
+        if reason in (counter, ViewLoss.NOT_CHOSEN) or seconds < BRIEF_S:  # what was not chosen is missed by no one
             continue
         words = VIEW_LOSSES.get(reason)
         if words is None:
