@@ -152,6 +152,9 @@ def test_killed_at_the_change_every_tuber_is_in_its_load(line: tuple[LineConfig,
     places = [first.place_x_m, second.place_x_m, third.place_x_m]
     assert found[1] == sum(t.x_m >= places[1] for t in told.seen())
     assert found[2] == sum(places[2] <= t.x_m < places[1] for t in told.seen())
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert {load["name"]: load["count"] for load in summary["loads"]} == {"A": found[1], "B": found[2], "C": found[3]}
+    assert "load" not in summary["totals"], "none is open"
     shown = subprocess.run(
         [sys.executable, "-m", "tuberline", "load", "show", "--ledger", str(out), "--json"],
         cwd=ROOT, capture_output=True, text=True, check=True,
