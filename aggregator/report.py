@@ -163,7 +163,10 @@ class Reporter:
         run = self._core.run
         table = not in_haste or self._ledger.sums(run).load.count <= TABLE_IN_HASTE
         if table:
-            write_whole(folder / "tubers.csv", tubers_csv(_in_turns(self._ledger.tubers(run), turn)))
+            write_whole(
+                folder / "tubers.csv",
+                tubers_csv(_in_turns(self._ledger.tubers(run), turn), self._ledger.loads.spans.get(run, ())),
+            )
         write_whole(folder / "summary.json", self.summary_text(now_s))
         return table
 

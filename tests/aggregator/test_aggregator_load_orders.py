@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -155,6 +157,8 @@ def test_killed_at_the_change_every_tuber_is_in_its_load(line: tuple[LineConfig,
     summary = json.loads((config.aggregator.out / "summary.json").read_text())
     assert {load["name"]: load["count"] for load in summary["loads"]} == {"A": found[1], "B": found[2], "C": found[3]}
     assert "load" not in summary["totals"], "none is open"
+    with (config.aggregator.out / "tubers.csv").open(newline="") as file:
+        assert Counter(int(row["load"]) for row in csv.DictReader(file)) == Counter(found)
     shown = subprocess.run(
         [sys.executable, "-m", "tuberline", "load", "show", "--ledger", str(out), "--json"],
         cwd=ROOT, capture_output=True, text=True, check=True,
