@@ -57,6 +57,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
     table = Table("", "load", "began", "ended", "tubers", "kg (90 %)", "seen", "ticket kg", box=None)
     for column in (table.columns[0], *table.columns[2:]):
         column.no_wrap = True
+    table.columns[1].min_width = 14
     for load in loads:
         said = [load["name"], *(load[name] for name in DESCRIBED)]
         table.add_row(
@@ -65,8 +66,8 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             _clock(load["began_unix_s"], "%m-%d %H:%M"),
             _ended(load),
             str(load["count"]),
-            f"{load['estimated_weight_g'] / 1000:.2f} ({load['estimated_low_g'] / 1000:.2f} to "
-            f"{load['estimated_high_g'] / 1000:.2f})",
+            f"{load['estimated_weight_g'] / 1000:.2f} ± "
+            f"{(load['estimated_high_g'] - load['estimated_low_g']) / 2000:.2f}",
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
