@@ -54,7 +54,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
         return
-    table = Table("", "load", "began", "ended", "tubers", "kg (90 %)", "seen", "ticket kg", box=None)
+    table = Table("", "load", "began", "ended", "tubers", "kg (90 %)", "seen", "ticket", box=None)
     for column in (table.columns[0], *table.columns[2:]):
         column.no_wrap = True
     table.columns[1].min_width = 14
