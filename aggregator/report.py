@@ -12,6 +12,7 @@ from aggregator.calibration.tickets import Ticket, read_tickets
 from aggregator.core.coverage import Coverage, Moment, coverage
 from aggregator.core.load_state import load_state
 from aggregator.core.load_told import load_now
+from aggregator.core.loads import Load
 from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
@@ -26,6 +27,7 @@ from conveyor.config import BeltConfig, LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.messages import LoadNow, Totals, Tuber
+from conveyor.messages.base import plain
 
 TABLE_IN_HASTE = 5_000
 """Rows of tubers.csv that are written within the time a process has to stop."""
@@ -87,8 +89,9 @@ class Reporter:
     def open_load(self, now_s: float) -> LoadNow | None:
         """The load that is open, by its own sums; None where none is."""
         load = self._ledger.loads.open_load(self._core.run)
-        if load is None:
-            return None
+        return None if load is None else self._told(load, now_s)
+
+    def _told(self, load: Load, now_s: float) -> LoadNow:
         return load_now(
             load,
             count_load(self._ledger, load, self._seen(now_s)),
@@ -128,7 +131,7 @@ class Reporter:
         if run is None:
             raise LedgerError(f"run '{self._core.run}' is not in ledger {self._ledger.path}")
         sums = self._ledger.sums(run.run)
-        return summarise(
+        told = summarise(
             self.totals(now_s),
             line=self._config.name,
             version=__version__,
@@ -140,6 +143,12 @@ class Reporter:
             tubers={"committed": sums.load.count, "merged": sums.load.merged, "late": sums.load.late},
             belt=self._config.belt.model_dump(),
         )
+        return told | ({"loads": loads} if (loads := self._loads(now_s)) else {})
+
+    def _loads(self, now_s: float) -> list[dict[str, Any]]:
+        """The loads that have belt in this run, as `conveyor.messages.LoadNow` has them; oldest first."""
+        own = [load for load in self._ledger.loads.loads.values() if self._core.run in (run for run, _ in load.spans)]
+        return [plain(self._told(load, now_s)) for load in own]
 
     def summary_text(self, now_s: float) -> str:
         """The summary as JSON."""
@@ -156,7 +165,10 @@ class Reporter:
         run = self._core.run
         table = not in_haste or self._ledger.sums(run).load.count <= TABLE_IN_HASTE
         if table:
-            write_whole(folder / "tubers.csv", tubers_csv(_in_turns(self._ledger.tubers(run), turn)))
+            write_whole(
+                folder / "tubers.csv",
+                tubers_csv(_in_turns(self._ledger.tubers(run), turn), self._ledger.loads.spans.get(run, ())),
+            )
         write_whole(folder / "summary.json", self.summary_text(now_s))
         return table
 

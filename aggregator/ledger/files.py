@@ -5,9 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from aggregator.core.loads import Span, span_of
 from conveyor.errors import StorageError, TuberlineError
 from conveyor.messages import Tuber
 
@@ -30,11 +31,12 @@ COLUMNS = (
 )
 
 
-def tubers_csv(tubers: Iterable[Tuber]) -> Iterator[str]:
-    """The lines of a table with one row per tuber; lists are joined with blanks."""
+def tubers_csv(tubers: Iterable[Tuber], spans: Sequence[Span] = ()) -> Iterator[str]:
+    """The lines of a table with one row per tuber; lists are joined with blanks. Where loads changed in the run, with
+    these `spans`, a last column has the number of the tuber's load, 0 for none."""
     line = io.StringIO()
     writer = csv.writer(line, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow((*COLUMNS, "load") if spans else COLUMNS)
     for tuber in tubers:
         yield line.getvalue()
         line.seek(0)
@@ -56,6 +58,7 @@ def tubers_csv(tubers: Iterable[Tuber]) -> Iterator[str]:
                 tuber.model,
                 " ".join(tuber.flags),
                 tuber.crossed_ns,
+                *([span_of(spans, tuber.place_x_m).load] if spans else []),
             )
         )
     yield line.getvalue()

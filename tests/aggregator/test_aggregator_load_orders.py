@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -152,6 +154,11 @@ def test_killed_at_the_change_every_tuber_is_in_its_load(line: tuple[LineConfig,
     places = [first.place_x_m, second.place_x_m, third.place_x_m]
     assert found[1] == sum(t.x_m >= places[1] for t in told.seen())
     assert found[2] == sum(places[2] <= t.x_m < places[1] for t in told.seen())
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert {load["name"]: load["count"] for load in summary["loads"]} == {"A": found[1], "B": found[2], "C": found[3]}
+    assert "load" not in summary["totals"], "none is open"
+    with (config.aggregator.out / "tubers.csv").open(newline="") as file:
+        assert Counter(int(row["load"]) for row in csv.DictReader(file)) == Counter(found)
     shown = subprocess.run(
         [sys.executable, "-m", "tuberline", "load", "show", "--ledger", str(out), "--json"],
         cwd=ROOT, capture_output=True, text=True, check=True,

@@ -54,17 +54,18 @@ def _print(found: list[Total], refused: list[str], by: str) -> None:
     from rich.text import Text
 
     console = Console()
-    table = Table(by, "loads", "tubers", "raw kg", "kg", "90 %", "belt seen", "on scales kg", box=None)
+    table = Table(by, "loads", "tubers", "raw kg", "kg (90 %)", "seen", "on scales kg", box=None)
+    for column in table.columns[1:]:
+        column.no_wrap = True
     for total in found:
         sums = total.sums
-        scales = f"{total.net_g / 1000:.1f} ({total.weighed} of {total.loads})" if total.weighed else ""
+        scales = f"{total.net_g / 1000:.1f} ({total.weighed} of {total.loads})" if total.weighed else "-"
         table.add_row(
             Text(total.label),
             str(total.loads),
             str(sums.tubers),
             f"{total.raw_g / 1000:.2f}",
-            f"{sums.estimated_g / 1000:.2f}",
-            f"{sums.low_g / 1000:.2f} to {sums.high_g / 1000:.2f}",
+            f"{sums.estimated_g / 1000:.2f} ({sums.low_g / 1000:.2f} to {sums.high_g / 1000:.2f})",
             "-" if sums.coverage is None else f"{100 * sums.coverage:.1f} %",
             scales,
         )

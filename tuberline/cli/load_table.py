@@ -54,17 +54,20 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
         return
-    table = Table("", "load", "began", "ended", "tubers", "kg", "90 %", "belt seen", "ticket kg", box=None)
+    table = Table("", "load", "began", "ended", "tubers", "kg (90 %)", "seen", "ticket", box=None)
+    for column in (table.columns[0], *table.columns[2:]):
+        column.no_wrap = True
+    table.columns[1].min_width = 14
     for load in loads:
         said = [load["name"], *(load[name] for name in DESCRIBED)]
         table.add_row(
             str(load["number"]),
             Text(", ".join(filter(None, said))),
-            _clock(load["began_unix_s"]),
-            "undone" if load["undone"] else _clock(load["ended_unix_s"]) if not load["open"] else "open",
+            _clock(load["began_unix_s"], "%m-%d %H:%M"),
+            _ended(load),
             str(load["count"]),
-            f"{load['estimated_weight_g'] / 1000:.2f}",
-            f"{load['estimated_low_g'] / 1000:.2f} to {load['estimated_high_g'] / 1000:.2f}",
+            f"{load['estimated_weight_g'] / 1000:.2f} ± "
+            f"{(load['estimated_high_g'] - load['estimated_low_g']) / 2000:.2f}",
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
@@ -81,5 +84,11 @@ def print_load(load: dict[str, Any]) -> None:
         console.print(Text(f"its ticket does not calibrate: {refused}"))
 
 
-def _clock(unix_s: float | None) -> str:
-    return "-" if unix_s is None else time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(unix_s))
+def _ended(load: dict[str, Any]) -> str:
+    if load["undone"] or load["open"]:
+        return "undone" if load["undone"] else "open"
+    return "its run" if load["ended_unix_s"] is None else _clock(load["ended_unix_s"], "%H:%M")
+
+
+def _clock(unix_s: float, form: str = "%Y-%m-%d %H:%M:%S") -> str:
+    return time.strftime(form, time.localtime(unix_s))
