@@ -23,6 +23,7 @@ from conveyor import __version__
 from conveyor.config import BeltConfig, LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
+from conveyor.layers import layers_in_words
 from conveyor.messages import Totals, Tuber
 
 TABLE_IN_HASTE = 5_000
@@ -70,7 +71,7 @@ class Reporter:
             sheets=self.sheets,
         )
         return LoadTotals(
-            sums.load, self._tickets, prior=_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
+            sums.load, self._tickets, prior=stated_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
         ).message(
             self._core.run,
             coverage=seen.share,
@@ -125,11 +126,12 @@ class Reporter:
         totals = self.totals(now_s)
         if totals.state == LoadState.NOTHING_SEEN:
             return f"nothing seen: {totals.reason}; final={totals.final}"
+        layers = layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
-            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
+            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}{layers and '; ' + layers}"
         )
 
 
@@ -140,7 +142,7 @@ def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tub
         yield tuber
 
 
-def _prior(belt: BeltConfig) -> Prior:
+def stated_prior(belt: BeltConfig) -> Prior:
     """What the line states of its resting level; as wide as before any calibration where it does not say how well."""
     if belt.resting_sd_mm is None:
         return Prior(stated_offset_mm=belt.resting_offset_mm)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.core.layers import LayerSums
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -36,6 +37,7 @@ class LoadSums:
     merged: int = 0
     late: int = 0
     classes: list[int] = field(default_factory=list)
+    layers: LayerSums = field(default_factory=LayerSums)
     _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
 
     def add(self, tuber: Tuber) -> None:
@@ -50,6 +52,7 @@ class LoadSums:
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
+        self.layers.add(tuber)
         bin_ = min(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), HISTOGRAM_CLASSES - 1)
         self.classes += [0] * (bin_ + 1 - len(self.classes))
         self.classes[bin_] += 1
@@ -108,6 +111,7 @@ class LoadSums:
             "merged": self.merged,
             "late": self.late,
             "classes": self.classes,
+            "layers": self.layers.plain(),
         }
 
     @classmethod
@@ -118,6 +122,7 @@ class LoadSums:
                 **plain,
                 "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
                 "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
+                "layers": LayerSums.from_plain(plain["layers"]) if "layers" in plain else LayerSums(),
             }
         )
 

@@ -17,6 +17,7 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
+from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers, evidence
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import Candidate, size_m
@@ -49,6 +50,7 @@ class TrackDecider:
         self._perception = perception
         self._belt_sd_m = belt_sd_m
         self._resting = resting
+        self._layers = BeltLayers()
 
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
         """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones."""
@@ -97,12 +99,17 @@ class TrackDecider:
         if reason is not None:
             return RefusedTrack(reason)
         track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
+        high_m = self._layers.support_m(track.rims, _around(track, now.tracker))
         views = tuple(
-            _view(candidate, rank, track_id, now.frame, self._belt_sd_m).resting_on(self._resting)
+            _view(candidate, rank, track_id, now.frame, self._belt_sd_m).resting_on(
+                _level(self._resting, min(high_m, MOST_OF_TOP * candidate.height_m))
+            )
             for rank, candidate in enumerate(chosen)
         )
         under_m = float(np.median([view.resting_offset_m for view in views]))
-        message = _message(track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m)
+        message = _message(
+            track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m, high_m=high_m
+        )
         try:
             check_part(message)
         except UnsendableError:
@@ -116,8 +123,22 @@ class TrackDecider:
         else:
             track.state = State.COUNTED
             self.counted += 1
+            if (said := evidence(track.rims)) is not None:
+                self._layers.learn(said)
         track.shelf.clear()
         track.patch = Patch()
+
+
+def _around(track: TrackState, tracker: Tracker) -> list[float]:
+    """Evidence of lying on others of the tracks around one along the belt."""
+    near = [t for t in tracker.tracks if t is not track and abs(t.place_x_m - track.place_x_m) <= AROUND_M]
+    said = [evidence(t.rims) for t in near if t.state is not State.DISCARDED]
+    return [one for one in said if one is not None]
+
+
+def _level(resting: RestingLevel, high_m: float) -> RestingLevel:
+    """Where the underside of a tuber is: at the line's resting level, or on those that it lies on."""
+    return resting if high_m == 0 else RestingLevel(offset_m=-high_m, sd_m=SUPPORT_SD_M)
 
 
 def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
@@ -128,11 +149,20 @@ def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
 
 
 def _message(
-    track: TrackState, at: Crossing, now: Moment, *, track_id: str, length_m: float, width_m: float, under_m: float
+    track: TrackState,
+    at: Crossing,
+    now: Moment,
+    *,
+    track_id: str,
+    length_m: float,
+    width_m: float,
+    under_m: float,
+    high_m: float,
 ) -> Track:
     """The track as it is logged, in the message's millimetres and millilitres.
 
-    `under_m`: how far its underside lies below the belt plane that heights and volumes are measured from.
+    `under_m`: how far its underside lies below the belt plane that heights and volumes are measured from. `high_m`: how
+    high it lies on others.
     """
     usual = [hit for hit in track.hits if hit.whole] or track.hits
     return Track(
@@ -147,12 +177,13 @@ def _message(
         last_seq=track.last_seq,
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
-        height_mm=(float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
-        visible_volume_ml=(float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
+        height_mm=max(0.0, float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
+        visible_volume_ml=max(0.0, float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
         whole=any(hit.whole for hit in track.hits),
         views_sent=0,
         views=(),
         views_lost={},
+        support_mm=high_m * 1e3,
     )
 
 

@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, Totals
 
 _SHOWN = {
@@ -107,6 +108,8 @@ def totals_panel(totals: Totals | None) -> Panel:
         f"[bold]{totals.weight_g / 1000:8.2f} kg[/] ± {half_g / 1000:.2f}   [bold]{totals.count}[/] tubers   "
         f"{totals.tubers_per_s:.1f}/s   belt seen {coverage}"
     )
+    if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
+        text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
     return Panel(text, title=title)
