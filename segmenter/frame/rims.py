@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 STEP_MM = 1.0
-STEPS = 128
-"""Of the histograms of heights; the raster ends at 127 mm."""
+STEPS = 256
+"""Of the histograms of heights."""
 
 INNER_MM = (2.4, 3.8)
 EDGE_MM = (0.0, 1.5)
@@ -74,11 +74,11 @@ def _rings(
                     step = 3 if di == 0 or dj == 0 else 4
                     best = min(best, step if (labels[y, x] == label) != inside else away[y, x] + step)
             away[i, j] = best
-    counts = np.zeros((3, 128), np.int64)
+    counts = np.zeros((3, 256), np.int64)
     for i in range(rows):
         for j in range(columns):
             distance = away[i, j] / 3.0
-            height = min(127, max(0, int(height_mm[i, j])))
+            height = min(255, max(0, int(height_mm[i, j])))
             if labels[i, j] == label:
                 if bounds[0, 0] < distance <= bounds[0, 1]:
                     counts[0, height] += 1
