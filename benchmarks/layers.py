@@ -74,7 +74,7 @@ def cases(tubers: int, first_seed: int = FIRST_SEED) -> list[Case]:
 def main(arguments: Sequence[str]) -> None:
     """Simulate, count, weigh and print a Markdown table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks layers", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=100, help="of each belt")
+    parser.add_argument("--tubers", type=int, default=60, help="of each belt")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
     parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
     parser.add_argument("--out", type=Path, default=Path("out/layers"), help="where recordings are kept")

@@ -22,23 +22,13 @@ from numpy.typing import NDArray
 
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
+from conveyor import load_spread
+from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM
 
 Floats = NDArray[np.float64]
 
-OFFSET_SD_MM = 4.0
-"""Of the resting offset where nothing is stated. Belts from -2 to +8 mm are real (one tuber measured: 5 to 9); their
-root mean square about a stated 0 is 4.2 mm. 3 mm would hold 75 % of them in its 90 % interval."""
-
-FACTOR_SD = 0.03
-"""Of density, depth scale within 1 % (3 % of a volume at most) and what weights misjudge in all tubers."""
-
-CULTIVAR_SD = 0.02
-"""Of a cultivar's own shape and density beyond that (median densities of three cultivars span 2.4 %)."""
-
-LOAD_SDS = np.array([0.004, 0.008, 0.013, 0.020, 0.030])
-LOAD_SD_CHANCES = np.array([0.05, 0.15, 0.25, 0.35, 0.20])
-"""What s_load may be, and how likely each is before any ticket: root mean square 1.9 %, so that intervals also hold for
-loads that differ by 1.5 %. An assumption, for no ticket of a real load was at hand; tickets teach it."""
+LOAD_SDS = np.array(load_spread.LOAD_SDS)
+LOAD_SD_CHANCES = np.array(load_spread.LOAD_SD_CHANCES)
 
 KNOWN_SD = 1e-4
 """What is stated as known exactly is known to this (0.1 um, 0.01 %)."""

@@ -1,0 +1,20 @@
+"""What a load's tubers share: the ledger and the evaluation of weights state the same width before any ticket."""
+
+from __future__ import annotations
+
+import pytest
+
+from aggregator.calibration.apply import calibrated
+from aggregator.calibration.correction import Prior
+from conveyor.load_spread import OFFSET_SD_MM, SHARE_PER_MM, shared_sd_share
+
+
+@pytest.mark.parametrize("offset_sd_mm", [0.3, 1.5, OFFSET_SD_MM])
+def test_ledger_and_evaluation_state_the_same_width(offset_sd_mm: float) -> None:
+    found = calibrated(
+        {("pointraft", "m"): 10_000.0},
+        per_mm_g=SHARE_PER_MM * 10_000.0,
+        own_variance_g2=(0.0, 0.0),
+        prior=Prior(offset_sd_mm=offset_sd_mm),
+    )
+    assert found.high_sd_g / found.weight_g == pytest.approx(shared_sd_share(offset_sd_mm), rel=1e-6)
