@@ -84,7 +84,15 @@ class LoadTotals:
         return NORMAL_90 * math.sqrt(self.sums.low_variance_g2), NORMAL_90 * math.sqrt(self.sums.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
-        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share."""
+        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share.
+
+        What lies under others passed the camera too: where tubers do, the interval reaches up to all of it.
+        """
+        low_g, high_g = self._seen_g()
+        return low_g, max(high_g, self.estimated(None)[2]) if self.hidden().weight_g > 0 else high_g
+
+    def _seen_g(self) -> tuple[float, float]:
+        """The same without what lies under others."""
         seen, on_others_g = self.calibrated(), self.hidden().support_sd_g
         low_sd_g, high_sd_g = math.hypot(seen.low_sd_g, on_others_g), math.hypot(seen.high_sd_g, on_others_g)
         return max(0.0, seen.weight_g - NORMAL_90 * low_sd_g), seen.weight_g + NORMAL_90 * high_sd_g
@@ -96,7 +104,7 @@ class LoadTotals:
         numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
         sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen.
         """
-        (low_g, high_g), under = self.interval_g(), self.hidden()
+        (low_g, high_g), under = self._seen_g(), self.hidden()
         there_g = self.weight_g + under.weight_g
         hidden_g = NORMAL_90 * under.weight_sd_g
         below_g, above_g = math.hypot(self.weight_g - low_g, hidden_g), math.hypot(high_g - self.weight_g, hidden_g)

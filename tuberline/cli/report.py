@@ -85,6 +85,13 @@ def print_score(console: Console, score: dict[str, Any]) -> None:
         f"{score['weight_g'] / 1000:.3f} kg",
         f"{score['weight_error_percent']:+.1f} %",
     )
+    if score["estimated_weight_g"] != score["weight_g"]:
+        table.add_row(
+            "load as estimated",
+            f"{score['true_weight_g'] / 1000:.3f} kg",
+            f"{score['estimated_weight_g'] / 1000:.3f} kg",
+            f"{score['estimated_error_percent']:+.1f} %",
+        )
     console.print(table)
     console.print(
         f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; per tuber "
