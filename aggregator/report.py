@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from aggregator.calibration.correction import Prior
+from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import read_tickets
 from aggregator.core.coverage import Coverage, coverage
 from aggregator.core.load_state import load_state
@@ -20,7 +20,7 @@ from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
-from conveyor.config import BeltConfig, LineConfig
+from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.layers import layers_in_words
@@ -70,9 +70,8 @@ class Reporter:
             given_up=cameras.given_up(now_s),
             sheets=self.sheets,
         )
-        return LoadTotals(
-            sums.load, self._tickets, prior=stated_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
-        ).message(
+        prior, cultivar = prior_told(told_belt(self._config)), self._config.aggregator.cultivar
+        return LoadTotals(sums.load, self._tickets, prior=prior, cultivar=cultivar).message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -99,7 +98,7 @@ class Reporter:
             models=sums.load.models(),
             methods=sums.load.methods(),
             tubers={"committed": sums.load.count, "merged": sums.load.merged, "late": sums.load.late},
-            belt=self._config.belt.model_dump(),
+            belt=told_belt(self._config),
         )
 
     def summary_text(self, now_s: float) -> str:
@@ -142,8 +141,6 @@ def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tub
         yield tuber
 
 
-def stated_prior(belt: BeltConfig) -> Prior:
-    """What the line states of its resting level; as wide as before any calibration where it does not say how well."""
-    if belt.resting_sd_mm is None:
-        return Prior(stated_offset_mm=belt.resting_offset_mm)
-    return Prior(stated_offset_mm=belt.resting_offset_mm, offset_sd_mm=belt.resting_sd_mm)
+def told_belt(config: LineConfig) -> dict[str, Any]:
+    """What tubers lie on, and how well the belt plane is known: as the summary has it."""
+    return {**config.belt.model_dump(), "plane_sd_mm": config.segmenter.belt_sd_mm}

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from aggregator.calibration.correction import prior_told
 from aggregator.core.coverage import Moment, coverage
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.machine import Aggregation, CommittedTuber
 from aggregator.core.totals import LoadTotals
-from aggregator.report import stated_prior
+from aggregator.report import told_belt
 from aggregator.scoring.score import Score, score_tubers
 from aggregator.scoring.truth import read_truth
 from conveyor.config import LineConfig, parse_config
@@ -110,7 +111,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     sums = LoadSums(config.aggregator.histogram_step_g)
     for tuber in batch.tubers:
         sums.add(tuber)
-    totals = LoadTotals(sums, prior=stated_prior(config.belt)).message(
+    totals = LoadTotals(sums, prior=prior_told(told_belt(config))).message(
         RUN, coverage=seen.share, cameras={}, final=True, belt_m=seen.belt_m
     )
     return LineResult(batch.tubers, seen.share, estimated, dict(sorted(discarded.items())), belt_off_mm, totals)

@@ -13,9 +13,11 @@ and w is not, and regressing t on a noisy w would make an offset of mere noise. 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,19 @@ class Prior:
     offset_sd_mm: float = OFFSET_SD_MM
     factor_sd: float = FACTOR_SD
     cultivar_sd: float = CULTIVAR_SD
+
+
+def prior_told(belt: Mapping[str, Any]) -> Prior:
+    """What a line states of its resting level: section `belt` of its config or summary, with `plane_sd_mm`.
+
+    As wide as before any calibration where it does not say how well. What it states lies under the belt plane, and that
+    is as well known as the views' own intervals take it to be.
+    """
+    offset_mm, sd_mm = float(belt.get("resting_offset_mm") or 0.0), belt.get("resting_sd_mm")
+    if sd_mm is None:
+        return Prior(stated_offset_mm=offset_mm)
+    both_mm = min(math.hypot(float(sd_mm), float(belt.get("plane_sd_mm") or 0.0)), OFFSET_SD_MM)
+    return Prior(stated_offset_mm=offset_mm, offset_sd_mm=max(both_mm, float(sd_mm)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from json import loads
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from aggregator.calibration.correction import Prior
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import (
@@ -111,7 +111,7 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         match_mm=match_mm,
         travel_estimated=estimated,
         coverage=share,
-        prior=Prior() if told is None else _prior(loads(told).get("belt") or {}),
+        prior=Prior() if told is None else prior_told(loads(told).get("belt") or {}),
     )
 
 
@@ -168,12 +168,6 @@ def score_tubers(
         double_ids=tuple(tubers[i].tuber_id for i in found.doubles),
         false_ids=tuple(tubers[i].tuber_id for i in found.false),
     )
-
-
-def _prior(belt: Mapping[str, Any]) -> Prior:
-    """What the line stated of its resting level, as its summary has it."""
-    offset_mm, sd_mm = float(belt.get("resting_offset_mm") or 0.0), belt.get("resting_sd_mm")
-    return Prior(offset_mm) if sd_mm is None else Prior(offset_mm, offset_sd_mm=float(sd_mm))
 
 
 def _error_percent(found: float, true: float) -> float | None:
