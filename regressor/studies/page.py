@@ -21,10 +21,15 @@ model card are both made from it (`make docs`).
 """
 
 
-WORLDS_COMMANDS = """tuberline simulate-views --out PACK --tubers 1250 --views 2 --seed SEED --preset PRESET
-    tuberline evaluate --data PACKS --by all --out worlds"""
-WORLDS_WORDS = """A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger
-states a load's before any ticket, with the resting level as well known as the pack says. `harsh` has 2500 tubers."""
+WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 61701 --preset easy
+    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 61702 --preset field
+    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 61703 --preset harsh
+    tuberline evaluate --data packs --by all --out worlds"""
+WORLDS_WORDS = (
+    "A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger states a "
+    "load's before any ticket, with the resting level as well known as the pack says. Nothing was chosen on these "
+    "sets, but they have been looked at."
+)
 
 
 def evaluation_page(
