@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from aggregator.calibration.correction import Prior
+from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import Ticket, read_tickets
 from aggregator.core.coverage import Coverage, Moment, coverage
 from aggregator.core.load_state import load_state
@@ -23,9 +23,10 @@ from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
-from conveyor.config import BeltConfig, LineConfig
+from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
+from conveyor.layers import layers_in_words
 from conveyor.messages import LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
@@ -96,7 +97,7 @@ class Reporter:
             load,
             count_load(self._ledger, load, self._seen(now_s)),
             self._tickets(now_s),
-            prior=_prior(self._config.belt),
+            prior=prior_told(told_belt(self._config)),
             cultivar=self._config.aggregator.cultivar,
         )
 
@@ -111,9 +112,8 @@ class Reporter:
             given_up=cameras.given_up(now_s),
             sheets=self.sheets,
         )
-        return LoadTotals(
-            sums.load, self._tickets(now_s), prior=_prior(self._config.belt), cultivar=self._config.aggregator.cultivar
-        ).message(
+        prior, cultivar = prior_told(told_belt(self._config)), self._config.aggregator.cultivar
+        return LoadTotals(sums.load, self._tickets(now_s), prior=prior, cultivar=cultivar).message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -141,7 +141,7 @@ class Reporter:
             models=sums.load.models(),
             methods=sums.load.methods(),
             tubers={"committed": sums.load.count, "merged": sums.load.merged, "late": sums.load.late},
-            belt=self._config.belt.model_dump(),
+            belt=told_belt(self._config),
         )
         return told | ({"loads": loads} if (loads := self._loads(now_s)) else {})
 
@@ -177,11 +177,12 @@ class Reporter:
         totals = self.totals(now_s)
         if totals.state == LoadState.NOTHING_SEEN:
             return f"nothing seen: {totals.reason}; final={totals.final}"
+        layers = layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
-            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
+            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}{layers and '; ' + layers}"
         )
 
 
@@ -192,8 +193,6 @@ def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tub
         yield tuber
 
 
-def _prior(belt: BeltConfig) -> Prior:
-    """What the line states of its resting level; as wide as before any calibration where it does not say how well."""
-    if belt.resting_sd_mm is None:
-        return Prior(stated_offset_mm=belt.resting_offset_mm)
-    return Prior(stated_offset_mm=belt.resting_offset_mm, offset_sd_mm=belt.resting_sd_mm)
+def told_belt(config: LineConfig) -> dict[str, Any]:
+    """What tubers lie on, and how well the belt plane is known: as the summary has it."""
+    return {**config.belt.model_dump(), "plane_sd_mm": config.segmenter.belt_sd_mm}

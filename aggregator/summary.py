@@ -9,6 +9,7 @@ from aggregator.core.balance import Equation
 from aggregator.core.coverage import Coverage
 from aggregator.core.reasons import LoadState
 from aggregator.ledger.audit import Audit, sheet
+from conveyor.layers import layers_in_words
 from conveyor.messages import Totals
 from conveyor.messages.base import plain
 
@@ -45,6 +46,7 @@ def summarise(
         "coverage": totals.coverage,
         "belt_m": totals.belt_m,
         "unseen_m": dict(totals.unseen_m),
+        "layers": layers_in_words(totals.hidden, totals.layered_m, totals.belt_m),
         "belt": dict(belt),
         "totals": told_totals(totals),
         "balanced": audit.balanced,

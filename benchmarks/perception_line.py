@@ -11,18 +11,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from aggregator.calibration.correction import prior_told
 from aggregator.core.coverage import Moment, coverage
+from aggregator.core.load_sums import LoadSums
 from aggregator.core.machine import Aggregation, CommittedTuber
+from aggregator.core.totals import LoadTotals
+from aggregator.report import told_belt
 from aggregator.scoring.score import Score, score_tubers
 from aggregator.scoring.truth import read_truth
 from conveyor.config import LineConfig, parse_config
 from conveyor.errors import TuberlineError
 from conveyor.formats import camera_names, open_source
-from conveyor.messages import Frame, Tuber
+from conveyor.messages import Frame, Totals, Tuber
 from regressor.weigh.weigher import Weigher, weigh_view
 from segmenter.camera_run import CameraRun
 from segmenter.setup import run_settings
 from segmenter.warmup import warm_up
+from tuberline.replayer import stated_belt
 
 RUN = "perception"
 WORKER = "inline"
@@ -35,6 +40,7 @@ class LineResult:
     Attributes:
         discarded: tracks that were not counted, by reason, all cameras together.
         belt_off_mm: by camera, the belt as the last check saw it less the belt as given; missing where none was seen.
+        totals: of the load, as the ledger's summary has them before any ticket.
     """
 
     tubers: tuple[Tuber, ...]
@@ -42,6 +48,7 @@ class LineResult:
     estimated: bool
     discarded: dict[str, int]
     belt_off_mm: dict[str, float]
+    totals: Totals
 
     def score(self, truth: Path) -> Score:
         """Against truth.json, as `tuberline score` does it."""
@@ -75,7 +82,8 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     names = camera_names(recording)
     cameras = {name: {"path": str(recording), "ignore_masks": True} for name in names}
     segmenter = {} if belt_follow_mm is None else {"belt_follow_mm": belt_follow_mm}
-    config = parse_config({"cameras": cameras, "segmenter": segmenter}, where="of the benchmark")
+    belt = stated_belt(recording, list(names), None, None)
+    config = parse_config({"cameras": cameras, "segmenter": segmenter, "belt": belt}, where="of the benchmark")
     warm_up(config.segmenter.pixel_mm)
     line = Aggregation(
         RUN,
@@ -100,7 +108,13 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
         raise TuberlineError(f"{recording}: {line.pending} tracks are still pending after the last frame")
     seen_by = Counter(frozenset(tuber.cameras) for tuber in batch.tubers)
     seen = coverage(line.cameras.sights, seen_by=seen_by, moment=Moment(over=True))
-    return LineResult(batch.tubers, seen.share, estimated, dict(sorted(discarded.items())), belt_off_mm)
+    sums = LoadSums(config.aggregator.histogram_step_g)
+    for tuber in batch.tubers:
+        sums.add(tuber)
+    totals = LoadTotals(sums, prior=prior_told(told_belt(config))).message(
+        RUN, coverage=seen.share, cameras={}, final=True, belt_m=seen.belt_m
+    )
+    return LineResult(batch.tubers, seen.share, estimated, dict(sorted(discarded.items())), belt_off_mm, totals)
 
 
 def _run_camera(recording: Path, name: str, config: LineConfig, weigher: Weigher, line: Aggregation) -> CameraRun:

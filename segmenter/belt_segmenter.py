@@ -24,6 +24,8 @@ from segmenter.track.counting import CountSettings
 from segmenter.track.coverage import Coverage
 from segmenter.track.decide import Moment, TrackDecider
 from segmenter.track.follow import BeltFollower, BeltMotion
+from segmenter.track.layers import KEPT as RIMS_KEPT
+from segmenter.track.layers import rim_of
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker, TrackSettings
 from segmenter.track.views import cut_out, slot_offsets
@@ -184,6 +186,8 @@ class BeltSegmenter:
                 candidate = cut_out(frame, instances, index, self.belt, offset_m=offset_m)
                 if candidate is not None:
                     track.shelf.offer(candidate)
+                    if candidate.whole and len(track.rims) < RIMS_KEPT:
+                        track.rims.append(rim_of(instances, index, heights))
 
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
         closed = self.decider.decide(Moment(frame, self.tracker, self.follower), everything=False)

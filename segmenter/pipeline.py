@@ -32,7 +32,7 @@ class Segmenter:
 
     def __init__(self, settings: Settings, *, resume: Resume | None = None) -> None:
         self._gate = FrameGate()
-        self._belts = BeltKeeper(settings.belt_follow_m)
+        self._belts = BeltKeeper(settings.belt_follow_m, given_sd_m=settings.belt_sd_m)
         self._waiting = WaitingSegmenter(settings, Perception(settings.perception, settings.split), resume)
         self._running: BeltSegmenter | None = None
 

@@ -20,9 +20,10 @@ VOLUME_SD = 0.06
 LEAST_TOLD_G, LEAST_COVERAGE, MOST_TOLD_PERCENT = 1e-3, 1e-9, 1e6
 """Of less no percentages are told: they would not be finite numbers."""
 
-RESTING, CAMERA, TUBERS, UNSEEN = "resting level", "camera", "tubers", "belt not seen"
+RESTING, CAMERA, TUBERS, LAYERS, UNSEEN = "resting level", "camera", "tubers", "more than one layer", "belt not seen"
 """What an interval is made of. Camera: depth scale, density and what the weights misjudge in all tubers. Tubers: each
-one's own error, the cultivar, and what differs from load to load."""
+one's own error, the cultivar, and what differs from load to load. More than one layer: what lies under others, and
+how high those lie (`aggregator.core.layers`); it is left out where the belt carries one layer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,16 +116,17 @@ def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: st
 
 
 def parts_percent(
-    seen: Calibrated, *, estimated_g: float, low_g: float, high_g: float, coverage: float
+    seen: Calibrated, *, estimated_g: float, low_g: float, high_g: float, coverage: float, layers_g: float = 0.0
 ) -> dict[str, float]:
     """90 % half-widths by cause in percent of the estimate; their squares add up to the whole interval's.
 
-    Empty where nothing was weighed.
+    `layers_g`: standard deviation of what more than one layer leaves open. Empty where nothing was weighed.
     """
     if estimated_g < LEAST_TOLD_G:
         return {}
     coverage = max(coverage, LEAST_COVERAGE)
-    parts = {name: 100 * NORMAL_90 * sd_g / coverage / estimated_g for name, sd_g in seen.parts_g.items()}
+    sd_g_of = {**seen.parts_g, **({LAYERS: layers_g} if layers_g > 0 else {})}
+    parts = {name: 100 * NORMAL_90 * sd_g / coverage / estimated_g for name, sd_g in sd_g_of.items()}
     whole = 100 * (high_g - low_g) / 2 / estimated_g
     parts[UNSEEN] = math.sqrt(max(whole**2 - sum(part**2 for part in parts.values()), 0.0))
     return {name: round(min(part, MOST_TOLD_PERCENT), 2) for name, part in parts.items()}

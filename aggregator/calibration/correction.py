@@ -13,32 +13,24 @@ and w is not, and regressing t on a noisy w would make an offset of mere noise. 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
+from conveyor import load_spread
+from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM
 
 Floats = NDArray[np.float64]
 
-OFFSET_SD_MM = 4.0
-"""Of the resting offset where nothing is stated. Belts from -2 to +8 mm are real (one tuber measured: 5 to 9); their
-root mean square about a stated 0 is 4.2 mm. 3 mm would hold 75 % of them in its 90 % interval."""
-
-FACTOR_SD = 0.03
-"""Of density, depth scale within 1 % (3 % of a volume at most) and what weights misjudge in all tubers."""
-
-CULTIVAR_SD = 0.02
-"""Of a cultivar's own shape and density beyond that (median densities of three cultivars span 2.4 %)."""
-
-LOAD_SDS = np.array([0.004, 0.008, 0.013, 0.020, 0.030])
-LOAD_SD_CHANCES = np.array([0.05, 0.15, 0.25, 0.35, 0.20])
-"""What s_load may be, and how likely each is before any ticket: root mean square 1.9 %, so that intervals also hold for
-loads that differ by 1.5 %. An assumption, for no ticket of a real load was at hand; tickets teach it."""
+LOAD_SDS = np.array(load_spread.LOAD_SDS)
+LOAD_SD_CHANCES = np.array(load_spread.LOAD_SD_CHANCES)
 
 KNOWN_SD = 1e-4
 """What is stated as known exactly is known to this (0.1 um, 0.01 %)."""
@@ -54,6 +46,19 @@ class Prior:
     offset_sd_mm: float = OFFSET_SD_MM
     factor_sd: float = FACTOR_SD
     cultivar_sd: float = CULTIVAR_SD
+
+
+def prior_told(belt: Mapping[str, Any]) -> Prior:
+    """What a line states of its resting level: section `belt` of its config or summary, with `plane_sd_mm`.
+
+    As wide as before any calibration where it does not say how well. What it states lies under the belt plane, and that
+    is as well known as the views' own intervals take it to be.
+    """
+    offset_mm, sd_mm = float(belt.get("resting_offset_mm") or 0.0), belt.get("resting_sd_mm")
+    if sd_mm is None:
+        return Prior(stated_offset_mm=offset_mm)
+    both_mm = min(math.hypot(float(sd_mm), float(belt.get("plane_sd_mm") or 0.0)), OFFSET_SD_MM)
+    return Prior(stated_offset_mm=offset_mm, offset_sd_mm=max(both_mm, float(sd_mm)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.core.layers import LayerSums
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -36,6 +37,7 @@ class LoadSums:
     merged: int = 0
     late: int = 0
     classes: list[int] = field(default_factory=list)
+    layers: LayerSums = field(default_factory=LayerSums)
     _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
 
     def add(self, tuber: Tuber) -> None:
@@ -50,6 +52,7 @@ class LoadSums:
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
+        self.layers.add(tuber)
         self._put(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), 1)
         self.passed(tuber.crossed_ns)
 
@@ -72,6 +75,7 @@ class LoadSums:
         self.seen_by.update(other.seen_by)
         self.merged += other.merged
         self.late += other.late
+        self.layers.take(other.layers)
         for at, n in enumerate(other.classes):
             self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
 
@@ -134,6 +138,7 @@ class LoadSums:
             "merged": self.merged,
             "late": self.late,
             "classes": self.classes,
+            "layers": self.layers.plain(),
         }
 
     @classmethod
@@ -144,6 +149,7 @@ class LoadSums:
                 **plain,
                 "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
                 "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
+                "layers": LayerSums.from_plain(plain["layers"]) if "layers" in plain else LayerSums(),
             }
         )
 

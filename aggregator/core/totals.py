@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
+from aggregator.core.layers import Hidden, hidden
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
 from conveyor.messages import LoadNow, Totals
@@ -75,37 +76,54 @@ class LoadTotals:
         """Tickets of the weights that weighed this load; 0: it is not calibrated."""
         return self.calibrated().tickets
 
+    def hidden(self) -> Hidden:
+        """What lies under others, as far as the tubers that lie on them tell."""
+        raw_g = self.sums.as_weighed_g
+        scale = self.weight_g / raw_g if raw_g > 0 else 1.0
+        return hidden(self.sums.layers, count=self.sums.count, scale=scale)
+
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
         return NORMAL_90 * math.sqrt(self.sums.low_variance_g2), NORMAL_90 * math.sqrt(self.sums.high_variance_g2)
 
     def interval_g(self) -> tuple[float, float]:
-        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share."""
-        seen = self.calibrated()
-        return max(0.0, seen.weight_g - NORMAL_90 * seen.low_sd_g), seen.weight_g + NORMAL_90 * seen.high_sd_g
+        """The 90 % interval of the weight seen: each tuber's own error, and what all of them share.
+
+        What lies under others passed the camera too: where tubers do, the interval reaches up to all of it.
+        """
+        low_g, high_g = self._seen_g()
+        return low_g, max(high_g, self.estimated(None)[2]) if self.hidden().weight_g > 0 else high_g
+
+    def _seen_g(self) -> tuple[float, float]:
+        """The same without what lies under others."""
+        seen, on_others_g = self.calibrated(), self.hidden().support_sd_g
+        low_sd_g, high_sd_g = math.hypot(seen.low_sd_g, on_others_g), math.hypot(seen.high_sd_g, on_others_g)
+        return max(0.0, seen.weight_g - NORMAL_90 * low_sd_g), seen.weight_g + NORMAL_90 * high_sd_g
 
     def estimated(self, coverage: float | None, *, belt_m: float | None = None) -> tuple[float, float, float]:
-        """(weight, low, high) in grams for the whole belt: what was seen over the share that was looked at.
+        """(weight, low, high) in grams for the whole belt: seen and hidden, over the share that was looked at.
 
         The unseen part is known to `UNSEEN_SPREAD`, as evenly as the belt's metres are loaded (`UNEVEN`), and as the
         numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
         sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen; but the belt
         under a tuber that was counted was.
         """
-        low_g, high_g = self.interval_g()
         if coverage is not None and self.sums.count and belt_m:
             coverage = max(coverage, TUBER_M / belt_m)
+        (low_g, high_g), under = self._seen_g(), self.hidden()
+        there_g = self.weight_g + under.weight_g
+        hidden_g = NORMAL_90 * under.weight_sd_g
+        below_g, above_g = math.hypot(self.weight_g - low_g, hidden_g), math.hypot(high_g - self.weight_g, hidden_g)
         if not coverage or coverage >= 1.0:
-            return self.weight_g, low_g, high_g
+            return there_g, max(0.0, there_g - below_g), there_g + above_g
         coverage = max(coverage, LEAST_COVERAGE)
-        whole_g = self.weight_g / coverage
-        unseen_g = whole_g - self.weight_g
+        whole_g = there_g / coverage
+        unseen_g = whole_g - there_g
         spread = UNSEEN_SPREAD
         if belt_m:
             spread = math.hypot(spread, NORMAL_90 * UNEVEN / math.sqrt(belt_m * coverage * (1.0 - coverage)))
         missed_g = math.hypot(spread * unseen_g, self._chance_g(coverage))
-        below_g = math.hypot((self.weight_g - low_g) / coverage, missed_g)
-        above_g = math.hypot((high_g - self.weight_g) / coverage, missed_g)
+        below_g, above_g = math.hypot(below_g / coverage, missed_g), math.hypot(above_g / coverage, missed_g)
         return whole_g, max(low_g, whole_g - below_g), whole_g + above_g
 
     def _chance_g(self, coverage: float) -> float:
@@ -132,7 +150,7 @@ class LoadTotals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
         estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m)
-        seen = self.calibrated()
+        seen, under = self.calibrated(), self.hidden()
         return Totals(
             run=run,
             count=self.sums.count,
@@ -161,6 +179,10 @@ class LoadTotals:
                 low_g=estimated_low_g,
                 high_g=estimated_high_g,
                 coverage=min(coverage, 1.0) if coverage else 1.0,
+                layers_g=math.hypot(under.weight_sd_g, under.support_sd_g),
             ),
             load=load,
+            hidden=under.tubers,
+            hidden_g=under.weight_g,
+            layered_m=under.belt_m,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from aggregator.core.fusion import fuse
 from aggregator.core.merge import Group
+from conveyor.layers import on_others_flag
 from conveyor.messages import Tuber
 
 MOST_FLAGS = 256
@@ -13,8 +14,8 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     """The tuber that all tracks of `group` saw.
 
     Size, weight and place come from the tracks that saw it whole, where there are any. Flags: what its views were
-    flagged with, 'cut' (never seen whole), 'late' (came after its place was committed), 'travel_estimated', 'rejoined'
-    (two tracks of one camera).
+    flagged with, 'on_others_35_mm' (it lies on others, that high), 'cut' (never seen whole), 'late' (came after its
+    place was committed), 'travel_estimated', 'rejoined' (two tracks of one camera).
     """
     members = sorted(group.members, key=lambda member: (member.camera, member.track.first_seq, member.track.track_id))
     tracks = [member.track for member in members]
@@ -35,6 +36,8 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     flags |= {"late"} if any(member.late for member in members) else set()
     flags |= {"travel_estimated"} if any(track.travel_estimated for track in tracks) else set()
     flags |= {"rejoined"} if len(members) > len(cameras) else set()
+    support_mm = sum(track.support_mm for track in sized) / len(sized)
+    flags |= {on_others_flag(support_mm)} if support_mm >= 1 else set()
     return Tuber(
         tuber_id=tuber_id,
         run=run,

@@ -58,7 +58,7 @@ def count_load(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> LoadCounte
     """What a load came to, over all runs in which it has belt; `seen` by run."""
     runs = dict.fromkeys(run for run, _ in load.spans)
     parts = [part for run in runs for part in parts_of(ledger, run, load.number, seen[run])]
-    return counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, 0.0, {}, {}))])
+    return counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, {}, {}))])
 
 
 def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], list[str]]:

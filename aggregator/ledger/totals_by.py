@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from aggregator.calibration.correction import Prior
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.calibration.tickets import Ticket
 from aggregator.calibration.together import OneLoad, Together, together
 from aggregator.core.load_told import LoadCounted
@@ -122,9 +122,7 @@ def _run_labels(run: RunRow, label: str) -> dict[str, str]:
 def _prior(view: LedgerView, run: str) -> Prior:
     """What the line stated of its resting level in that run; as wide as before any calibration where it did not."""
     summary = read_summary(view, run)
-    belt = json.loads(summary).get("belt", {}) if summary else {}
-    stated_mm, sd_mm = belt.get("resting_offset_mm") or 0.0, belt.get("resting_sd_mm")
-    return Prior(stated_offset_mm=stated_mm) if sd_mm is None else Prior(stated_mm, sd_mm)
+    return prior_told(json.loads(summary).get("belt", {}) if summary else {})
 
 
 def _total(label: str, loads: Sequence[Labelled]) -> Total:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from json import loads
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import (
     coverage_of,
     ledger_file,
     read_marks,
+    read_summary,
     read_sums,
     read_tubers,
     reading,
@@ -42,6 +45,8 @@ class Score:
     low_g: float
     high_g: float
     estimated_weight_g: float
+    estimated_low_g: float
+    estimated_high_g: float
     coverage: float | None
     mae_g: float | None
     rmse_g: float | None
@@ -98,8 +103,16 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         tubers = list(read_tubers(view, chosen.run))
         marks = read_marks(view, chosen)
         share = coverage_of(chosen, read_sums(view, chosen.run)).share
+        told = read_summary(view, chosen.run)
     estimated = any(mark.travel_estimated for mark in marks.values())
-    return score_tubers(tubers, true_tubers, match_mm=match_mm, travel_estimated=estimated, coverage=share)
+    return score_tubers(
+        tubers,
+        true_tubers,
+        match_mm=match_mm,
+        travel_estimated=estimated,
+        coverage=share,
+        prior=Prior() if told is None else prior_told(loads(told).get("belt") or {}),
+    )
 
 
 def score_tubers(
@@ -109,12 +122,16 @@ def score_tubers(
     match_mm: float,
     travel_estimated: bool,
     coverage: float | None,
+    prior: Prior | None = None,
 ) -> Score:
-    """The score of a ledger's tubers; places are aligned first where travel was estimated."""
+    """The score of a ledger's tubers; places are aligned first where travel was estimated.
+
+    `prior`: what the line states of its resting level; None: nothing.
+    """
     sums = LoadSums(50.0)
     for tuber in tubers:
         sums.add(tuber)
-    load = LoadTotals(sums)
+    load = LoadTotals(sums, prior=prior)
     places_m = np.array([(t.place_x_m, t.place_y_m) for t in tubers]).reshape(-1, 2)
     true_m = np.array([(t.place_x_m, t.place_y_m) for t in truth]).reshape(-1, 2)
     alignment = align(places_m, true_m, gate_m=match_mm / 1000) if travel_estimated and tubers else Alignment()
@@ -125,6 +142,7 @@ def score_tubers(
         half_lengths_m=np.array([t.length_mm / 2000 for t in truth]),
     )
     low_g, high_g = load.interval_g()
+    whole_g, whole_low_g, whole_high_g = load.estimated(coverage)
     return Score(
         true_count=len(truth),
         count=len(tubers),
@@ -136,7 +154,9 @@ def score_tubers(
         weight_g=load.weight_g,
         low_g=low_g,
         high_g=high_g,
-        estimated_weight_g=load.estimated(coverage)[0],
+        estimated_weight_g=whole_g,
+        estimated_low_g=whole_low_g,
+        estimated_high_g=whole_high_g,
         coverage=coverage,
         **_weight_errors(tubers, truth, found),
         **_place_errors(found),

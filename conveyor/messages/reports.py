@@ -65,7 +65,8 @@ class Totals(Message):
 
     `state` is 'starting' (not counting yet), 'counting', 'nothing seen' (then the weights are no numbers; `reason` says
     why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of
-    it was not seen, by reason, metres in the mean of the cameras.
+    it was not seen, by reason, metres in the mean of the cameras. On `layered_m` of it tubers lie in more than one
+    layer: `hidden` of them, `hidden_g` grams, are estimated to lie under others; they are in the estimate alone.
     """
 
     run: Name
@@ -91,6 +92,9 @@ class Totals(Message):
     calibrated_by: Line = ""
     parts_percent: Annotated[dict[Word, Annotated[float, Range(0, 1e6, "%")]], Items(16)] = field(default_factory=dict)
     load: LoadNow | None = None
+    hidden: Annotated[float, Range(0, 1e15, "tubers")] = 0.0
+    hidden_g: LoadGrams = 0.0
+    layered_m: BeltPlace = 0.0
 
     @property
     def no_number(self) -> bool:

@@ -37,7 +37,7 @@ class View(Message):
         u0, v0: column and row of the crop's first pixel in the full image; `intrinsics` are of the full image.
         belt_from_camera: (4, 4) float64, always known here: calibrated, given or fitted by the segmenter.
         belt_sd_m: how well the belt's height is known, standard deviation.
-        resting_offset_m: how far under that belt this tuber's underside lies; negative above it.
+        resting_offset_m: how far under that belt this tuber's underside lies; negative above it, as on others.
         resting_sd_m: how well that is known, standard deviation.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
     """
@@ -56,7 +56,7 @@ class View(Message):
     depth: NDArray[np.uint16]
     belt_from_camera: NDArray[np.float64]
     belt_sd_m: Annotated[float, Range(0, 0.1, "m")] = TYPICAL_BELT_SD_M
-    resting_offset_m: Annotated[float, Range(-0.05, 0.1, "m")] = 0.0
+    resting_offset_m: Annotated[float, Range(-0.2, 0.1, "m")] = 0.0
     resting_sd_m: Annotated[float, Range(0, 0.1, "m")] = 0.0
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {

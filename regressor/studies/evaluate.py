@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.load_spread import shared_sd_share
+from conveyor.statistics import NORMAL_90
 from regressor.studies.alone import Scale
 from regressor.studies.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.studies.metrics import scores
@@ -230,9 +232,14 @@ def coverage(result: Evaluation) -> dict[str, float]:
 
 
 def load_half_share(result: Evaluation, rows: NDArray[np.bool_]) -> float:
-    """Half of the 90 % interval of what all tubers of a load of these `rows` have in common, as a share of it."""
+    """Half of the 90 % interval of what all tubers of a load of these `rows` have in common, as a share of it.
+
+    By the ledger's rule for a load before any ticket, with the resting level as well known as these rows say, and never
+    less than what the weights' own calibration found in its recordings.
+    """
     level_mm = 1e3 * float(np.sqrt(np.mean(result.level_sd_m[rows] ** 2)))
-    return float(np.hypot(result.shared_bias_share, result.shared_level_share_per_mm * level_mm))
+    found = float(np.hypot(result.shared_bias_share, result.shared_level_share_per_mm * level_mm))
+    return max(NORMAL_90 * shared_sd_share(level_mm), found)
 
 
 def fused_tubers(

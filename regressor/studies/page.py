@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from regressor.studies import ablate, drift, report
+from regressor.studies import ablate, drift, report, worlds
 from regressor.studies.saved import Saved, read_json, read_text
 
 INTRODUCTION = """# Evaluation of the shipped weights
@@ -21,10 +21,22 @@ model card are both made from it (`make docs`).
 """
 
 
+WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 61701 --preset easy
+    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 61702 --preset field
+    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 61703 --preset harsh
+    tuberline evaluate --data packs --by all --out worlds"""
+WORLDS_WORDS = (
+    "A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger states a "
+    "load's before any ticket, with the resting level as well known as the pack says. Nothing was chosen on these "
+    "sets, but they have been looked at."
+)
+
+
 def evaluation_page(
     field: Path,
     easy: Path,
     *,
+    worlds: Path | None = None,
     one_season: Path | None = None,
     ablation: Path | None,
     drift: Path | None,
@@ -41,6 +53,8 @@ def evaluation_page(
         parts.append(f"![Estimated over true weight, cumulative error, error over weight]({image})\n")
     for name, folder in (("field", field), ("easy", easy)):
         parts.append(_section(name, f"tuberline evaluate --data PACK --out {name}", _evaluation(folder, name)))
+    if worlds:
+        parts.append(_section("By world and class", WORLDS_COMMANDS, _worlds(worlds)))
     if one_season:
         body, _, _ = _evaluation(one_season, "one season").partition("\n### ")
         parts.append(_section("Field, one season", "tuberline evaluate --data PACK --season 2023 --out season", body))
@@ -69,6 +83,7 @@ def saved_page(saved: Saved, *, image: str | None) -> str:
     return evaluation_page(
         saved.folder / "field",
         saved.folder / "easy",
+        worlds=saved.part("worlds"),
         one_season=saved.part("season"),
         ablation=saved.part("ablation"),
         drift=saved.part("drift"),
@@ -84,6 +99,14 @@ def _section(title: str, command: str, body: str) -> str:
 def _evaluation(folder: Path, name: str) -> str:
     body = report.markdown(read_json(folder / "metrics.json"), title=name).partition("\n")[2]
     return body.replace("\n## As weighed, by group", f"\n### {name}: as weighed, by group")
+
+
+def _worlds(folder: Path) -> str:
+    """The tables of `evaluate --by all`, as its metrics.json has them; poses, rims and worlds are the simulator's."""
+    measured = read_json(folder / "metrics.json")
+    presets = [worlds.PresetRow(**row) for row in measured["presets"]]
+    classes = [worlds.ClassRow(**row) for row in measured["classes"]]
+    return f"Weights `{measured['model']}`. {WORLDS_WORDS}\n\n{worlds.markdown(presets, classes)}"
 
 
 def _drift(folder: Path) -> str:

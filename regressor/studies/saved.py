@@ -12,7 +12,7 @@ from conveyor.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """`folder` holds field/, easy/ and season/ (of `tuberline evaluate`), ablation/, drift/, speed/ and real/."""
+    """`folder` holds field/, easy/, worlds/, season/ (of `tuberline evaluate`), ablation/, drift/, speed/ and real/."""
 
     folder: Path
 

@@ -132,8 +132,8 @@ def _load_held(result: Evaluation, rows: NDArray[np.bool_]) -> tuple[bool, float
         for values in (result.predicted[SHIPPED], result.weight_g, result.low_g, result.high_g)
     )
     shared = load_half_share(result, rows)
-    # A tuber's interval holds what the load shares too; what is its own is the rest.
-    own = np.sqrt(np.maximum(((high - low) / 2) ** 2 - (shared * weight) ** 2, 0.0))
+    # A tuber's interval holds some of what the load shares too; as in the ledger, that is not taken out again.
+    own = (high - low) / 2
     half = float(np.hypot(np.sqrt((own**2).sum()), shared * weight.sum()))
     return abs(float(weight.sum() - truth.sum())) <= half, half / float(weight.sum())
 

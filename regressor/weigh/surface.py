@@ -95,7 +95,7 @@ def surface_features(
     rim = heights[at_rim] / height_m
     low, middle, high = np.quantile(rim, (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
     centre = areas_m2 @ xy / area_m2
-    top = heights > LEVELS[-1] * height_m
+    top = heights >= min(LEVELS[-1] * height_m, float(heights.max()))  # never empty: all may lie below the level
     off_top = np.average(xy[top], axis=0, weights=areas_m2[top]) - centre
     away = centre / max(float(np.linalg.norm(centre)), 1e-6)
     radius_m = float(np.sqrt(area_m2 / np.pi))

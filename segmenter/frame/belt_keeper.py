@@ -7,9 +7,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
-from segmenter.frame.constants import BELT_PATIENCE, CHECK_EVERY, FITTED_OVER
+from segmenter.frame.constants import AGREE_M, BELT_PATIENCE, CHECK_EVERY, FITTED_OVER, SEEN_SD_M
 from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
 
 
@@ -17,21 +18,24 @@ class BeltKeeper:
     """The belt of one camera.
 
     A fitted belt is the mean of the first `FITTED_OVER` fits. A given one stays as given; with `follow_m` above 0 it is
-    moved to where the median of the last `FITTED_OVER` checks sees it, where that is at most `follow_m` off: what is
-    farther off is no wear and is left to the alarm.
+    moved to where the median of the last `FITTED_OVER` checks sees it, where most see it, where these agree, and where
+    that is at most `follow_m` off: what is farther off is no wear and is left to the alarm. It moves as far as what is
+    given is less well known than what is seen: a belt that is stated to be known well hardly does.
 
     Attributes:
         belt: the belt in use, None before the first.
         check: what the newest check said, against the belt as given.
     """
 
-    def __init__(self, follow_m: float = 0.0) -> None:
+    def __init__(self, follow_m: float = 0.0, *, given_sd_m: float = TYPICAL_BELT_SD_M) -> None:
         self.belt: BeltGeometry | None = None
         self.check = BeltCheck(None, None)
         self._follow_m = follow_m
+        self._trust = given_sd_m**2 / (given_sd_m**2 + SEEN_SD_M**2)
         self._pose: NDArray[np.float64] | None = None
         self._fits: list[PlaneFit] = []
         self._drifts_m: deque[float] = deque(maxlen=FITTED_OVER)
+        self._seen: deque[bool] = deque(maxlen=FITTED_OVER)
         self._fitted = False
         self._frames = 0
         self._beltless = 0
@@ -67,6 +71,7 @@ class BeltKeeper:
             self._pose = self._mean_with(fit, frame.camera)
             self.belt = BeltGeometry(frame.intrinsics, self._pose)
         self._check(frame, fit, self._pose)
+        self._seen.append(self.check.drift_m is not None)
         if self._follow_m > 0 and not self._fitted and self.check.drift_m is not None:
             self._drifts_m.append(self.check.drift_m)
             self.belt = BeltGeometry(frame.intrinsics, self._followed(self._pose))
@@ -86,8 +91,10 @@ class BeltKeeper:
     def _followed(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, 4) the given pose with its height over the belt as seen; drifts are along the optical axis."""
         drift_m = float(np.median(self._drifts_m))
-        if abs(drift_m) > self._follow_m:
+        scatter_m = float(np.mean(np.abs(np.array(self._drifts_m) - drift_m)))
+        often = 2 * sum(self._seen) >= len(self._seen)
+        if abs(drift_m) > self._follow_m or scatter_m > AGREE_M or not often:
             return pose
         moved = pose.copy()
-        moved[2, 3] -= pose[2, 2] * drift_m
+        moved[2, 3] -= pose[2, 2] * drift_m * self._trust
         return moved

@@ -23,6 +23,12 @@ BAND_M = 0.004
 """Metres; samples this close to a plane support it. Narrower loses support on noisy cameras, wider takes in soil."""
 FIT_BANDS_M = (0.008, BAND_M, BAND_M, 0.003, 0.003)
 """Metres; bands of the successive least-squares fits: wide at first, for three noisy samples made the first plane."""
+BELT_QUANTILE = 0.3
+"""Of the rows' mean heights, where the belt lies between cleats; these cover up to a third of it. On 17 flat simulated
+belts at 0.345 to 0.55 m the belt is seen 0.1 mm too near in the mean (-0.3 to +0.4); by least squares alone 0.4 (0.0 to
+0.8). A quantile of 0.25 sees it at 0.0, one of 0.5 at 0.3."""
+ROW_SAMPLES, LEAST_BELT_ROWS = 12, 12
+"""Samples of belt that a row needs, and rows that tell; with fewer the fit stays as it is."""
 MIN_SAMPLES = 300
 """Samples; fewer are no image of a belt."""
 MIN_FIT_SAMPLES = 50
@@ -60,6 +66,12 @@ BELOW_M = 0.010
 # Following the belt (`belt_keeper`)
 FITTED_OVER = 15
 """Frames that a fitted belt is the mean of, and checks that a followed belt is the median of."""
+SEEN_SD_M = 0.0005
+"""How well a belt is seen, standard deviation: soil, cleats and feet of tubers move it by up to 0.5 mm. More goes by
+what is given."""
+AGREE_M = 0.0025
+"""Mean distance of checks from their median above which they do not agree, and a given belt stays: 0.2 mm on flat
+belts, 1.9 mm on one that heaves by 3 mm, more where another surface is seen now and then."""
 CHECK_EVERY = 30
 """Frames between checks of a known belt: once a second."""
 BELT_PATIENCE = 60
@@ -73,6 +85,9 @@ GAP_MM = 15.0
 belt between two tubers."""
 QUANTUM_MM = 0.5
 """Millimetres per step of the 8-bit raster, which ends at 127 mm. Finer would cut tall tubers off."""
+COARSE_QUANTUM_MM, TALL_MM, TALL_SHARE = 1.0, 120.0, 0.01
+"""The same where more than that share of the cells is higher than `TALL_MM`: the raster then ends at 255 mm. Of a heap
+four tubers high, cut off at 127 mm, 17 of 60 were counted; with this 28."""
 LEAST_SEEN_OF_RASTER = 0.5
 """Share of cells; where less has depth, as in a recording of tubers cut out already, depth ends at every tuber."""
 LEAST_ROWS = 3

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from conveyor.reasons import InstanceRefusal
 from segmenter.frame.belt import BeltGeometry
-from segmenter.frame.constants import LEAST_ROWS, LEAST_SEEN_OF_RASTER, QUANTUM_MM
+from segmenter.frame.constants import (
+    COARSE_QUANTUM_MM,
+    LEAST_ROWS,
+    LEAST_SEEN_OF_RASTER,
+    QUANTUM_MM,
+    TALL_MM,
+    TALL_SHARE,
+)
 from segmenter.frame.edges import cut_by_unseen
 from segmenter.frame.flood import flood, regrow, relabel
 from segmenter.frame.heights import HeightMap
@@ -96,15 +103,16 @@ class Instances:
 def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> Instances:
     """The instances on a height map. The raster is worked on in millimetres; what comes out is SI."""
     cell_mm = heights.cell_mm
-    quantised = np.minimum(heights.height_mm * (1 / QUANTUM_MM), 255).astype(np.uint8)
+    quantum_mm = _quantum_mm(heights)
+    quantised = np.minimum(heights.height_mm * (1 / quantum_mm), 255).astype(np.uint8)
     quantised = np.asarray(cv2.medianBlur(quantised, 5), np.uint8)
-    foreground = (quantised > settings.foreground_mm / QUANTUM_MM).astype(np.uint8)
+    foreground = (quantised > settings.foreground_mm / quantum_mm).astype(np.uint8)
     jump = cv2.morphologyEx(quantised, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    foreground[jump > settings.cut_mm_per_mm * cell_mm / QUANTUM_MM] = 0
+    foreground[jump > settings.cut_mm_per_mm * cell_mm / quantum_mm] = 0
     radius = max(1, round(settings.opening_mm / cell_mm))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     foreground = np.asarray(cv2.morphologyEx(foreground, cv2.MORPH_OPEN, disc), np.uint8)
-    smooth_mm = quantised.astype(np.float32) * np.float32(QUANTUM_MM)
+    smooth_mm = quantised.astype(np.float32) * np.float32(quantum_mm)
     distance = cv2.distanceTransform(foreground, cv2.DIST_L2, 3)
     relief = distance * np.float32(cell_mm) + smooth_mm * np.float32(settings.height_share)
     relief = np.asarray(cv2.GaussianBlur(relief, (5, 5), 0), np.float32)
@@ -112,6 +120,12 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
     merge_fragments(labels, n, smooth_mm, cell_mm, settings.seam)
     return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
+
+
+def _quantum_mm(heights: HeightMap) -> float:
+    """Millimetres per step of the 8-bit raster: coarser where a heap stands higher than the fine one reaches."""
+    tall = np.count_nonzero(heights.height_mm > TALL_MM) > TALL_SHARE * heights.height_mm.size
+    return COARSE_QUANTUM_MM if tall else QUANTUM_MM
 
 
 def given(mask: NDArray[np.uint16], heights: HeightMap, belt: BeltGeometry) -> Instances:

@@ -17,6 +17,7 @@ from conveyor.geometry import Intrinsics, belt_distance_m, straight_down_belt_fr
 from segmenter.frame.constants import (
     BAND_M,
     BELOW_M,
+    BELT_QUANTILE,
     CLEAR_SHARE,
     CONSENSUS_FAR,
     CONSENSUS_SCORED,
@@ -24,16 +25,21 @@ from segmenter.frame.constants import (
     DRIFT_M,
     FIT_BANDS_M,
     FLOOR_BELOW_M,
+    LEAST_BELT_ROWS,
     LOAD_M,
     MIN_FIT_SAMPLES,
     MIN_SAMPLES,
     MIN_SHARE,
     MOSTLY,
     REFUSE_M,
+    ROW_SAMPLES,
     SAMPLE_STRIDE,
     TILT_OFF_DEG,
     TILT_WORTH_DEG,
 )
+
+Plane = NDArray[np.float64]
+"""(3,) of 1/z = a x + b y + c."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +104,23 @@ def fit_plane(
     return found
 
 
+def between_cleats(plane: NDArray[np.float64], design: NDArray[np.float64], q: NDArray[np.float64]) -> Plane:
+    """The plane moved to where the belt lies between its cleats, and under most of its soil.
+
+    Least squares through all that is near take cleats and the feet of tubers for the belt. Cleats lie across the
+    travel, so they are whole rows of samples: of the rows' mean heights a low quantile is the belt.
+    """
+    height = _height_over(design, q, plane)
+    near = np.abs(height) < BAND_M
+    _, row = np.unique(design[near, 1], return_inverse=True)
+    count = np.bincount(row)
+    mean = np.bincount(row, weights=height[near])[count >= ROW_SAMPLES] / count[count >= ROW_SAMPLES]
+    if len(mean) < LEAST_BELT_ROWS:
+        return plane
+    distance_m = 1.0 / float(np.linalg.norm(plane))
+    return np.asarray(plane * distance_m / (distance_m - float(np.quantile(mean, BELT_QUANTILE))))
+
+
 def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
     best = _consensus(design, q)
     for band_m in FIT_BANDS_M:
@@ -105,7 +128,7 @@ def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None
         if near.sum() < MIN_FIT_SAMPLES:
             return None
         best = np.asarray(np.linalg.lstsq(design[near], q[near], rcond=None)[0], np.float64)
-    return _summary(best, design, q)
+    return _summary(between_cleats(best, design, q), design, q)
 
 
 def plane_pose(fit: PlaneFit) -> NDArray[np.float64]:

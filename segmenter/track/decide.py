@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
+from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers, evidence
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import Candidate, size_m
@@ -51,6 +52,7 @@ class TrackDecider:
         self._perception = perception
         self._belt_sd_m = belt_sd_m
         self._resting = resting
+        self._layers = BeltLayers()
 
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
         """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones."""
@@ -82,8 +84,12 @@ class TrackDecider:
                     views.append(self._view(candidate, slot, _track_id(track, now), now.frame))
         return views
 
-    def _view(self, candidate: Candidate, rank: int, track_id: str, frame: Frame) -> View:
-        return _view(candidate, rank, track_id, frame, self._belt_sd_m).resting_on(self._resting)
+    def _view(self, candidate: Candidate, rank: int, track_id: str, frame: Frame, *, high_m: float = 0.0) -> View:
+        """The view of a tuber; one whose underside lies `high_m` above the belt, on others, has an id of its own, for it
+        may have been weighed early as one on the belt."""
+        level = _level(self._resting, min(high_m, MOST_OF_TOP * candidate.height_m))
+        view = _view(candidate, rank, track_id, frame, self._belt_sd_m).resting_on(level)
+        return replace(view, view_id=f"{view.view_id}-on-others") if high_m > 0 else view
 
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
         """What becomes of a track; None where it is not due."""
@@ -118,9 +124,14 @@ class TrackDecider:
         if reason is not None:
             return RefusedTrack(reason)
         track_id = _track_id(track, now)
-        views = tuple(self._view(candidate, rank, track_id, now.frame) for rank, candidate in enumerate(chosen))
+        high_m = self._layers.support_m(track.rims, _around(track, now.tracker))
+        views = tuple(
+            self._view(candidate, rank, track_id, now.frame, high_m=high_m) for rank, candidate in enumerate(chosen)
+        )
         under_m = float(np.median([view.resting_offset_m for view in views]))
-        message = _message(track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m)
+        message = _message(
+            track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m, high_m=high_m
+        )
         try:
             check_part(message)
         except UnsendableError:
@@ -134,12 +145,26 @@ class TrackDecider:
         else:
             track.state = State.COUNTED
             self.counted += 1
+            if (said := evidence(track.rims)) is not None:
+                self._layers.learn(said)
         track.shelf.clear()
         track.patch = Patch()
 
 
 def _track_id(track: TrackState, now: Moment) -> str:
     return f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
+
+
+def _around(track: TrackState, tracker: Tracker) -> list[float]:
+    """Evidence of lying on others of the tracks around one along the belt."""
+    near = [t for t in tracker.tracks if t is not track and abs(t.place_x_m - track.place_x_m) <= AROUND_M]
+    said = [evidence(t.rims) for t in near if t.state is not State.DISCARDED]
+    return [one for one in said if one is not None]
+
+
+def _level(resting: RestingLevel, high_m: float) -> RestingLevel:
+    """Where the underside of a tuber is: at the line's resting level, or on those that it lies on."""
+    return resting if high_m == 0 else RestingLevel(offset_m=-high_m, sd_m=SUPPORT_SD_M)
 
 
 def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
@@ -150,11 +175,20 @@ def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
 
 
 def _message(
-    track: TrackState, at: Crossing, now: Moment, *, track_id: str, length_m: float, width_m: float, under_m: float
+    track: TrackState,
+    at: Crossing,
+    now: Moment,
+    *,
+    track_id: str,
+    length_m: float,
+    width_m: float,
+    under_m: float,
+    high_m: float,
 ) -> Track:
     """The track as it is logged, in the message's millimetres and millilitres.
 
-    `under_m`: how far its underside lies below the belt plane that heights and volumes are measured from.
+    `under_m`: how far its underside lies below the belt plane that heights and volumes are measured from. `high_m`: how
+    high it lies on others.
     """
     usual = [hit for hit in track.hits if hit.whole] or track.hits
     return Track(
@@ -169,12 +203,13 @@ def _message(
         last_seq=track.last_seq,
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
-        height_mm=(float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
-        visible_volume_ml=(float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
+        height_mm=max(0.0, float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
+        visible_volume_ml=max(0.0, float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
         whole=any(hit.whole for hit in track.hits),
         views_sent=0,
         views=(),
         views_lost={},
+        support_mm=high_m * 1e3,
     )
 
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from statistics import median
 
+import numpy as np
+from numpy.typing import NDArray
+
 from conveyor.reasons import TrackRefusal
 from segmenter.classify.evidence import Answer
 from segmenter.classify.patch import Patch
@@ -53,6 +56,7 @@ class TrackState:
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
     `sent_early`: wanted positions whose view was given to be weighed before the decision.
+    `rims`: readings of its rim (`segmenter.track.layers.reading`).
     `answer` is what the classifier said of its patch; None before, and without a classifier.
     """
 
@@ -76,6 +80,7 @@ class TrackState:
     patch: Patch = field(default_factory=Patch)
     answer: Answer | None = None
     sent_early: set[int] = field(default_factory=set)
+    rims: list[NDArray[np.float64]] = field(default_factory=list)
 
     def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""

@@ -19,7 +19,11 @@ def score_table(score: Score) -> Table:
             f"{score.weight_g / 1000:.3f} kg, true {score.true_weight_g / 1000:.3f} kg "
             f"({_signed(score.weight_error_percent)} %), 90 %: {score.low_g / 1000:.3f} to {score.high_g / 1000:.3f}",
         ),
-        ("load as estimated", f"{score.estimated_weight_g / 1000:.3f} kg ({_signed(score.estimated_error_percent)} %)"),
+        (
+            "load as estimated",
+            f"{score.estimated_weight_g / 1000:.3f} kg ({_signed(score.estimated_error_percent)} %), "
+            f"90 %: {score.estimated_low_g / 1000:.3f} to {score.estimated_high_g / 1000:.3f}",
+        ),
         ("belt seen", "unknown" if score.coverage is None else f"{100 * score.coverage:.1f} %"),
         ("per tuber", f"MAE {_number(score.mae_g)} g, RMSE {_number(score.rmse_g)} g, bias {_number(score.bias_g)} g"),
         ("truth inside the 90 % interval", f"{_number(score.interval_hit_percent)} % of tubers"),

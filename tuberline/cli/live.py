@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, LoadNow, Totals
 
 _SHOWN = {
@@ -102,6 +103,8 @@ def totals_panel(totals: Totals | None) -> Panel:
     if totals.state == "starting" and not totals.count:
         return Panel(f"starting, not counting: {totals.reason}", title=title)
     text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
+    if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
+        text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
     if totals.load is not None:

@@ -8,6 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from conveyor.layers import layers_in_words
 from tuberline.cli.live import histogram_lines
 
 REASONS = {
@@ -41,7 +42,10 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
     table.add_row("tubers", f"[bold]{totals['count']}[/]")
     table.add_row("belt seen", seen + (f"  (not seen{unseen[1:]})" if unseen else ""))
-    if coverage is not None and coverage < 1:
+    layers = layers_in_words(totals.get("hidden", 0.0), totals.get("layered_m", 0.0), totals.get("belt_m"))
+    if layers:
+        table.add_row("layers", f"[yellow]{layers}[/]")
+    if layers or (coverage is not None and coverage < 1):
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )
@@ -81,6 +85,13 @@ def print_score(console: Console, score: dict[str, Any]) -> None:
         f"{score['weight_g'] / 1000:.3f} kg",
         f"{score['weight_error_percent']:+.1f} %",
     )
+    if score["estimated_weight_g"] != score["weight_g"]:
+        table.add_row(
+            "load as estimated",
+            f"{score['true_weight_g'] / 1000:.3f} kg",
+            f"{score['estimated_weight_g'] / 1000:.3f} kg",
+            f"{score['estimated_error_percent']:+.1f} %",
+        )
     console.print(table)
     console.print(
         f"missed {score['missed']}, counted twice {score['double_counted']}, false {score['false']}; per tuber "

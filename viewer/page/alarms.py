@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from conveyor.layers import layers_in_words
 from viewer.page.camera_alarms import camera_alarms
 from viewer.page.state import STALE_S, LineState
 from viewer.page.words import AGGREGATOR_FIX, AGGREGATOR_REFUSALS, span
@@ -42,6 +43,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_stalled(state),
         *_sight(state),
         *_coverage(state),
+        *_layers(state),
     ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
 
@@ -139,6 +141,18 @@ def _sight(state: LineState) -> Iterator[Alarm]:
     elif totals is not None and totals.state == "starting":
         fix = "Wait, or see why it does not come."
         yield Alarm("starting", "warning", f"Starting, not counting: {totals.reason}.", fix)
+
+
+def _layers(state: LineState) -> Iterator[Alarm]:
+    totals = state.totals
+    said = "" if totals is None else layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
+    if said:
+        yield Alarm(
+            "layers",
+            "warning",
+            f"{said[0].upper()}{said[1:]}. The estimate makes up for them.",
+            "Run the belt faster, or feed it less, until tubers lie side by side.",
+        )
 
 
 def _coverage(state: LineState) -> Iterator[Alarm]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+from conveyor.layers import layers_in_words
 from conveyor.messages import CameraInfo, Totals
 from viewer.page.alarms import Alarm, alarms
 from viewer.page.state import STALE_S, LineState, NodeState
@@ -48,6 +49,7 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "seen_g": [totals.low_g, totals.weight_g, totals.high_g],
         "estimated_g": [totals.estimated_low_g, totals.estimated_weight_g, totals.estimated_high_g],
         "coverage": totals.coverage,
+        "layers": layers_in_words(totals.hidden, totals.layered_m, totals.belt_m),
         "step_g": totals.histogram_step_g,
         "histogram": list(totals.histogram),
         "final": totals.final,

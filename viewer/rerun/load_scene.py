@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from conveyor.layers import layers_in_words
 from conveyor.messages import Totals, Tuber
 from conveyor.statistics import NORMAL_90
 from viewer.rerun.primitives import Bars, Color, Entry, Measured, Moment, Number, Page, PlotStyle, Primitive
@@ -92,6 +93,8 @@ def page(totals: Totals) -> str:
                 f"With the belt that was missed: **{_kg(totals.estimated_weight_g)}** "
                 f"({_kg(totals.estimated_low_g)} to {_kg(totals.estimated_high_g)})"
             )
+    if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
+        rows.append(f"{layers[0].upper()}{layers[1:]}. With them: **{_kg(totals.estimated_weight_g)}**")
     rows += cameras
     rows.append("**The load is complete.**" if totals.final else f"{totals.tubers_per_s:.1f} tubers per second.")
     return "\n\n".join(rows)

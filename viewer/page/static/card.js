@@ -81,7 +81,8 @@ export class LineCard {
     this.range("seen", found.seen_g);
     this.range("estimated", found.estimated_g);
     const missed = found.coverage === null ? null : 100 * (1 - found.coverage);
-    this.put("estimated-note", missed === null ? "" : missed < 0.05 ? "All of the belt was looked at." : `Makes up for the ${number(missed, 1)} % of the belt that no camera saw.`);
+    const layers = found.layers ? ` And ${found.layers}.` : "";
+    this.put("estimated-note", missed === null ? "" : (missed < 0.05 ? "All of the belt was looked at." : `Makes up for the ${number(missed, 1)} % of the belt that no camera saw.`) + layers);
     this.put("count", number(found.count));
     this.put("coverage", found.coverage === null ? "–" : `${number(100 * found.coverage, 1)} %`);
     this.put("mean", found.count ? `${number(found.seen_g[1] / found.count)} g` : "–");
