@@ -16,6 +16,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
+from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.frame.sides import completed_centres
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
@@ -66,6 +67,7 @@ class BeltSegmenter:
         self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
         self.coverage = Coverage(high_m - low_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
+        self.noise = NoiseWatch()
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
         self.found: Found = []
@@ -78,6 +80,7 @@ class BeltSegmenter:
     def step(self, frame: Frame, belt: BeltGeometry) -> StepResult:
         """Take the next frame, over the belt as it is known now."""
         self.belt = self.tracker.belt = belt
+        self.noise.step(frame)
 
         # Heights over the belt
         heights = self._heights(frame)
@@ -104,7 +107,7 @@ class BeltSegmenter:
         """Decide all tracks still open: the camera has ended."""
         if self._last is None:
             return []
-        return self.decider.decide(Moment(self._last, self.tracker, self.follower), everything=True)
+        return self.decider.decide(self._moment(self._last), everything=True)
 
     @property
     def taken_for_distractors(self) -> NDArray[np.bool_]:
@@ -176,8 +179,11 @@ class BeltSegmenter:
                 if candidate is not None:
                     track.shelf.offer(candidate)
 
+    def _moment(self, frame: Frame) -> Moment:
+        return Moment(frame, self.tracker, self.follower, self.noise.noise_px)
+
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
-        closed = self.decider.decide(Moment(frame, self.tracker, self.follower), everything=False)
+        closed = self.decider.decide(self._moment(frame), everything=False)
         self.tracker.drop_gone(self.follower.travel_m)
         return closed
 

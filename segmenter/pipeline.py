@@ -79,6 +79,11 @@ class Segmenter:
         return self._belts.check
 
     @property
+    def noise_px(self) -> float | None:
+        """Local noise of the camera's depth, pixels of disparity at a baseline of 18 mm; None before it is known."""
+        return self._running.noise.noise_px if self._running else None
+
+    @property
     def instances(self) -> Instances | None:
         """Of the last processed frame; None before the first."""
         return self._running.instances if self._running else None

@@ -17,6 +17,10 @@ from conveyor.statistics import NORMAL_90
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
 
+NOISY_SD = 0.03
+"""Of what all weights have in common that were seen by a camera noisier than those the weights were trained for: a
+half-width of 5 %, whatever the tickets say, for a camera may have become noisy since."""
+
 LEAST_TOLD_G, LEAST_COVERAGE, MOST_TOLD_PERCENT = 1e-3, 1e-9, 1e6
 """Of less no percentages are told: they would not be finite numbers."""
 
@@ -60,6 +64,7 @@ def calibrated(
     tickets: Sequence[Ticket] = (),
     prior: Prior | None = None,
     cultivar: str = "",
+    noisy_share: float = 0.0,
 ) -> Calibrated:
     """The load as the tickets of its weights have it.
 
@@ -67,6 +72,7 @@ def calibrated(
         weighed_g: sums of tubers as weighed, by method and model.
         per_mm_g: growth of their sum with each millimetre tubers lie lower; 0: not known, the typical one is taken.
         own_variance_g2: sums of the tubers' own variances below and above.
+        noisy_share: of the weight, seen by cameras noisier than those the weights were trained for.
     """
     prior = prior or Prior()
     raw_g = sum(weighed_g.values())
@@ -77,6 +83,7 @@ def calibrated(
         one_g, parts = _one(corrections[model], grams, per_mm * grams, cultivar)
         if method == "volume":
             parts[CAMERA] = math.hypot(parts[CAMERA], VOLUME_SD * one_g)
+        parts[CAMERA] = math.hypot(parts[CAMERA], NOISY_SD * noisy_share * one_g)
         weight_g += one_g
         # What weights of several models misjudge, they misjudge together: half-widths add up.
         shared_g = {name: shared_g[name] + parts[name] for name in shared_g}

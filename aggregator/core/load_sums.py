@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
+from conveyor.camera_range import CAMERA_NOISE
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -22,7 +23,8 @@ class LoadSums:
     """Sums over committed tubers; the order of `add` changes nothing but the last digits.
 
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
-    `per_mm_g` that sum grows with each millimetre that all of them lie lower.
+    `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
+    saw which are noisier than those the weights were trained for.
     """
 
     histogram_step_g: float
@@ -32,6 +34,7 @@ class LoadSums:
     high_variance_g2: float = 0.0
     squares_g2: float = 0.0
     per_mm_g: float = 0.0
+    noisy_g: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
     merged: int = 0
     late: int = 0
@@ -47,6 +50,7 @@ class LoadSums:
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.squares_g2 += tuber.weight_g**2
         self.per_mm_g += tuber_g_per_mm(tuber)
+        self.noisy_g += tuber.weight_g if CAMERA_NOISE in tuber.flags else 0.0
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -104,6 +108,7 @@ class LoadSums:
             "high_variance_g2": self.high_variance_g2,
             "squares_g2": self.squares_g2,
             "per_mm_g": self.per_mm_g,
+            "noisy_g": self.noisy_g,
             "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
             "merged": self.merged,
             "late": self.late,

@@ -54,6 +54,7 @@ class LoadTotals:
             found = calibrated(
                 {key: grams for key, (_, grams) in self.sums.weighed.items()},
                 per_mm_g=self.sums.per_mm_g,
+                noisy_share=self.sums.noisy_g / self.sums.as_weighed_g if self.sums.as_weighed_g > 0 else 0.0,
                 own_variance_g2=(self.sums.low_variance_g2, self.sums.high_variance_g2),
                 tickets=self._tickets,
                 prior=self._prior,

@@ -29,11 +29,12 @@ MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The frame at which tracks are decided, and where everything is."""
+    """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known."""
 
     frame: Frame
     tracker: Tracker
     follower: BeltFollower
+    noise_px: float | None = None
 
 
 class TrackDecider:
@@ -98,7 +99,7 @@ class TrackDecider:
             return RefusedTrack(reason)
         track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
         views = tuple(
-            _view(candidate, rank, track_id, now.frame, self._belt_sd_m).resting_on(self._resting)
+            _view(candidate, rank, track_id, now, self._belt_sd_m).resting_on(self._resting)
             for rank, candidate in enumerate(chosen)
         )
         under_m = float(np.median([view.resting_offset_m for view in views]))
@@ -156,8 +157,9 @@ def _message(
     )
 
 
-def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_m: float) -> View:
+def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m: float) -> View:
     """A candidate as the message that goes to a regressor."""
+    frame = now.frame
     return View(
         view_id=f"{track_id}/{candidate.seq}",
         track_id=track_id,
@@ -173,4 +175,5 @@ def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_
         depth=candidate.depth,
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
+        camera_noise_px=now.noise_px,
     )

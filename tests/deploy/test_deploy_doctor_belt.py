@@ -63,6 +63,7 @@ def test_doctor_measures_a_recordings_belt(tmp_path: Path) -> None:
     raw = {"cameras": {name: {"path": str(tmp_path / "belt")}}, "aggregator": {"out": str(tmp_path)}}
     right = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
     assert right[f"belt of {name}"].level is Level.OK
+    assert right[f"depth of {name}"].level is Level.OK, right[f"depth of {name}"]
     raw["cameras"][name]["belt_distance_m"] = 0.445  # type: ignore[index]
     moved = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
     assert moved[f"belt of {name}"].level is Level.WARNING
