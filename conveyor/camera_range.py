@@ -13,8 +13,6 @@ from typing import Literal
 World = Literal["easy", "field", "harsh"]
 Range = tuple[float, float]
 
-CAMERA_NOISE = "camera_noise"
-"""Flag of a weight whose camera is noisier than those that the weights were trained for."""
 BEYOND = 1.15
 """Of the largest local noise trained for, before it is called too much."""
 

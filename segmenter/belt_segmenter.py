@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.gauge import Gauge
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
 from conveyor.reasons import TrackRefusal
@@ -49,6 +50,7 @@ class Settings:
     belt_sd_m: float = TYPICAL_BELT_SD_M
     resting: RestingLevel = field(default_factory=RestingLevel)
     belt_follow_m: float = DRIFT_M
+    gauge: Gauge | None = None
 
 
 class BeltSegmenter:
@@ -57,6 +59,7 @@ class BeltSegmenter:
     Attributes:
         belt: the newest geometry; travel is followed with the first one.
         instances: of the last frame, with the tracks that they show in `found`.
+        flags: what is wrong with the camera, for the tracks that are decided.
     """
 
     def __init__(self, settings: Settings, belt: BeltGeometry, perception: Perception, resume: Resume | None) -> None:
@@ -68,6 +71,7 @@ class BeltSegmenter:
         self.coverage = Coverage(high_m - low_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.noise = NoiseWatch()
+        self.flags: tuple[str, ...] = ()
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
         self.found: Found = []
@@ -180,7 +184,7 @@ class BeltSegmenter:
                     track.shelf.offer(candidate)
 
     def _moment(self, frame: Frame) -> Moment:
-        return Moment(frame, self.tracker, self.follower, self.noise.noise_px)
+        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, self.flags)
 
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
         closed = self.decider.decide(self._moment(frame), everything=False)

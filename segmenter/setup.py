@@ -26,6 +26,7 @@ def core_settings(config: LineConfig) -> Settings:
         belt_sd_m=s.belt_sd_mm / 1000,
         resting=config.belt.resting_level,
         belt_follow_m=s.belt_follow_mm / 1000,
+        gauge=config.belt.known_gauge,
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
-from conveyor.camera_range import CAMERA_NOISE
+from conveyor.camera_flags import CAMERA_NOISE, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -24,7 +24,8 @@ class LoadSums:
 
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
     `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
-    saw which are noisier than those the weights were trained for.
+    saw which are noisier than those the weights were trained for, `off_g_mm` its sum times the millimetres by which the
+    belt was seen off its calibration, with no gauge to say why.
     """
 
     histogram_step_g: float
@@ -35,6 +36,7 @@ class LoadSums:
     squares_g2: float = 0.0
     per_mm_g: float = 0.0
     noisy_g: float = 0.0
+    off_g_mm: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
     merged: int = 0
     late: int = 0
@@ -51,6 +53,7 @@ class LoadSums:
         self.squares_g2 += tuber.weight_g**2
         self.per_mm_g += tuber_g_per_mm(tuber)
         self.noisy_g += tuber.weight_g if CAMERA_NOISE in tuber.flags else 0.0
+        self.off_g_mm += tuber.weight_g * belt_off_mm(tuber.flags)
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -70,6 +73,11 @@ class LoadSums:
     def as_weighed_g(self) -> float:
         """Sum of the tubers' weights, grams."""
         return sum(weight_g for _, weight_g in self.weighed.values())
+
+    def camera_doubt(self) -> tuple[float, float]:
+        """(share of the weight seen by too noisy cameras, mean mm that the belt was off for no known cause)."""
+        whole_g = self.as_weighed_g
+        return (self.noisy_g / whole_g, self.off_g_mm / whole_g) if whole_g > 0 else (0.0, 0.0)
 
     @property
     def mean_square_g2(self) -> float | None:
@@ -109,6 +117,7 @@ class LoadSums:
             "squares_g2": self.squares_g2,
             "per_mm_g": self.per_mm_g,
             "noisy_g": self.noisy_g,
+            "off_g_mm": self.off_g_mm,
             "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
             "merged": self.merged,
             "late": self.late,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
+from aggregator.calibration.apply import Calibrated, calibrated, camera_sd, parts_percent
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.load_sums import LoadSums
@@ -54,7 +54,7 @@ class LoadTotals:
             found = calibrated(
                 {key: grams for key, (_, grams) in self.sums.weighed.items()},
                 per_mm_g=self.sums.per_mm_g,
-                noisy_share=self.sums.noisy_g / self.sums.as_weighed_g if self.sums.as_weighed_g > 0 else 0.0,
+                camera_sd=camera_sd(*self.sums.camera_doubt()),
                 own_variance_g2=(self.sums.low_variance_g2, self.sums.high_variance_g2),
                 tickets=self._tickets,
                 prior=self._prior,

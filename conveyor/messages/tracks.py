@@ -61,6 +61,7 @@ class Track:
         whole: at least one view was not cut by the image border.
         views: the answers; views_sent = len(views) + sum(views_lost.values()).
         views_lost: views sent to a regressor without an answer to use, by reason.
+        flags: what was wrong with the camera meanwhile (`conveyor.camera_flags`).
     """
 
     track_id: Id
@@ -80,6 +81,7 @@ class Track:
     views_sent: Count
     views: Annotated[tuple[WeighedView, ...], Items(256)]
     views_lost: Counts
+    flags: Words = ()
 
     @property
     def place_x_m(self) -> float:

@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_range import CAMERA_NOISE, camera_range
+from conveyor.camera_flags import CAMERA_NOISE
+from conveyor.camera_range import camera_range
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight

@@ -29,12 +29,14 @@ MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known."""
+    """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known;
+    `flags`: what is wrong with the camera."""
 
     frame: Frame
     tracker: Tracker
     follower: BeltFollower
     noise_px: float | None = None
+    flags: tuple[str, ...] = ()
 
 
 class TrackDecider:
@@ -154,6 +156,7 @@ def _message(
         views_sent=0,
         views=(),
         views_lost={},
+        flags=now.flags,
     )
 
 
