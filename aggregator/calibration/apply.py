@@ -23,7 +23,7 @@ half-width of 5 %, whatever the tickets say, for a camera may have become noisy 
 OFF_SD_PER_MM = 0.0065
 """Of what they have in common for each millimetre that the belt is seen off its calibration: a mount that moved costs
 nothing, for the belt is followed; a disparity that drifted by as much costs 4 d / z of a volume, 0.9 % a millimetre at
-0.46 m and 1.2 % at 0.345 m. Without a gauge nobody knows which: a half-width of 1.07 % a millimetre."""
+0.46 m and 1.2 % at 0.345 m. Without a gauge it is not known which: a half-width of 1.07 % a millimetre."""
 
 LEAST_TOLD_G, LEAST_COVERAGE, MOST_TOLD_PERCENT = 1e-3, 1e-9, 1e6
 """Of less no percentages are told: they would not be finite numbers."""
