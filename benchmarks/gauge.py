@@ -180,8 +180,8 @@ def table(cause_rows: list[CauseRow], load_rows: list[LoadRow]) -> str:
     """For the page."""
     lines = [
         "| gauge | worlds | cause right | shift, rms error mm | drift, rms error px "
-        "| bias of all loads %, no gauge (worst load) | with gauge (worst load) |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| loads | error of a load %, no gauge: rms, worst | with gauge: mean, rms, worst |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for kind in (*KINDS, "all"):
         rows = [row for row in cause_rows if kind in (row.kind, "all")]
@@ -191,13 +191,17 @@ def table(cause_rows: list[CauseRow], load_rows: list[LoadRow]) -> str:
         right = sum(row.right for row in rows)
         shift = _rms([row.said_shift_mm - row.shift_mm for row in rows])
         drift = _rms([row.said_drift_px - row.drift_px for row in rows])
-        bias = [_bias([getattr(row, name) for row in of_loads]) for name in ("without_percent", "with_percent")]
-        lines.append(f"| {kind} | {len(rows)} | {right} | {shift:.2f} | {drift:.3f} | {bias[0]} | {bias[1]} |")
+        without = [row.without_percent for row in of_loads]
+        corrected = [row.with_percent for row in of_loads]
+        lines.append(
+            f"| {kind} | {len(rows)} | {right} | {shift:.2f} | {drift:.3f} | {len(of_loads)} "
+            f"| {_spread(without)} | {np.mean(corrected or [0.0]):+.2f}, {_spread(corrected)} |"
+        )
     return "\n".join(lines)
 
 
-def _bias(percents: list[float]) -> str:
-    return f"{np.mean(percents):+.2f} ({max(percents, key=abs):+.2f})" if percents else "-"
+def _spread(percents: list[float]) -> str:
+    return f"{_rms(percents):.2f}, {max(percents, key=abs):+.2f}" if percents else "-"
 
 
 def _rms(values: list[float]) -> float:
@@ -212,12 +216,17 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", choices=KINDS, help="one gauge")
     parser.add_argument("--out", type=Path, help="rows as JSON")
+    parser.add_argument("--rows", type=Path, nargs="+", help="make the table of rows that were saved; run nothing")
     parser.add_argument("--page", type=Path, help="put the table into this page")
     options = parser.parse_args(arguments)
     kinds = (options.only,) if options.only else KINDS
     cause_rows: list[CauseRow] = []
     load_rows: list[LoadRow] = []
-    for kind in kinds:
+    for path in options.rows or ():
+        saved = json.loads(path.read_text(encoding="utf-8"))
+        cause_rows += [CauseRow(**row) for row in saved["causes"]]
+        load_rows += [LoadRow(**row) for row in saved["loads"]]
+    for kind in () if options.rows else kinds:
         for row in causes(kind, range(options.seed, options.seed + options.worlds)):
             cause_rows.append(row)
             print("right" if row.right else "WRONG", row, flush=True)
