@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from camera_sim.sim.conditions import draw_conditions
@@ -95,5 +96,5 @@ def _bar() -> Body:
     return Body(9999, "gauge", corners, faces, None)
 
 
-def _sides(corners: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sides(corners: NDArray[np.float64], faces: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED
 from conveyor.gauge import Gauge
@@ -34,7 +35,7 @@ class GaugeKeeper:
         self._belt: BeltGeometry | None = None
         self._frames = 0
         self._looks = 0
-        self._table: tuple[float, np.ndarray] | None = None
+        self._table: tuple[float, NDArray[np.uint16]] | None = None
         self._moved: tuple[float, BeltGeometry] | None = None
 
     def corrected(self, frame: Frame) -> Frame:
@@ -119,7 +120,7 @@ class GaugeKeeper:
         return replace(frame, depth=self._table[1][frame.depth])
 
 
-def depth_table(drift_per_m: float, *, depth_scale_m: float) -> np.ndarray:
+def depth_table(drift_per_m: float, *, depth_scale_m: float) -> NDArray[np.uint16]:
     """(65536,) uint16: the depth, in units, that each depth value stands for when 1/z is too large by `drift_per_m`."""
     units = np.arange(1 << 16, dtype=np.float64)
     inverse = 1 / (np.maximum(units, 1) * depth_scale_m) - drift_per_m
