@@ -28,4 +28,25 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "first two rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in "
             "metres); an encoder must count upwards"
         )
+    cause = _CAUSES.get(gauges.get("gauge_cause", 0.0))
+    if cause is not None:
+        found["gauge_" + cause] = _gauge_finding(camera, cause, gauges)
     return found
+
+
+_CAUSES = {1.0: "mount", 2.0: "drift", 3.0: "both"}
+
+
+def _gauge_finding(camera: str, cause: str, gauges: Mapping[str, float]) -> str:
+    """What the gauge says, and what was done about it."""
+    moved, drifted = gauges.get("gauge_shift_mm", 0.0), gauges.get("gauge_drift_px", 0.0)
+    away = "away from the belt" if moved > 0 else "towards the belt"
+    mount = f"the mount moved by {abs(moved):.1f} mm, {away}"
+    drift = f"the depth scale drifted by {drifted:+.2f} px of disparity"
+    told = {"mount": mount, "drift": drift, "both": f"{mount}, and {drift}"}[cause]
+    if gauges.get("gauge_beyond") or gauges.get("belt_alarm"):
+        return (
+            f"camera '{camera}': {told}: more than is corrected, so weights are off. Fasten or calibrate the camera, "
+            "then measure the belt (`tuberline calibrate belt RECORDING`)"
+        )
+    return f"camera '{camera}': {told}; corrected. Calibrate the camera when the line stands next"

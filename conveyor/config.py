@@ -11,19 +11,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
+from conveyor.config_base import Metres, Section
+from conveyor.config_gauge import GaugeSection
 from conveyor.errors import ConfigError, TuberlineError
+from conveyor.gauge import Gauge
 from conveyor.resting import RestingLevel
 from conveyor.topics import check_name
-
-Metres = Annotated[float, Field(gt=0, le=10)]
-
-
-class Section(BaseModel):
-    """Base of all sections: frozen, no unknown keys, every default checked."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
 class LinkConfig(Section):
@@ -92,7 +87,7 @@ class CameraConfig(Section):
         return self
 
 
-class BeltConfig(Section):
+class BeltConfig(GaugeSection):
     """What tubers lie on, and how far under the belt plane that the cameras see they lie there."""
 
     surface: Literal["flat", "rods", "cleats"] = Field(
@@ -107,8 +102,15 @@ class BeltConfig(Section):
         None, ge=0, le=20, description="how well that offset is known (standard deviation); not given: not known"
     )
 
+    @property
+    def known_gauge(self) -> Gauge | None:
+        """In metres; None where there is none."""
+        return self.described_gauge(pitch_mm=self.rod_pitch_mm, rod_mm=self.rod_diameter_mm)
+
     @model_validator(mode="after")
     def _rods_apart(self) -> Self:
+        if self.gauge == "rods" and self.surface != "rods":
+            raise ValueError('gauge is "rods" and surface is not: set surface = "rods", rod_pitch_mm, rod_diameter_mm')
         if self.rod_diameter_mm >= self.rod_pitch_mm:
             raise ValueError(
                 f"rod_diameter_mm is {self.rod_diameter_mm} and rod_pitch_mm {self.rod_pitch_mm}: rods of a web lie "

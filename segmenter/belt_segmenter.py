@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.gauge import Gauge
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
 from conveyor.reasons import TrackRefusal
@@ -16,6 +17,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
+from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.frame.sides import completed_centres
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
@@ -57,6 +59,7 @@ class Settings:
     """The watermark waits for a track that is past its decision and does not count yet, though more frames may show it,
     until it left the view. Of 559 tracks that counted on simulated belts none did so that late, and what waited held up
     the ledger for a second and more: a live line does not wait for it. Should it count after all, it comes late."""
+    gauge: Gauge | None = None
 
 
 class BeltSegmenter:
@@ -65,6 +68,7 @@ class BeltSegmenter:
     Attributes:
         belt: the newest geometry; travel is followed with the first one.
         instances: of the last frame, with the tracks that they show in `found`.
+        flags: what is wrong with the camera, for the tracks that are decided.
     """
 
     def __init__(self, settings: Settings, belt: BeltGeometry, perception: Perception, resume: Resume | None) -> None:
@@ -75,6 +79,8 @@ class BeltSegmenter:
         self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
         self.coverage = Coverage(high_m - low_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
+        self.noise = NoiseWatch()
+        self.flags: tuple[str, ...] = ()
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
         self.found: Found = []
@@ -87,6 +93,7 @@ class BeltSegmenter:
     def step(self, frame: Frame, belt: BeltGeometry) -> StepResult:
         """Take the next frame, over the belt as it is known now."""
         self.belt = self.tracker.belt = belt
+        self.noise.step(frame)
 
         # Heights over the belt
         heights = self._heights(frame)
@@ -114,7 +121,7 @@ class BeltSegmenter:
         """Decide all tracks still open: the camera has ended."""
         if self._last is None:
             return []
-        return self.decider.decide(Moment(self._last, self.tracker, self.follower), everything=True)
+        return self.decider.decide(self._moment(self._last), everything=True)
 
     @property
     def taken_for_distractors(self) -> NDArray[np.bool_]:
@@ -189,8 +196,11 @@ class BeltSegmenter:
                     if candidate.whole and len(track.rims) < RIMS_KEPT:
                         track.rims.append(rim_of(instances, index, heights))
 
+    def _moment(self, frame: Frame) -> Moment:
+        return Moment(frame, self.tracker, self.follower, self.noise.noise_px, self.flags)
+
     def _decide(self, frame: Frame) -> list[ClosedTrack]:
-        closed = self.decider.decide(Moment(frame, self.tracker, self.follower), everything=False)
+        closed = self.decider.decide(self._moment(frame), everything=False)
         self.tracker.drop_gone(self.follower.travel_m)
         return closed
 

@@ -199,6 +199,9 @@ class SegmenterNode:
         core = camera_run.core
         self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
         levels = self._belt.gauges()
+        levels |= core.gauge.gauges()
+        if core.noise_px is not None:
+            levels["camera_noise_px"] = core.noise_px
         for name, level in levels.items():
             self._node.counters.gauge(name, level)
         for name, finding in belt_findings(self._camera, levels).items():

@@ -12,14 +12,19 @@ from conveyor.reasons import FrameDrop, TrackRefusal
 from segmenter.belt_segmenter import BeltSegmenter, Settings, row_place_m
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
+from segmenter.frame.belt_off import BeltOff
 from segmenter.frame.gate import FrameGate
 from segmenter.frame.instances import Instances
 from segmenter.frame.plane import BeltCheck
+from segmenter.gauge.keeper import GaugeKeeper
 from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.track.counting import Crossing
 from segmenter.waiting import WaitingSegmenter
+
+GAUGE_FOLLOW_M = 0.012
+"""A belt is followed so far where a gauge says that the mount moved; beyond `DRIFT_M` the alarm is raised as well."""
 
 __all__ = ["ClosedTrack", "Segmenter", "Settings", "StepResult"]
 
@@ -32,6 +37,8 @@ class Segmenter:
 
     def __init__(self, settings: Settings, *, resume: Resume | None = None) -> None:
         self._gate = FrameGate()
+        self.gauge = GaugeKeeper(settings.gauge)
+        self._off = BeltOff()
         self._belts = BeltKeeper(settings.belt_follow_m, given_sd_m=settings.belt_sd_m)
         self._waiting = WaitingSegmenter(settings, Perception(settings.perception, settings.split), resume)
         self._running: BeltSegmenter | None = None
@@ -45,12 +52,17 @@ class Segmenter:
         drop = self._gate.drop(frame)
         if drop is not None:
             return self._dropped(drop)
-        belt = self._belts.belt_of(frame)
+        seen = self.gauge.corrected(frame)
+        if self.gauge.moved:
+            self._belts.may_follow(GAUGE_FOLLOW_M)
+        belt = self.gauge.belt_of(self._belts.belt_of(seen))
         if belt is None:
             return self._dropped(FrameDrop.NO_BELT)
         if self._running is None:
-            self._running = self._waiting.with_belt(belt, frame)
-        result = self._running.step(frame, belt)
+            self._running = self._waiting.with_belt(belt, seen)
+        self._off.step(self._belts.check)
+        self._running.flags = self.gauge.flags() if self.gauge.reading is not None else self._off.flags()
+        result = self._running.step(seen, belt)
         self._gate.processed(frame, instances=result.instances)
         return result
 
@@ -77,6 +89,11 @@ class Segmenter:
     def belt_check(self) -> BeltCheck:
         """What the newest check of the belt said, against the belt as given."""
         return self._belts.check
+
+    @property
+    def noise_px(self) -> float | None:
+        """Local noise of the camera's depth, pixels of disparity at a baseline of 18 mm; None before it is known."""
+        return self._running.noise.noise_px if self._running else None
 
     @property
     def instances(self) -> Instances | None:

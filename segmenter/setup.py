@@ -28,6 +28,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
         belt_follow_m=s.belt_follow_mm / 1000,
         early_views=live,
         hold_for_doubtful=not live,
+        gauge=config.belt.known_gauge,
     )
 
 

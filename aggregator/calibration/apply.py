@@ -17,6 +17,14 @@ from conveyor.statistics import NORMAL_90
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
 
+NOISY_SD = 0.03
+"""Of what all weights have in common that were seen by a camera noisier than those the weights were trained for: a
+half-width of 5 %, whatever the tickets say, for a camera may have become noisy since."""
+OFF_SD_PER_MM = 0.0065
+"""Of what they have in common for each millimetre that the belt is seen off its calibration: a mount that moved costs
+nothing, for the belt is followed; a disparity that drifted by as much costs 4 d / z of a volume, 0.9 % a millimetre at
+0.46 m and 1.2 % at 0.345 m. Without a gauge it is not known which: a half-width of 1.07 % a millimetre."""
+
 LEAST_TOLD_G, LEAST_COVERAGE, MOST_TOLD_PERCENT = 1e-3, 1e-9, 1e6
 """Of less no percentages are told: they would not be finite numbers."""
 
@@ -64,6 +72,7 @@ def calibrated(
     tickets: Sequence[Ticket] = (),
     prior: Prior | None = None,
     cultivar: str = "",
+    camera_sd: float = 0.0,
 ) -> Calibrated:
     """The load as the tickets of its weights have it.
 
@@ -71,6 +80,7 @@ def calibrated(
         weighed_g: sums of tubers as weighed, by method and model.
         per_mm_g: growth of their sum with each millimetre tubers lie lower; 0: not known, the typical one is taken.
         own_variance_g2: sums of the tubers' own variances below and above.
+        camera_sd: what is doubtful of the cameras of this load, as a share of its weight (`camera_sd`).
     """
     prior = prior or Prior()
     raw_g = sum(weighed_g.values())
@@ -81,6 +91,7 @@ def calibrated(
         one_g, parts = _one(corrections[model], grams, per_mm * grams, cultivar)
         if method == "volume":
             parts[CAMERA] = math.hypot(parts[CAMERA], VOLUME_SD * one_g)
+        parts[CAMERA] = math.hypot(parts[CAMERA], camera_sd * one_g)
         weight_g += one_g
         between_g += corrections[model].load_sd * one_g
         # What weights of several models misjudge, they misjudge together: half-widths add up.
@@ -91,6 +102,16 @@ def calibrated(
     own_g = scale * math.sqrt(sum(own_variance_g2) / 2)
     shared_g[TUBERS] = math.hypot(shared_g[TUBERS], own_g)
     return Calibrated(weight_g, low_sd_g, high_sd_g, shared_g, corrections, own_g, between_g)
+
+
+def camera_sd(noisy_share: float, off_mm: float) -> float:
+    """Standard deviation, as a share of a load, of what is doubtful of its cameras.
+
+    Args:
+        noisy_share: of its weight, seen by cameras noisier than those the weights were trained for.
+        off_mm: how far the belt was seen off its calibration with no gauge to say why, mean over its weight.
+    """
+    return math.hypot(NOISY_SD * noisy_share, OFF_SD_PER_MM * off_mm)
 
 
 def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: str) -> tuple[float, dict[str, float]]:

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.core.layers import LayerSums
+from conveyor.camera_flags import CAMERA_NOISE, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -23,7 +24,9 @@ class LoadSums:
     """Sums over committed tubers; the order of `add` changes nothing but the last digits.
 
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
-    `per_mm_g` that sum grows with each millimetre that all of them lie lower.
+    `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
+    saw which are noisier than those the weights were trained for, `off_g_mm` its sum times the millimetres by which the
+    belt was seen off its calibration, with no gauge to say why.
     """
 
     histogram_step_g: float
@@ -33,6 +36,8 @@ class LoadSums:
     high_variance_g2: float = 0.0
     squares_g2: float = 0.0
     per_mm_g: float = 0.0
+    noisy_g: float = 0.0
+    off_g_mm: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
     merged: int = 0
     late: int = 0
@@ -49,6 +54,8 @@ class LoadSums:
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.squares_g2 += tuber.weight_g**2
         self.per_mm_g += tuber_g_per_mm(tuber)
+        self.noisy_g += tuber.weight_g if CAMERA_NOISE in tuber.flags else 0.0
+        self.off_g_mm += tuber.weight_g * belt_off_mm(tuber.flags)
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -76,6 +83,8 @@ class LoadSums:
         self.merged += other.merged
         self.late += other.late
         self.layers.take(other.layers)
+        self.noisy_g += other.noisy_g
+        self.off_g_mm += other.off_g_mm
         for at, n in enumerate(other.classes):
             self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
 
@@ -96,6 +105,11 @@ class LoadSums:
     def as_weighed_g(self) -> float:
         """Sum of the tubers' weights, grams."""
         return sum(weight_g for _, weight_g in self.weighed.values())
+
+    def camera_doubt(self) -> tuple[float, float]:
+        """(share of the weight seen by too noisy cameras, mean mm that the belt was off for no known cause)."""
+        whole_g = self.as_weighed_g
+        return (self.noisy_g / whole_g, self.off_g_mm / whole_g) if whole_g > 0 else (0.0, 0.0)
 
     @property
     def mean_square_g2(self) -> float | None:
@@ -134,6 +148,8 @@ class LoadSums:
             "high_variance_g2": self.high_variance_g2,
             "squares_g2": self.squares_g2,
             "per_mm_g": self.per_mm_g,
+            "noisy_g": self.noisy_g,
+            "off_g_mm": self.off_g_mm,
             "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
             "merged": self.merged,
             "late": self.late,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from aggregator.calibration.apply import Calibrated, calibrated, parts_percent
+from aggregator.calibration.apply import Calibrated, calibrated, camera_sd, parts_percent
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.layers import Hidden, hidden
@@ -58,6 +58,7 @@ class LoadTotals:
             found = calibrated(
                 {key: grams for key, (_, grams) in self.sums.weighed.items()},
                 per_mm_g=self.sums.per_mm_g,
+                camera_sd=camera_sd(*self.sums.camera_doubt()),
                 own_variance_g2=(self.sums.low_variance_g2, self.sums.high_variance_g2),
                 tickets=self._tickets,
                 prior=self._prior,

@@ -14,7 +14,8 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     """The tuber that all tracks of `group` saw.
 
     Size, weight and place come from the tracks that saw it whole, where there are any. Flags: what its views were
-    flagged with, 'on_others_35_mm' (it lies on others, that high), 'cut' (never seen whole), 'late' (came after its
+    flagged with, 'on_others_35_mm' (it lies on others, that high), what its cameras were (`conveyor.camera_flags`),
+    'cut' (never seen whole), 'late' (came after its
     place was committed), 'travel_estimated', 'rejoined' (two tracks of one camera).
     """
     members = sorted(group.members, key=lambda member: (member.camera, member.track.first_seq, member.track.track_id))
@@ -32,6 +33,7 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
         axes_mm=(length_mm, width_mm, height_mm),
     )
     flags = set(weight.flags)
+    flags |= {flag for track in tracks for flag in track.flags}
     flags |= set() if whole else {"cut"}
     flags |= {"late"} if any(member.late for member in members) else set()
     flags |= {"travel_estimated"} if any(track.travel_estimated for track in tracks) else set()

@@ -17,22 +17,24 @@ from camera_sim.sim.rods import Rods
 from camera_sim.sim.stereo import StereoNoise
 from camera_sim.sim.surface import FLAT, Surface
 from camera_sim.sim.tubers import LEVEL, Tuber, draw_tuber, with_jacket
+from conveyor.camera_range import CAMERAS, Range
 from conveyor.errors import InputError
 
-Range = tuple[float, float]
+HARSH = CAMERAS["harsh"]
+"""What weights that were trained in this world are compared with; the rest of a camera is not measured on frames."""
 
-LOCAL_PX: Range = (0.015, 0.12)
+LOCAL_PX = HARSH.local_px
 FINE_SHARE, MID_SHARE, ROUNDING_PX = 0.97, 0.8, 1 / 32 / 12**0.5
 """Fine and mid noise of a camera whose residual to an 11 x 11 quadric is 1 px; rounding alone leaves 0.009 px."""
-SMOOTH_PX: Range = (0.05, 0.17)
-BOW_PX: Range = (0.0, 0.16)
-ISLANDS: Range = (1.0, 40.0)
+SMOOTH_PX = HARSH.smooth_px
+BOW_PX = HARSH.bow_px
+ISLANDS = HARSH.islands
 RIM_PX: Range = (0.2, 2.5)
 SHARP_SHARE = 0.35
 """Share of cameras that lose nothing at rims and flanks beyond what the matching window does."""
-OUTLINE_PX: Range = (8.0, 26.0)
+OUTLINE_PX = HARSH.outline_px
 STEEP: Range = (0.20, 0.90)
-BARE: Range = (0.0003, 0.15)
+BARE = HARSH.bare
 BLOBS_PX = (2, 5)
 SCALE: Range = (0.99, 1.01)
 DRIFT_PX: Range = (-0.4, 0.4)
@@ -48,7 +50,7 @@ BELOW_M: Range = (0.03, 0.15)
 CLEAT_M: Range = (0.004, 0.010)
 CLEAT_PITCH_MM = (64, 128)
 SAG_M: Range = (0.002, 0.010)
-SOIL_M: Range = (0.0004, 0.003)
+SOIL_M = HARSH.soil_m
 RESTING_M: Range = (-0.002, 0.009)
 BEYOND_RODS_M: Range = (-0.002, 0.003)
 """What is added on rods to the sink that their geometry gives; the sum stays within RESTING_M."""

@@ -101,6 +101,8 @@ class SceneSettings:
         heave_mm, heave_hz: amplitude and frequency at which belt and load move up and down under the camera.
         conditions: this recording's own world; `in_its_world` draws it for the preset 'harsh'.
         stated: what the recording says of its resting offset; None: nothing.
+        drift_by_end_px, shift_by_end_mm: by how much every disparity grows, and the camera moves away from the belt,
+            evenly from the first frame to the last; the recording states the belt as it was at first.
     """
 
     scene: str
@@ -121,6 +123,8 @@ class SceneSettings:
     heave_hz: float = 4.0
     conditions: Conditions | None = None
     stated: StatedRest | None = None
+    drift_by_end_px: float = 0.0
+    shift_by_end_mm: float = 0.0
 
     def surface_of(self, layout: Layout) -> Surface:
         """What the load lies on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from camera_sim.sim.faults import plan_faults
 from camera_sim.sim.paint import paint_jpeg
 from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
-from camera_sim.sim.stereo import Field, NoiseBank, measure
+from camera_sim.sim.stereo import Field, NoiseBank, StereoNoise, measure
 from camera_sim.sim.stereo_faults import bowed_field
 from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
 from conveyor.formats.source import CameraDescription, Refused
@@ -96,13 +97,14 @@ class SimulatedSource:
         picture, time_s = self._faults.picture_of(seq), self.time_s(self._faults.time_of(seq))
         travel = self._world.motion.travel_at(time_s)
         seen_s = self.time_s(picture)
-        canvas = render(self._world, self._camera, self._world.motion.travel_at(seen_s), time_s=seen_s)
+        camera, noise = self._disturbed(seq)
+        canvas = render(self._world, camera, self._world.motion.travel_at(seen_s), time_s=seen_s)
         rng = np.random.default_rng([*self._key, 2, picture])
         depth = measure(
             (1 / canvas.inverse_depth).astype(np.float32),
             focal_px=k.fx,
             unit_m=settings.unit_m,
-            noise=settings.preset.noise,
+            noise=noise,
             bank=self._bank,
             rng=rng,
             bow=self._bowed(),
@@ -124,6 +126,18 @@ class SimulatedSource:
             mask=self._tuber_labels(canvas) if self._masks else None,
             color_jpeg=paint_jpeg(canvas, self._world, rng) if self._color else None,
         )
+
+    def _disturbed(self, seq: int) -> tuple[CameraPose, StereoNoise]:
+        """The camera as it hangs by frame `seq`, and how it errs by then."""
+        settings, share = self._settings, min(seq / max(self._count - 1, 1), 1.0)
+        camera, noise = self._camera, settings.preset.noise
+        if settings.drift_by_end_px:
+            noise = replace(noise, drift_px=noise.drift_px + share * settings.drift_by_end_px)
+        if settings.shift_by_end_mm:
+            moved = camera.belt_from_camera.copy()
+            moved[:3, 3] -= moved[:3, 2] * share * settings.shift_by_end_mm / 1000
+            camera = replace(camera, belt_from_camera=moved)
+        return camera, noise
 
     def _bowed(self) -> Field | None:
         """(H, W) the camera's bowed field, the same in every frame."""

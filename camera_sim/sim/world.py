@@ -14,7 +14,7 @@ from camera_sim.sim.motion import BeltMotion
 from camera_sim.sim.optics import BASELINE_M, Optics
 from camera_sim.sim.raster import Canvas, canvas_over, draw, whole_image
 from camera_sim.sim.tubers import Tuber
-from conveyor.geometry import straight_down_belt_from_camera, transform_points
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera, transform_points
 
 REACH_M = 0.22
 """A body whose centre is further than this from the view cannot reach into it."""
@@ -89,14 +89,39 @@ class Heave:
 
 
 @dataclass(frozen=True, slots=True)
+class Edges:
+    """A belt `width_m` wide, its middle at y = 0, with the floor `floor_m` below it on both sides."""
+
+    width_m: float
+    floor_m: float = 0.2
+
+    def beside(self, depth_m: NDArray[np.float32], intrinsics: Intrinsics, m: NDArray[np.float64]) -> None:
+        """Put the floor into (H, W) `depth_m` where there is no belt; `m` is belt_from_camera."""
+        x = (np.arange(intrinsics.width) - intrinsics.cx)[None, :] / intrinsics.fx
+        y = (np.arange(intrinsics.height) - intrinsics.cy)[:, None] / intrinsics.fy
+        down = -(m[2, 0] * x + m[2, 1] * y + m[2, 2])
+        across = (m[1, 0] * x + m[1, 1] * y + m[1, 2]) * m[2, 3] / down + m[1, 3]
+        floor = (m[2, 3] + self.floor_m) / down
+        beside = np.abs(across) > self.width_m / 2
+        depth_m[beside] = floor[beside]
+
+
+@dataclass(frozen=True, slots=True)
 class World:
-    """All that is needed to render any frame; `heave` None: the belt runs level."""
+    """All that is needed to render any frame; `heave` None: the belt runs level.
+
+    Attributes:
+        fixed: what is mounted on the frame and does not ride, vertices in belt coordinates.
+        edges: the belt's two edges; None: it reaches beyond the view.
+    """
 
     bodies: tuple[Body, ...]
     belt: Belt
     motion: BeltMotion
     cameras: tuple[CameraPose, ...]
     heave: Heave | None = None
+    fixed: tuple[Body, ...] = ()
+    edges: Edges | None = None
 
 
 def mount(
@@ -129,12 +154,16 @@ def render(world: World, camera: CameraPose, travel_m: float, *, time_s: float =
         height=k.height,
         width=k.width,
     )
+    if world.edges is not None:
+        world.edges.beside(depth, k, belt_from_camera)
     canvas = canvas_over(depth, whole_image(k))
     view_x, view_half = camera.belt_from_camera[0, 3], 1.2 * camera.belt_from_camera[2, 3] * k.height / (2 * k.fy)
     for body in world.bodies:
         if abs(body.place[0] + travel_m - view_x) < view_half + REACH_M:
             points = transform_points(camera_from_belt, body.vertices_at(travel_m) + np.array([travel_m, 0.0, 0.0]))
             draw(canvas, points, body.faces, intrinsics=k, instance=body.body_id)
+    for body in world.fixed:
+        draw(canvas, transform_points(camera_from_belt, body.vertices), body.faces, intrinsics=k, instance=body.body_id)
     return canvas
 
 

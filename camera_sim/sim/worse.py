@@ -24,9 +24,12 @@ WORLD: dict[str, Callable[[SceneSettings], SceneSettings]] = {
     "rolling": lambda settings: replace(settings, unrest=max(settings.unrest, 1.0)),
     "fine-unit": lambda settings: replace(settings, unit_m=0.0001),
     "wrong-scale": lambda settings: replace(settings, unit_m=0.0001, claimed_unit_m=0.001),
+    "depth-drift": lambda settings: replace(settings, drift_by_end_px=0.4),
+    "mount-moves": lambda settings: replace(settings, shift_by_end_mm=6.0),
 }
 """A belt whose speed swings by 10 % either way twice a second; tubers that rock and roll; depth in the D405's own
-0.1 mm; the same, but the recording claims 1 mm."""
+0.1 mm; the same, but the recording claims 1 mm; a disparity that grows by 0.4 px, and a camera that moves away by
+6 mm, evenly from the first frame to the last."""
 
 
 def worsened(settings: SceneSettings, names: tuple[str, ...]) -> SceneSettings:

@@ -62,6 +62,7 @@ class Track:
         views: the answers; views_sent = len(views) + sum(views_lost.values()).
         views_lost: views sent to a regressor without an answer to use, by reason.
         support_mm: height of the tubers that it lies on; 0 on the belt. Its height and volume are from there up.
+        flags: what was wrong with the camera meanwhile (`conveyor.camera_flags`).
     """
 
     track_id: Id
@@ -82,6 +83,7 @@ class Track:
     views: Annotated[tuple[WeighedView, ...], Items(256)]
     views_lost: Counts
     support_mm: Millimetres = 0.0
+    flags: Words = ()
 
     @property
     def place_x_m(self) -> float:

@@ -39,6 +39,7 @@ class View(Message):
         belt_sd_m: how well the belt's height is known, standard deviation.
         resting_offset_m: how far under that belt this tuber's underside lies; negative above it, as on others.
         resting_sd_m: how well that is known, standard deviation.
+        camera_noise_px: local noise of its camera's depth, pixels of disparity at a baseline of 18 mm; None: not known.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
     """
 
@@ -58,6 +59,7 @@ class View(Message):
     belt_sd_m: Annotated[float, Range(0, 0.1, "m")] = TYPICAL_BELT_SD_M
     resting_offset_m: Annotated[float, Range(-0.2, 0.1, "m")] = 0.0
     resting_sd_m: Annotated[float, Range(0, 0.1, "m")] = 0.0
+    camera_noise_px: Annotated[float, Range(0, 100, "px")] | None = None
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", CROP_SIDES),

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
 from regressor.network.checkpoint import InputSpec, Range, Sidecar, read_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
@@ -161,6 +162,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         belt_distance_m=_range(data.belt_distance_m, 0.02),
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
+        worlds=tuple(str(name) for name in np.unique(data.preset) if name in CAMERAS),
         volume_share=share,
         **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
         volume_rule=rule.to_json(),

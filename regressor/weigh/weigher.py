@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import CAMERA_NOISE
+from conveyor.camera_range import camera_range
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
@@ -237,7 +239,7 @@ def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -
         high_g=weighed.high_g,
         method=weighed.method,
         model=weighed.model,
-        flags=weighed.flags,
+        flags=(*weighed.flags, *_camera_flags(weigher.sidecar, view)),
         regressor=regressor,
     )
     try:
@@ -245,6 +247,12 @@ def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -
     except UnsendableError:
         return _refusal(weigher, view, regressor=regressor, reason="out_of_range")
     return weight
+
+
+def _camera_flags(sidecar: Sidecar, view: View) -> tuple[str, ...]:
+    """What is out of the weights' range of the camera that took the view."""
+    trained = camera_range(sidecar.worlds)
+    return (CAMERA_NOISE,) if trained.noisier(view.camera_noise_px) else ()
 
 
 def _refusal(weigher: Weigher, view: View, *, regressor: str, reason: str) -> Weight:

@@ -51,6 +51,11 @@ class BeltKeeper:
         self._frames += self.belt is not None
         return self.belt
 
+    def may_follow(self, reach_m: float) -> None:
+        """Follow a given belt by `reach_m` at least from now on: a gauge says that the mount moved."""
+        if self._follow_m > 0:
+            self._follow_m = max(self._follow_m, reach_m)
+
     def _due(self) -> bool:
         fitting = self._fitted and len(self._fits) < FITTED_OVER
         learning = self._follow_m > 0 and self._frames < FITTED_OVER

@@ -32,11 +32,14 @@ MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The frame at which tracks are decided, and where everything is."""
+    """The frame at which tracks are decided, and where everything is. `noise_px`: of the camera's depth, if known;
+    `flags`: what is wrong with the camera."""
 
     frame: Frame
     tracker: Tracker
     follower: BeltFollower
+    noise_px: float | None = None
+    flags: tuple[str, ...] = ()
 
 
 class TrackDecider:
@@ -81,14 +84,14 @@ class TrackDecider:
             for slot, candidate in track.shelf.settled(track.area_m2, past_m=past_m):
                 if slot not in track.sent_early:
                     track.sent_early.add(slot)
-                    views.append(self._view(candidate, slot, _track_id(track, now), now.frame))
+                    views.append(self._view(candidate, slot, _track_id(track, now), now))
         return views
 
-    def _view(self, candidate: Candidate, rank: int, track_id: str, frame: Frame, *, high_m: float = 0.0) -> View:
-        """The view of a tuber; one whose underside lies `high_m` above the belt, on others, has an id of its own, for it
-        may have been weighed early as one on the belt."""
+    def _view(self, candidate: Candidate, rank: int, track_id: str, now: Moment, *, high_m: float = 0.0) -> View:
+        """The view of a tuber; where its underside lies `high_m` above the belt, on others, it has an id of its own:
+        it may have been weighed early as one on the belt."""
         level = _level(self._resting, min(high_m, MOST_OF_TOP * candidate.height_m))
-        view = _view(candidate, rank, track_id, frame, self._belt_sd_m).resting_on(level)
+        view = _view(candidate, rank, track_id, now, self._belt_sd_m).resting_on(level)
         return replace(view, view_id=f"{view.view_id}-on-others") if high_m > 0 else view
 
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
@@ -126,7 +129,7 @@ class TrackDecider:
         track_id = _track_id(track, now)
         high_m = self._layers.support_m(track.rims, _around(track, now.tracker))
         views = tuple(
-            self._view(candidate, rank, track_id, now.frame, high_m=high_m) for rank, candidate in enumerate(chosen)
+            self._view(candidate, rank, track_id, now, high_m=high_m) for rank, candidate in enumerate(chosen)
         )
         under_m = float(np.median([view.resting_offset_m for view in views]))
         message = _message(
@@ -210,11 +213,13 @@ def _message(
         views=(),
         views_lost={},
         support_mm=high_m * 1e3,
+        flags=now.flags,
     )
 
 
-def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_m: float) -> View:
+def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m: float) -> View:
     """A candidate as the message that goes to a regressor."""
+    frame = now.frame
     return View(
         view_id=f"{track_id}/{candidate.seq}",
         track_id=track_id,
@@ -230,4 +235,5 @@ def _view(candidate: Candidate, rank: int, track_id: str, frame: Frame, belt_sd_
         depth=candidate.depth,
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
+        camera_noise_px=now.noise_px,
     )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from camera_sim.sim.faults import FAULTS, check_faults
+from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
 from camera_sim.sim.source import SimulatedSource, simulated_sources, truth_of
@@ -161,3 +162,20 @@ def test_fault_names_are_forgiving_and_unknown_ones_are_not() -> None:
     assert set(check_faults((*FAULTS, *NOISE, *WORLD))) == {*FAULTS, *NOISE, *WORLD}
     with pytest.raises(InputError, match=r"--inject fire is unknown; known: dropped, .*dirty-lens, .*rolling"):
         check_faults(("fire",))
+
+
+@pytest.mark.parametrize("fault", ["depth-drift", "mount-moves"])
+def test_a_camera_that_drifts_or_moves_sees_it_grow_evenly(small_settings: SceneSettings, fault: str) -> None:
+    """A drift of disparity of 0.4 px, a move of 6 mm. Stated is the belt as it was at first."""
+    settings = worsened(replace(small_settings, belt_distance_m=0.46, unit_m=0.0001), (fault,))
+    (source,) = _world(settings, "singulated")[1]
+    (still,) = _world(replace(settings, drift_by_end_px=0.0, shift_by_end_mm=0.0), "singulated")[1]
+    assert source.description.belt_distance_m == still.description.belt_distance_m
+    strength = source.description.intrinsics.fx * BASELINE_M
+    last = (source.description.frames or 1) - 1
+    for seq, share in ((0, 0.0), (last // 2, (last // 2) / last), (last, 1.0)):
+        depth, before = source.frame(seq, run="r").depth, still.frame(seq, run="r").depth
+        belt = (depth > 4100) & (before > 4450)
+        seen_m = 1 / (1 / 0.46 + share * 0.4 / strength) if fault == "depth-drift" else 0.46 + share * 0.006
+        off_mm = 0.1 * (depth[belt].mean() - before[belt].mean())
+        assert off_mm == pytest.approx(1000 * (seen_m - 0.46), abs=0.5), seq

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from conveyor.camera_range import camera_range
 from conveyor.config import parse_config
 from conveyor.messages import Counters
 from tuberline.cli.simulate import simulate
 from tuberline.doctor import Level
 from tuberline.doctor.belt import check_belt_seen, check_running_belts
+from tuberline.doctor.depth import check_running_noise
 from tuberline.doctor.examine import examine
 
 
@@ -57,12 +59,31 @@ def test_a_running_segmenter_is_believed() -> None:
     assert check_running_belts(config, nodes, alive=set()) == []
 
 
+def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
+    config = parse_config({"cameras": {"left": {}, "right": {}}}, where="test")
+    nodes = {
+        f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 9.0, {}, {"belt_drift_mm": 0.3, **gauges})
+        for name, gauges in {
+            "left": {"gauge_cause": 2.0, "gauge_drift_px": 0.21, "camera_noise_px": 0.02},
+            "right": {"gauge_cause": 0.0, "camera_noise_px": 0.2},
+        }.items()
+    }
+    found = {f.check: f for f in check_running_belts(config, nodes, alive=set(nodes))}
+    assert found["gauge of left"].level is Level.WARNING
+    assert "the depth scale drifted by +0.21 px" in found["gauge of left"].text
+    assert "gauge of right" not in found
+    noisy = check_running_noise(config, nodes, camera_range(("easy",)), alive=set(nodes))
+    assert [(f.check, f.level) for f in noisy] == [("depth of right", Level.WARNING)]
+    assert "measures 0.200 px of noise" in noisy[0].text
+
+
 def test_doctor_measures_a_recordings_belt(tmp_path: Path) -> None:
     simulate(out=tmp_path / "belt", seed=3, scene="singulated", tubers=2, fps=5.0, camera="d405-848")
     (name,) = [file.parent.name for file in (tmp_path / "belt").glob("*/camera.json")]
     raw = {"cameras": {name: {"path": str(tmp_path / "belt")}}, "aggregator": {"out": str(tmp_path)}}
     right = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
     assert right[f"belt of {name}"].level is Level.OK
+    assert right[f"depth of {name}"].level is Level.OK, right[f"depth of {name}"]
     raw["cameras"][name]["belt_distance_m"] = 0.445  # type: ignore[index]
     moved = {f.check: f for f in examine(parse_config(raw, where="test"), offline=True)}
     assert moved[f"belt of {name}"].level is Level.WARNING

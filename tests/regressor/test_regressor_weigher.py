@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from conveyor.camera_range import camera_range
 from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
@@ -40,6 +41,16 @@ def test_the_shipped_weights_weigh_an_ellipsoid(weigher: Weigher) -> None:
     assert answer.low_g < answer.weight_g < answer.high_g  # type: ignore[operator]
     assert answer.flags == ()
     assert answer.model.startswith("tuberline-sim@")
+
+
+def test_a_camera_noisier_than_the_trained_ones_is_flagged_and_changes_no_weight(weigher: Weigher) -> None:
+    most_px = camera_range(weigher.sidecar.worlds).local_px[1]
+    view = ellipsoid_view(AXES)
+    answers = [
+        weigh_view(weigher, replace(view, camera_noise_px=px), regressor="r1") for px in (None, most_px, 2 * most_px)
+    ]
+    assert ["camera_noise" in answer.flags for answer in answers] == [False, False, True]
+    assert len({answer.weight_g for answer in answers}) == 1
 
 
 def test_a_weight_does_not_depend_on_what_was_weighed_before(weigher: Weigher) -> None:

@@ -51,6 +51,27 @@ def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
     assert said in texts(with_node(good_state(), "segmenter/left", moved), "trouble")[0]
 
 
+@pytest.mark.parametrize(
+    ("levels", "level", "said"),
+    [
+        ({"gauge_cause": 1.0, "gauge_shift_mm": -3.1}, "warning", ["The mount of camera left moved by 3.1 mm."]),
+        (
+            {"gauge_cause": 2.0, "gauge_drift_px": 0.2},
+            "warning",
+            ["The depth scale of camera left drifted by +0.20 px; it is corrected."],
+        ),
+        (
+            {"gauge_cause": 2.0, "gauge_drift_px": -0.7, "gauge_beyond": 1.0},
+            "trouble",
+            ["The depth scale of camera left drifted by -0.70 px; too much to correct: weights are wrong."],
+        ),
+        ({"gauge_cause": 0.0, "gauge_shift_mm": 0.4}, "warning", []),
+    ],
+)
+def test_a_gauge_names_what_moved(levels: dict[str, float], level: str, said: list[str]) -> None:
+    assert texts(with_node(good_state(), "segmenter/left", segmenter("left", gauges=levels)), level) == said
+
+
 @pytest.mark.parametrize("reason", sorted(FRAME_DROPS))
 def test_every_reason_to_drop_a_frame_has_words(reason: str) -> None:
     state = with_node(good_state(), "segmenter/right", segmenter("right", growing_s={f"frames_dropped_{reason}": 5.0}))

@@ -27,6 +27,7 @@ GROUPS: dict[str, Commands] = {
     "Set up and run a line": {
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "config": ("tuberline.cli.config:config", "Check, show or explain a line's configuration."),
+        "camera": ("tuberline.cli.camera:camera", "`camera profile`: how good is a camera's depth?"),
         "calibrate": ("tuberline.cli.calibrate:calibrate", "Measure the belt, calibrate totals by load tickets."),
         "load": ("tuberline.cli.load:load", "Start, end, note, weigh and undo loads while a line runs."),
         "weights": ("tuberline.cli.weights:weights", "The weights of a running line: list, change, go back."),
@@ -54,7 +55,7 @@ GROUPS: dict[str, Commands] = {
 
 PARTS: Commands = {
     "router": ("tuberline.cli.router:router", "The Zenoh router of a line."),
-    "camera": ("tuberline.cli.nodes:camera", "Publish the frames of one camera."),
+    "camera": ("tuberline.cli.camera:camera", "Publish the frames of one camera."),
     "segmenter": ("tuberline.cli.segmentation:segmenter", "Find and follow tubers in one camera's frames."),
     "regressor": ("tuberline.cli.nodes:regressor", "Weigh views; any number, anywhere."),
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
@@ -127,7 +128,8 @@ def build_app(*, all_listed: bool = False) -> App:
         listing = _app(name, about, usage=f"Usage: tuberline [{name}] COMMAND", group=more, show=not all_listed)
         listed_group = Group("Training and studies" if name == "lab" else "Parts of a line", sort_key=50 + order)
         _add(listing, commands, group=listed_group)
-        _add(app, commands, group=listed_group, show=all_listed)
+        needed = {known for known in commands if any(known in group for group in GROUPS.values())}
+        _add(app, {k: v for k, v in commands.items() if k not in needed}, group=listed_group, show=all_listed)
         app.command(listing)
     app.command(
         "tuberline.cli.completion:completion", name="completion", help="Tab completion for bash, zsh, fish.", group=more

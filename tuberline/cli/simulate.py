@@ -78,8 +78,8 @@ def simulate(
         Write colour images too.
     inject
         Faults by name, each its own --inject. Of the camera: dropped, duplicated, frozen, clock-jump, dirty-lens,
-        wrong-scale, fine-unit. Of the picture: holes, steep-holes, ragged-edges, smooth-error, fine-noise,
-        coarse-disparity. Of the belt: belt-jitter, rolling.
+        wrong-scale, fine-unit, depth-drift (disparity grows by 0.4 px), mount-moves (6 mm away). Of the picture:
+        holes, steep-holes, ragged-edges, smooth-error, fine-noise, coarse-disparity. Of the belt: belt-jitter, rolling.
     format
         folder, mcap (Tuberline's own), ros2 (MCAP with ROS 2 topics), or auto: by the name of --out.
     force

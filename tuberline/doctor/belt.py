@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from statistics import median
 
+from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig
 from conveyor.messages import Counters
 from tuberline.doctor.finding import Finding, fault, ok, warning
@@ -58,6 +59,10 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         gauges = nodes[name].gauges
         leans = f", leaning {gauges['belt_tilt_off_deg']:.1f} deg" if gauges.get("belt_tilt_off_deg") else ""
         text = f"{name} sees it {gauges['belt_drift_mm']:+.1f} mm off its calibration{leans}"
+        why = [text for key, text in belt_findings(camera, gauges).items() if key.startswith("gauge_")]
+        if why:
+            fix = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
+            found.append(warning(f"gauge of {camera}", why[0], fix))
         if gauges.get("belt_alarm"):
             fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
             found.append(fault(f"belt of {camera}", text, fix))

@@ -73,6 +73,7 @@ def examine(config: LineConfig, *, offline: bool = False, live: Live | None = No
 
 def _running(config: LineConfig, live: Live) -> list[Finding]:
     from tuberline.doctor.belt import check_running_belts
+    from tuberline.doctor.depth import check_running_noise, trained_range
     from tuberline.doctor.line import check_clocks, check_nodes, check_versions
 
     if live.unreachable:
@@ -88,6 +89,7 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
     return [
         *check_nodes(config, live.nodes, alive=live.alive),
         *check_running_belts(config, live.nodes, alive=live.alive),
+        *check_running_noise(config, live.nodes, trained_range(config), alive=live.alive),
         *live.weights,
         *check_versions({name: c for name, c in live.nodes.items() if name in live.alive}, own=__version__),
         *check_clocks({name: s for name, s in live.clocks_s.items() if name in live.alive}, live.nodes),
@@ -150,6 +152,7 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
     from conveyor.geometry import belt_distance_m
     from segmenter.frame.plane import fit_plane
     from tuberline.doctor.belt import check_belt_seen
+    from tuberline.doctor.depth import check_depth, trained_range
 
     source = configured_source(config, name)
     frames: Any = source.frames(run="doctor")
@@ -166,6 +169,7 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
     return [
         ok(f"camera {name}", f"{first.depth.shape[1]}x{first.depth.shape[0]} from {source.description.origin}"),
         check_belt_seen(name, given_m=given_m, seen_m=seen_m, frames=len(usable)),
+        check_depth(name, usable, trained_range(config)),
     ]
 
 

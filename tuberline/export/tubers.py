@@ -143,7 +143,7 @@ def _places(field: FieldMap, number: int, tubers: Sequence[Tuber]) -> list[tuple
     share = field.shares[number]
     crossed_s = np.array([tuber.crossed_ns for tuber in tubers]) / 1e9
     xy_m = share.way.at(crossed_s - share.delay.delay_s)
-    known: list[bool] = np.isfinite(xy_m).all(axis=1).tolist()
+    known = np.isfinite(xy_m[:, 0])
     lat, lon = field.plane.to_degrees(np.nan_to_num(xy_m))
     return [(float(a), float(b)) if there else (None, None) for a, b, there in zip(lat, lon, known, strict=True)]
 

@@ -32,6 +32,7 @@ def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
     yield from _gone(camera, source, segmenter)
     if segmenter is not None and segmenter.alive:
         yield from _belt(camera, segmenter)
+        yield from _gauge(camera, segmenter)
         yield from _frames(camera, source, segmenter, waits=info is not None and info.waits)
         yield from _views(camera, segmenter)
     if state.totals is not None and state.totals.cameras.get(camera) == "silent":
@@ -64,6 +65,20 @@ def _belt(camera: str, segmenter: NodeState) -> Iterator[Found]:
         "See that the camera's mount has not moved and that no soil lies on the belt. Then measure the distance again."
     )
     yield "belt", True, text, fix
+
+
+def _gauge(camera: str, segmenter: NodeState) -> Iterator[Found]:
+    """Why the belt is not where it was, by the gauge: a mount that moved (1), a depth scale that drifted (2), both."""
+    cause = segmenter.level("gauge_cause") or 0.0
+    moved, drifted = segmenter.level("gauge_shift_mm") or 0.0, segmenter.level("gauge_drift_px") or 0.0
+    beyond = bool(segmenter.level("gauge_beyond"))
+    if cause in (1.0, 3.0):
+        text = f"The mount of camera {camera} moved by {abs(moved):.1f} mm."
+        yield "gauge-mount", False, text, "Fasten it. Then measure the belt's distance again."
+    if cause in (2.0, 3.0):
+        done = "too much to correct: weights are wrong" if beyond else "it is corrected"
+        text = f"The depth scale of camera {camera} drifted by {drifted:+.2f} px; {done}."
+        yield "gauge-drift", beyond, text, "Calibrate the camera when the line stands."
 
 
 def _frames(camera: str, source: NodeState | None, segmenter: NodeState, *, waits: bool) -> Iterator[Found]:

@@ -1,0 +1,30 @@
+"""Flags of tubers that say what was wrong with the camera when they passed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+CAMERA_NOISE = "camera_noise"
+"""Its camera was noisier than those that the weights were trained for."""
+MOUNT_MOVED = "mount_moved"
+"""The camera was nearer to the belt, or farther, than calibrated: heights are from the belt as it is seen."""
+DEPTH_DRIFT = "depth_drift"
+"""Its disparity had drifted; the depth was corrected by the gauge."""
+DEPTH_DRIFT_BEYOND = "depth_drift_beyond"
+"""Its disparity had drifted by more than is corrected: the weight is wrong."""
+
+OFF_FROM_MM, OFF_TO_MM = 3, 15
+"""How far off the belt is seen before it is told, and what is no belt any more but an alarm."""
+_OFF = "belt_off_"
+
+
+def belt_off_flag(off_m: float) -> tuple[str, ...]:
+    """The flag of a belt seen so far off its calibration, with no gauge to say why; none where that is little."""
+    off_mm = round(1000 * abs(off_m))
+    return (f"{_OFF}{off_mm}mm",) if OFF_FROM_MM <= off_mm <= OFF_TO_MM else ()
+
+
+def belt_off_mm(flags: Iterable[str]) -> int:
+    """By how much the belt was off, of a tuber's flags; 0 where nothing is said."""
+    said = [flag.removeprefix(_OFF).removesuffix("mm") for flag in flags if flag.startswith(_OFF)]
+    return max((int(mm) for mm in said if mm.isdigit() and len(mm) < 4), default=0)

@@ -1,0 +1,93 @@
+"""Local noise of a depth image: what is left of small windows beside the quadric through them, in disparity.
+
+A skin or a belt is smooth over 11 pixels; what departs from a quadric there is the camera's. Disparity and not depth,
+because a stereo camera errs in disparity: by the same share of a pixel near and far.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIDE = 11
+"""Pixels along a window. Real and simulated cameras are compared with this window (docs/worlds.md)."""
+LEAST_SEEN = 0.5
+"""Share of a window that must have depth. All of it would leave out what lies beside holes, which is noisier."""
+JUMP_PX = 1.0
+"""Disparity between neighbours from which on a window lies across an outline and says nothing of the noise."""
+STRIDE, QUICK_STRIDE = 7, 33
+"""Pixels between windows, and between those of a quick look: 350 windows of an image of 848x480, some 5 ms."""
+LEAST_WINDOWS = 40
+"""Fewer windows have no middle worth the name."""
+
+Disparity = NDArray[np.float32]
+
+
+def disparity(depth: NDArray[np.uint16], *, depth_scale_m: float, focal_baseline: float) -> Disparity:
+    """(h, w) float32 disparity in pixels, 0 where there is no depth.
+
+    Args:
+        depth: (h, w) uint16, units of `depth_scale_m` metres, 0 = no depth.
+        focal_baseline: focal length in pixels times the distance of the imagers in metres.
+    """
+    table = np.zeros(int(depth.max()) + 1, np.float32)
+    table[1:] = focal_baseline / depth_scale_m / np.arange(1, len(table))
+    return np.asarray(table[depth], np.float32)
+
+
+def window_residuals_px(d: Disparity, *, stride: int = STRIDE) -> NDArray[np.float64]:
+    """(n,) standard deviation about its quadric of each window that lies on one surface.
+
+    Args:
+        d: (h, w) disparity in pixels, 0 = none.
+        stride: pixels between windows, both ways.
+    """
+    if min(d.shape) < SIDE:
+        return np.zeros(0)
+    windows = np.lib.stride_tricks.sliding_window_view(d, (SIDE, SIDE))[::stride, ::stride].reshape(-1, SIDE, SIDE)
+    windows = windows[(windows > 0).mean(axis=(1, 2)) >= LEAST_SEEN]
+    windows = windows[_on_one_surface(windows)].reshape(-1, SIDE * SIDE).astype(np.float64)
+    if not len(windows):
+        return np.zeros(0)
+    seen = (windows > 0).astype(np.float64)
+    count = seen.sum(axis=1)
+    windows = seen * (windows - (windows.sum(axis=1) / count)[:, None])
+    basis, products = _quadrics()
+    normal = (seen @ products).reshape(-1, 6, 6) + 1e-9 * np.eye(6)
+    found = np.linalg.solve(normal, (windows @ basis)[:, :, None])[:, :, 0]
+    left = seen * (windows - found @ basis.T)
+    return np.asarray(np.sqrt((left * left).sum(axis=1) / (count - 6)))
+
+
+def noise_px(d: Disparity, *, stride: int = QUICK_STRIDE) -> float | None:
+    """The median of `window_residuals_px`; None where too little surface shows."""
+    found = window_residuals_px(d, stride=stride)
+    return float(np.median(found)) if len(found) >= LEAST_WINDOWS else None
+
+
+def neighbour_steps_px(d: Disparity) -> NDArray[np.float32]:
+    """(n,) how far neighbours that both have depth lie apart, along rows and along columns."""
+    steps = []
+    for one, other in ((d[1:], d[:-1]), (d[:, 1:], d[:, :-1])):
+        both = (one > 0) & (other > 0)
+        steps.append(np.abs(one[both] - other[both]))
+    return np.concatenate(steps)
+
+
+def _on_one_surface(windows: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(n,) which windows hold no jump between two neighbours that are seen."""
+    whole = np.ones(len(windows), np.bool_)
+    for one, other in ((windows[:, 1:], windows[:, :-1]), (windows[:, :, 1:], windows[:, :, :-1])):
+        step = np.where((one > 0) & (other > 0), np.abs(one - other), 0)
+        whole &= step.max(axis=(1, 2), initial=0) < JUMP_PX
+    return whole
+
+
+@lru_cache
+def _quadrics() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(121, 6) the terms 1, x, y, x^2, xy, y^2 of each pixel of a window, and (121, 36) their products."""
+    y, x = np.mgrid[:SIDE, :SIDE].reshape(2, -1) / (SIDE // 2) - 1.0
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    return basis, np.einsum("ip,iq->ipq", basis, basis).reshape(len(basis), 36)

@@ -1,0 +1,93 @@
+"""The profile of each camera of a recording, with what it means for given weights."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from conveyor.camera_range import CameraRange
+from conveyor.errors import InputError
+from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
+from conveyor.formats.source import RecordedSource, Refused
+from conveyor.messages import Frame
+from segmenter.profile.profile import CameraProfile, profile_frames
+from segmenter.profile.verdict import Finding, judge
+
+FRAMES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class ProfiledCamera:
+    """One camera: what was measured, and how it compares. `first`: the frame to draw."""
+
+    profile: CameraProfile
+    findings: tuple[Finding, ...]
+    first: Frame
+
+    @property
+    def outside(self) -> tuple[Finding, ...]:
+        """Findings outside the trained range."""
+        return tuple(finding for finding in self.findings if finding.verdict == "outside")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For machines: numbers beside the words."""
+        p = self.profile
+        return {
+            "camera": p.camera,
+            "frames": p.frames,
+            "width": p.width,
+            "height": p.height,
+            "depth_unit_mm": 1000 * p.depth_scale_m,
+            "baseline_mm": round(1000 * p.baseline_m, 2),
+            "baseline_by": p.baseline_by,
+            "step_px": None if p.step is None else 1 / p.step.steps_per_px,
+            "step_match": None if p.step is None else round(p.step.match, 3),
+            "noise_px": _named(p.noise_px, ("p10", "p50", "p90")),
+            "neighbour_step_px": _named(p.neighbour_px, ("p99", "p99.9", "max")),
+            "plane_m": None if p.plane_m is None else round(p.plane_m, 4),
+            "mid_px": None if p.field is None else round(p.field.mid_px, 4),
+            "bow_px": None if p.field is None or p.field.bow_px is None else round(p.field.bow_px, 4),
+            "outline_width_px": _named(p.outline_px, ("p50", "p90")),
+            "missing_share": round(p.missing, 4),
+            "islands_per_frame": round(p.islands_per_frame, 3),
+            "islands_per_megapixel": round(p.islands_per_megapixel, 3),
+            "island_off_px": _named(
+                tuple(np.quantile(np.abs(p.island_px), [0.5, 1.0])) if len(p.island_px) else None, ("p50", "max")
+            ),
+            "findings": [asdict(finding) for finding in self.findings],
+        }
+
+
+def profile_recording(
+    path: Path, trained: CameraRange, *, frames: int = FRAMES, baseline_m: float | None = None
+) -> list[ProfiledCamera]:
+    """The profile of every camera of the recording at `path`, from `frames` spread over it.
+
+    Raises:
+        InputError: no recording, or a camera without a frame that can be read.
+    """
+    kind = recording_kind(path)
+    result = []
+    for name in camera_names(path):
+        taken = _spread(open_unchecked(path, kind, name), frames)
+        if not taken:
+            raise InputError(f"{path}, camera '{name}': none of its frames can be read (`tuberline info` says why)")
+        profile = profile_frames(taken, baseline_m=baseline_m)
+        result.append(ProfiledCamera(profile, judge(profile, trained), taken[len(taken) // 2]))
+    return result
+
+
+def _spread(source: RecordedSource, count: int) -> list[Frame]:
+    keys = source.keys()
+    if not keys:
+        return []
+    at = np.unique(np.linspace(0, len(keys) - 1, min(count, len(keys))).astype(int))
+    items = [next(source.frames(run="profile", after=keys[i].seq - 1)) for i in at]
+    return [item for item in items if not isinstance(item, Refused)]
+
+
+def _named(values: tuple[float, ...] | None, names: tuple[str, ...]) -> dict[str, float] | None:
+    return None if values is None else {name: round(float(v), 4) for name, v in zip(names, values, strict=True)}

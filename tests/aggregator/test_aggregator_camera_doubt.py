@@ -1,0 +1,65 @@
+"""A load whose camera is doubtful is as wide as that makes it; the ledger's flags say why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from aggregator.calibration.apply import NOISY_SD, OFF_SD_PER_MM
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.totals import LoadTotals
+from conveyor.camera_flags import CAMERA_NOISE, belt_off_flag
+from conveyor.messages import Tuber
+from conveyor.statistics import NORMAL_90
+
+TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))
+
+
+def _load(*flags: tuple[str, ...]) -> LoadSums:
+    """A hundred tubers for each tuple of flags."""
+    sums = LoadSums(50.0)
+    for one in flags:
+        for _ in range(100):
+            sums.add(replace(TUBER, flags=one))
+    return sums
+
+
+def _half_width(sums: LoadSums) -> float:
+    low_g, high_g = LoadTotals(sums).interval_g()
+    return (high_g - low_g) / 2 / LoadTotals(sums).weight_g
+
+
+def test_noise_beyond_the_trained_range_widens_by_its_share() -> None:
+    plain = _half_width(_load((), ()))
+    for flags, share in (((), 0.0), (("cut",), 0.0), ((CAMERA_NOISE,), 0.5)):
+        wide = _half_width(_load((), flags))
+        assert wide == pytest.approx(math.hypot(plain, NORMAL_90 * NOISY_SD * share), rel=1e-6), flags
+
+
+def test_a_belt_off_for_no_known_cause_covers_a_drift_at_any_distance() -> None:
+    plain = _half_width(_load(()))
+    wide = _half_width(_load(belt_off_flag(0.004)))
+    assert wide == pytest.approx(math.hypot(plain, NORMAL_90 * 4 * OFF_SD_PER_MM), rel=1e-6)
+    for distance_m in (0.46, 0.40):
+        assert 4 / distance_m <= NORMAL_90 * OFF_SD_PER_MM * 1000, "4 d / z of a volume, d and z in metres"
+
+
+def test_the_parts_still_add_up_and_name_the_camera() -> None:
+    message = LoadTotals(_load((CAMERA_NOISE, *belt_off_flag(0.006)))).message(
+        "r", coverage=1.0, cameras={}, final=True
+    )
+    before = LoadTotals(_load(())).message("r", coverage=1.0, cameras={}, final=True)
+    assert message.parts_percent["camera"] > before.parts_percent["camera"] + 2
+    assert message.parts_percent["resting level"] == before.parts_percent["resting level"]
+    whole = 100 * (message.estimated_high_g - message.estimated_low_g) / 2 / message.estimated_weight_g
+    assert math.hypot(*message.parts_percent.values()) == pytest.approx(whole, abs=0.05)
+
+
+def test_sums_that_are_kept_come_back_and_old_ones_without_a_camera_do_too() -> None:
+    sums = _load((CAMERA_NOISE,), belt_off_flag(0.003))
+    assert LoadSums.from_plain(sums.plain()).same_as(sums)
+    assert sums.camera_doubt() == (0.5, 1.5)
+    old = {name: value for name, value in _load(()).plain().items() if name not in ("noisy_g", "off_g_mm")}
+    assert LoadSums.from_plain(old).same_as(_load(()))
