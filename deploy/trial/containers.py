@@ -23,8 +23,8 @@ from deploy.trial.engine import GATEWAY, SPACE, Engine
 from deploy.trial.tools import ROOT, TrialError, say, table, until
 
 ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page")
-IMAGE = {"regressor": "node"}
-"""All others run from the edge image, which has no torch."""
+IMAGE = {"tuberline-edge:local": "edge", "tuberline:local": "node", "tuberline-viewer:local": "viewer"}
+"""The image that a service names, as the target that it is built from."""
 UID = 10001
 RECORDING = ("--seed", "1607", "--tubers", "24", "--scene", "touching", "--fps", "15")
 AS_A_REPLAY = {
@@ -64,7 +64,7 @@ class Line:
             *("run", "--detach", "--name", self._container(name), "--network", SPACE),
             *podman_words(service, configs={"line": self._site}, project=self._project),
             *("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096"),
-            *(*entrypoint, self._name_of(IMAGE.get(name, "edge")), *words),
+            *(*entrypoint, self._name_of(IMAGE[service["image"]]), *words),
         )
         if "healthcheck" in service and name != "camera-left":
             until(lambda: self.well(name), f"{name} well", timeout_s=180)
