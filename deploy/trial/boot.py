@@ -88,8 +88,8 @@ def services_work(machine: Machine) -> Rows:
         raise TrialError(f"the timer is not there: {timer}")
     rows.append(("`prune-tuberline.timer`", f"active, {quota(machine)}"))
     words = ("runuser", "-u", "tuberline", "--", "tuberline", "doctor", "--config", "/etc/tuberline/lines/field.toml")
-    findings = json.loads(machine.says(*words, "--json").split("\n\n")[0])
-    found = findings if isinstance(findings, list) else findings["findings"]
+    said = machine.says(*words, "--json")
+    found = json.JSONDecoder().raw_decode(said[said.index("{") :])[0]["findings"]
     faults = [f"{f['check']}: {f['text']}" for f in found if f["level"] == "fault"]
     if faults:
         raise TrialError(f"the doctor is not content: {faults}")

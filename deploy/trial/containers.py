@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic
@@ -103,7 +104,7 @@ class Line:
             with reading(self.ledger()) as view:
                 row = the_run(view, self.ledger(), None)
                 return sum(1 for _ in canonical_lines(view, row)) if row.finished else None
-        except (TuberlineError, OSError):
+        except (TuberlineError, OSError, sqlite3.Error):
             return None
 
     def canonical(self) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from aggregator.ledger.export import canonical_lines
-from aggregator.ledger.reader import read_marks, reading, the_run
+from aggregator.ledger.reader import read_marks, read_runs, reading, the_run
 from conveyor.errors import TuberlineError
 from deploy.trial.tools import run
 
@@ -78,19 +80,22 @@ class Seen:
         self.fault = ""
         with tempfile.TemporaryDirectory() as folder:
             for file in (disk / LEDGER).glob("ledger.*"):
-                shutil.copy(file, folder)
+                with suppress(FileNotFoundError):  # SQLite takes its own away
+                    shutil.copy(file, folder)
             path = Path(folder) / "ledger.db"
             if not path.exists():
                 return
             try:
                 with reading(path) as view:
+                    if not read_runs(view):
+                        return
                     row = the_run(view, path, None)
                     self.lines = list(canonical_lines(view, row))
                     self.finished = row.finished
                     self.travelled_m = max((mark.travelled_m for mark in read_marks(view, row).values()), default=0.0)
-            except TuberlineError as error:
+            except (TuberlineError, sqlite3.Error) as error:
                 self.fault = str(error)
 
     @property
     def tubers(self) -> list[str]:
-        return [line for line in self.lines if line.startswith('{"tuber"') or '"tuber":' in line]
+        return [line for line in self.lines if '"tuber":' in line]
