@@ -8,7 +8,7 @@ DEMO_STAMP := $(VENV)/.installed-demo
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
-.PHONY: demo test lint bench docs docs-site wheel chaos chaos-live load soak fuzz install clean
+.PHONY: demo test lint bench docs docs-site wheel chaos chaos-live load soak fuzz images boot powercuts install clean
 
 demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
@@ -58,6 +58,11 @@ fuzz: $(STAMP)
 
 soak: $(STAMP)
 	$(BIN)/python -m benchmarks soak --minutes 30
+
+# As root, on a machine with Debian's tools: what deploy/ describes, built, run, booted and cut off. Each says what it
+# needs and what it changes; the tables go into docs/deploy.md.
+images boot powercuts: $(STAMP)
+	$(BIN)/python -m deploy.trial.$@ $(TRIAL)
 
 install: $(STAMP)
 

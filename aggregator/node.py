@@ -134,7 +134,7 @@ class AggregatorNode:
         known = known_nodes(self._config)
         self._segmenters = Presence(node, "segmenter", known=known)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")
-        self._sheets = KeptSubscriber(node, topics.COUNTERS, Counters, known=known, role="segmenter", name="*")
+        self._reports = KeptSubscriber(node, topics.COUNTERS, Counters, known=known, role="*", name="*")
         self._travels = LatestSubscriber(node, topics.TRAVEL, Travel, capacity=TRAVELS, source="*")
         self._entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, on_refused=self._set_aside, camera="*")
         self._acknowledge()
@@ -240,12 +240,30 @@ class AggregatorNode:
         while len(self._travels) and (travel := self._travels.get(0.0)) is not None:
             if travel.run == self._run:
                 self._core.cameras.travelled(travel)
-        self._reporter.sheets = {
-            counters.name: _frames(counters) for counters in self._sheets.latest().values() if counters.run == self._run
-        }
+        self._reporter.sheets = {report.name: _frames(report) for report in self._sheets()}
+        self._watch_versions()
         alive = self._segmenters.names()
         for camera in self._core.cameras.names:
             self._core.cameras.presence(camera, alive=camera in alive, now_s=now_s)
+
+    def _sheets(self) -> list[Counters]:
+        """The newest reports of this run's segmenters."""
+        reports = self._reports.latest().values()
+        return [report for report in reports if report.role == "segmenter" and report.run == self._run]
+
+    def _watch_versions(self) -> None:
+        """A node of another version is told once, and stands in the summary."""
+        others = self._reporter.other_versions
+        for report in self._reports.latest().values():
+            name = f"{report.role}/{report.name}"
+            if report.version == __version__:
+                others.pop(name, None)
+            elif others.get(name) != report.version:
+                others[name] = report.version
+                self._node.log.warning(
+                    "%s on %s runs tuberline %s, the ledger is kept by %s: install the same version on every host",
+                    *(name, report.host, report.version, __version__),
+                )
 
     def _publish_totals(self, now_s: float) -> None:
         totals = self._reporter.totals(now_s)
@@ -275,8 +293,8 @@ class AggregatorNode:
         applied = self._core.applied()
         told = {
             sheet.name
-            for sheet in self._sheets.latest().values()
-            if sheet.run == self._run and sheet.gauges.get("log_committed", -1.0) >= applied.get(sheet.name, 0)
+            for sheet in self._sheets()
+            if sheet.gauges.get("log_committed", -1.0) >= applied.get(sheet.name, 0)
         }
         return (set(self._segmenters.names()) & applied.keys()) - told
 

@@ -52,6 +52,8 @@ class Reporter:
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
+        self.other_versions: dict[str, str] = {}
+        """Nodes whose version is not this process's, 'role/name', with theirs."""
 
     def stopped(self) -> None:
         """The process was told to stop: what is not in the ledger by now was not seen."""
@@ -135,6 +137,7 @@ class Reporter:
             self.totals(now_s),
             line=self._config.name,
             version=__version__,
+            other_versions=dict(sorted(self.other_versions.items())),
             audit=audit_sums(run, sums, read_marks(self._ledger.view, run)),
             coverage=self.coverage(now_s),
             counters=self._counters.snapshot()[0],

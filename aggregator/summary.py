@@ -19,6 +19,7 @@ def summarise(
     *,
     line: str,
     version: str,
+    other_versions: Mapping[str, str],
     audit: Audit,
     coverage: Coverage,
     counters: Mapping[str, int],
@@ -30,6 +31,7 @@ def summarise(
     """The summary as plain values.
 
     Args:
+        version: of the aggregator; other_versions: of the nodes that ran another one last, by 'role/name'.
         audit: by the sums carried along.
         counters: of this aggregator process since it started.
         models, methods: tubers by model and by method.
@@ -40,6 +42,7 @@ def summarise(
         "run": totals.run,
         "line": line,
         "software": version,
+        "other_versions": dict(other_versions),
         "final": totals.final,
         "state": totals.state,
         "reason": totals.reason,

@@ -389,10 +389,26 @@ def _fault(fault: Any) -> str:
     where = ".".join(str(part) for part in fault["loc"])
     if fault["type"] != "extra_forbidden":
         return f"{where}: {fault['msg']} (got {fault.get('input')!r})"
+    if new_name := _new_name(fault["loc"]):
+        return f"{where}: now '{new_name}'; write that instead"
     known = _known_keys(fault["loc"][:-1])
     near = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
     return f"{where}: unknown key; {hint}"
+
+
+FORMER_KEYS: dict[str, str] = {}
+"""Keys that were renamed, with what they are called now; `*` stands for any name: 'cameras.*.a': 'cameras.*.b'."""
+
+
+def _new_name(path: tuple[Any, ...]) -> str | None:
+    """What the key at `path` is called now, if it once had this name."""
+    for former, now in FORMER_KEYS.items():
+        parts = former.split(".")
+        if len(parts) == len(path) and all(part in ("*", str(given)) for part, given in zip(parts, path, strict=True)):
+            names = iter(str(given) for part, given in zip(parts, path, strict=True) if part == "*")
+            return ".".join(next(names) if part == "*" else part for part in now.split("."))
+    return None
 
 
 def _known_keys(path: tuple[Any, ...]) -> list[str]:

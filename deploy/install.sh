@@ -7,6 +7,7 @@
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
 #   --replace        take the new LINE.toml although another one is installed
 #   --no-start       enable the line, start nothing
+#   --uninstall      stop all lines and take the units away; configs, certificates, ledgers and recordings stay
 #
 # Says what it did, one line each; run again it changes nothing ("kept"). DESTDIR installs into a folder and touches
 # neither users nor systemd; TUBERLINE names the program.
@@ -25,6 +26,7 @@ certs=
 run=
 replace=no
 start=yes
+uninstall=no
 
 fail() {
     echo "install.sh: $1" >&2
@@ -44,11 +46,42 @@ while [ $# -gt 0 ]; do
         ;;
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
-    -h | --help) sed -n '2,14s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    --uninstall) uninstall=yes && shift ;;
+    -h | --help) sed -n '2,15s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
 done
+
+# Takes away what install.sh put into the system, and nothing that a line wrote or that a person wrote for it.
+remove_all() {
+    if [ -z "$destdir" ]; then
+        # Their names are in /etc/tuberline/lines; one that was never installed there has no target to stop.
+        for file in /etc/tuberline/lines/*.toml; do
+            [ -e "$file" ] || continue
+            target=tuberline@$(basename "$file" .toml).target
+            systemctl disable --quiet --now "$target" 2>/dev/null || true
+        done
+        systemctl disable --quiet --now prune-tuberline.timer 2>/dev/null || true
+        systemctl stop 'tuberline-*.service' 2>/dev/null || true
+    fi
+    for there in "$destdir"/etc/systemd/system/tuberline* "$destdir"/etc/systemd/system/prune-tuberline.* \
+        "$destdir/etc/systemd/journald@tuberline.conf" "$destdir/etc/sysusers.d/tuberline.conf" \
+        "$destdir/etc/tmpfiles.d/tuberline.conf" "$destdir/usr/local/lib/tuberline"; do
+        [ -e "$there" ] || continue
+        rm -rf "$there"
+        echo "removed   ${there#"$destdir"}"
+    done
+    [ -n "$destdir" ] || systemctl daemon-reload
+    for there in /etc/tuberline /var/lib/tuberline /var/log/journal; do
+        [ ! -e "$destdir$there" ] || echo "left      $there"
+    done
+}
+if [ "$uninstall" = yes ]; then
+    [ $# -eq 0 ] || fail "--uninstall takes no file: it stops every line of this host"
+    remove_all
+    exit 0
+fi
 [ $# -eq 1 ] || fail "give one LINE.toml; see --help"
 config=$1
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"

@@ -214,6 +214,53 @@ def test_ready_and_watchdog_reach_systemd(tmp_path: Path, free_port: int) -> Non
         assert process.wait(10) == 0
 
 
+def test_a_crash_loop_is_slowed_down_and_told(installed: Path, tmp_path: Path) -> None:
+    def start() -> str:
+        return subprocess.run(
+            [str(installed / "usr/local/lib/tuberline/node"), "router", "field"],
+            env={
+                "PATH": os.environ["PATH"],
+                "TUBERLINE": "/bin/true",
+                "TUBERLINE_ETC": str(installed / "etc/tuberline"),
+                "RUNTIME_DIRECTORY": str(tmp_path),
+                "TUBERLINE_CRASH_WAIT_S": "0",
+            },
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr
+
+    assert [start() for _ in range(5)] == [""] * 5
+    assert "router field: start number 6 within five minutes; waiting 0 s before it" in start()
+    (starts,) = tmp_path.iterdir()
+    starts.write_text("".join(f"{int(at) - 400}\n" for at in starts.read_text().split()))
+    assert start() == "", "what was long ago does not count"
+
+
+def test_uninstalling_takes_the_units_and_leaves_what_was_written(tmp_path: Path) -> None:
+    assert install(tmp_path, "--roles", ROLES).returncode == 0
+    ledger = tmp_path / "var/lib/tuberline/field/ledger/ledger.db"
+    ledger.parent.mkdir(parents=True)
+    ledger.write_bytes(b"ledger")
+    done = subprocess.run(
+        [str(DEPLOY / "install.sh"), "--uninstall"],
+        env={**os.environ, "DESTDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    left = set(contents(tmp_path))
+    assert left == {
+        "var/lib/tuberline/field/ledger/ledger.db",
+        "etc/tuberline/environment",
+        "etc/tuberline/lines/field.toml",
+        "etc/tuberline/lines/field.run",
+    }
+    assert "left      /var/lib/tuberline" in done.stdout
+    refused = install(tmp_path, "--uninstall")
+    assert (refused.returncode, "takes no file" in refused.stderr) == (2, True)
+
+
 def test_the_oldest_recordings_go_first_and_the_newest_stays(tmp_path: Path) -> None:
     for age, name in enumerate(("new.mcap", "middle.mcap", "old.mcap")):
         (tmp_path / name).write_bytes(b"x" * 10_000)

@@ -45,6 +45,18 @@ def test_drops_that_are_over_are_history_and_no_alarm() -> None:
     assert snapshot(state)["cameras"][0]["drops"] == {"dark or covered": 360, "too old": 7}
 
 
+def test_nodes_of_another_version_are_told_with_both() -> None:
+    state = good_state()
+    for name, found in list(state.nodes.items()):
+        if name.startswith("segmenter/") and found.report:
+            other = replace(found, report=replace(found.report, version="0.0.9"))
+            state = with_node(state, name, other)
+    (text,) = texts(state, "warning")
+    assert text == "Version 0.0.9 on segmenter/left and 1 more; the line runs 0.1.0."
+    everybody = {n: replace(f, report=f.report and replace(f.report, version="0.0.9")) for n, f in state.nodes.items()}
+    assert alarms(replace(state, nodes=everybody)) == ()
+
+
 @pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])
 def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
     moved = segmenter("left", gauges={"belt_drift_mm": drift_mm, "belt_alarm": 1.0})

@@ -12,7 +12,7 @@ import traceback
 from types import FrameType
 
 from conveyor.crash import end_on_faults
-from conveyor.errors import FAULT, TuberlineError
+from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
 from tuberline.cli.commands import LONG_RUNNING, build_app
 
@@ -62,6 +62,16 @@ def _run() -> int:
         return MACHINE_FAULT
     except KeyboardInterrupt:
         return 130
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            traceback.print_exc()
+            return FAULT
+        command = " ".join(sys.argv[1:2])
+        sys.stderr.write(
+            f"tuberline: `{command}` needs torch, which is not installed here (an edge host has none): run it where "
+            "torch is, in the image tuberline, or pip install tuberline\n"
+        )
+        return PERMANENT
     except Exception:
         traceback.print_exc()
         return FAULT

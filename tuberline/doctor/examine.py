@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from itertools import islice
 from typing import Any
 
@@ -119,6 +120,9 @@ def _running_weights(observer: Observer) -> list[Finding]:
 
 
 def _weights(config: LineConfig) -> list[Finding]:
+    if find_spec("torch") is None:
+        return [ok("weights", "not tried: there is no torch here, so regressors run on other hosts")]
+
     def load() -> str:
         from regressor.serve.check import check_weights
         from regressor.weigh.weigher import Weigher

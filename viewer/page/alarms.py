@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -44,6 +45,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_sight(state),
         *_coverage(state),
         *_layers(state),
+        *_versions(state),
     ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
 
@@ -131,6 +133,24 @@ def _stalled(state: LineState) -> Iterator[Alarm]:
                 f"{waiting:.0f} entries of {name} wait for the ledger; they are safe on its disk.",
                 "Look at the aggregator and its disk.",
             )
+
+
+def _versions(state: LineState) -> Iterator[Alarm]:
+    """Nodes that run another version than the one that keeps the ledger, or than most where none does."""
+    found = {name: node.report.version for name, node in sorted(state.nodes.items()) if node.alive and node.report}
+    if len(set(found.values())) < 2:
+        return
+    most = Counter(found.values()).most_common(1)[0][0]
+    usual = found.get("aggregator/aggregator", most)
+    others = {name: version for name, version in found.items() if version != usual}
+    name, version = next(iter(others.items()))
+    more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+    yield Alarm(
+        "versions",
+        "warning",
+        f"Version {version} on {name}{more}; the line runs {usual}.",
+        "Install the same version on every computer of the line.",
+    )
 
 
 def _sight(state: LineState) -> Iterator[Alarm]:

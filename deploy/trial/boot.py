@@ -1,0 +1,282 @@
+"""`make boot`: a Debian machine with a line on it, started, hurt, met by a second one, uninstalled. See --help."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import signal
+from pathlib import Path
+from time import monotonic, sleep
+
+from deploy.trial import field
+from deploy.trial.machine import TOOLS, Machine, make_network, remove_network
+from deploy.trial.machineroot import SOURCE, machine_root
+from deploy.trial.tools import TrialError, ended, into_docs, need_root, need_tools, say, table, until, workdir
+
+SEED = 1616
+INSTALL = f"{SOURCE}/deploy/install.sh"
+Rows = list[tuple[str, str]]
+
+
+def install(machine: Machine, text: str, roles: str, *options: str) -> str:
+    """Put the line's file in and run install.sh inside the machine."""
+    (machine.disk / "root/field.toml").write_text(text, encoding="utf-8")
+    return machine.run("sh", INSTALL, "--roles", roles, "--run", "monday", *options, "/root/field.toml")
+
+
+def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = 240.0) -> float:
+    """Seconds until every unit is active."""
+    start = monotonic()
+    try:
+        until(lambda: all(machine.active(unit) for unit in units), "all units active", timeout_s=timeout_s)
+    except TrialError as error:
+        states = {unit: machine.says("systemctl", "is-active", unit) for unit in units}
+        raise TrialError(
+            f"{error}: {states}\n{machine.says('journalctl', '--namespace=tuberline', '-n', '20')}"
+        ) from error
+    return monotonic() - start
+
+
+def show(machine: Machine, unit: str, name: str) -> str:
+    return machine.run("systemctl", "show", "--value", "--property", name, unit)
+
+
+def started_us(machine: Machine, unit: str, name: str) -> int:
+    return int(show(machine, unit, name) or 0)
+
+
+def in_order(machine: Machine) -> str:
+    """The router was ready before the aggregator began; what time each took to be ready."""
+    router, aggregator = field.UNITS[:2]
+    ready = started_us(machine, router, "ActiveEnterTimestampMonotonic")
+    began = started_us(machine, aggregator, "ExecMainStartTimestampMonotonic")
+    if not 0 < ready <= began:
+        raise TrialError(f"the aggregator was started {(ready - began) / 1e6:.2f} s before the router was ready")
+    first = min(started_us(machine, unit, "ExecMainStartTimestampMonotonic") for unit in field.UNITS)
+    took = [
+        f"{re.split('[-@]', unit)[1]} {(started_us(machine, unit, 'ActiveEnterTimestampMonotonic') - first) / 1e6:.1f}"
+        for unit in field.UNITS
+    ]
+    return "seconds until ready: " + ", ".join(took)
+
+
+def services_work(machine: Machine) -> Rows:
+    """Status, journal, timer, quota, doctor."""
+    rows: Rows = []
+    status = machine.says("systemctl", "status", "--no-pager", "tuberline-*")
+    active = status.count("Active: active (running)")
+    if active < len(field.UNITS):
+        raise TrialError(f"systemctl status shows {active} running units:\n{status[:800]}")
+    rows.append(("`systemctl status 'tuberline-*'`", f"{active} units active (running)"))
+    silent = [
+        unit
+        for unit in field.UNITS
+        if "started run=" not in machine.says("journalctl", "--namespace=tuberline", "-o", "cat", "-u", unit)
+        and "router" not in unit
+    ]
+    if silent:
+        raise TrialError(f"the journal has no start of {silent}")
+    use = machine.run("journalctl", "--namespace=tuberline", "--disk-usage")
+    rows.append(
+        ("`journalctl --namespace=tuberline -u UNIT`", f"each node's words; {use.split('take up')[-1].strip()}")
+    )
+    timer = machine.run("systemctl", "list-timers", "--no-pager", "prune-tuberline.timer")
+    if "prune-tuberline.service" not in timer:
+        raise TrialError(f"the timer is not there: {timer}")
+    rows.append(("`prune-tuberline.timer`", f"active, {quota(machine)}"))
+    words = ("runuser", "-u", "tuberline", "--", "tuberline", "doctor", "--config", "/etc/tuberline/lines/field.toml")
+    said = machine.says(*words, "--json")
+    found = json.JSONDecoder().raw_decode(said[said.index("{") :])[0]["findings"]
+    faults = [f"{f['check']}: {f['text']}" for f in found if f["level"] == "fault"]
+    if faults:
+        raise TrialError(f"the doctor is not content: {faults}")
+    warnings = [f["check"] for f in found if f["level"] == "warning"]
+    rows.append(("`tuberline doctor`", f"{len(found)} findings, no fault, warnings: {', '.join(warnings) or 'none'}"))
+    return rows
+
+
+def quota(machine: Machine) -> str:
+    """Three recordings above the quota: the oldest go, the newest stays."""
+    folder = "/var/lib/tuberline/recordings"
+    for age, name in enumerate(("new", "middle", "old")):
+        machine.run(
+            "sh", "-c", f"head -c 2M /dev/zero >{folder}/{name}.mcap; touch -d '-{age + 1} hour' {folder}/{name}.mcap"
+        )
+    machine.run("sed", "-i", "s/^TUBERLINE_RECORDINGS_GB=.*/TUBERLINE_RECORDINGS_GB=0/", "/etc/tuberline/environment")
+    machine.run("systemctl", "start", "prune-tuberline.service")
+    left = machine.run("ls", folder).split()
+    machine.run("sed", "-i", "s/^TUBERLINE_RECORDINGS_GB=.*/TUBERLINE_RECORDINGS_GB=200/", "/etc/tuberline/environment")
+    if left != ["new.mcap"]:
+        raise TrialError(f"the quota left {left}")
+    return "of 3 recordings over the quota the newest stays"
+
+
+def stopped_node_is_replaced(machine: Machine) -> tuple[str, str]:
+    """SIGSTOP a segmenter: its watchdog runs out, it is killed and started again."""
+    unit = field.UNITS[2]
+    pid = int(show(machine, unit, "MainPID"))
+    machine.run("kill", "-STOP", str(pid))
+    start = monotonic()
+    until(
+        lambda: show(machine, unit, "MainPID") not in ("0", str(pid)) and machine.active(unit),
+        "the segmenter replaced",
+        timeout_s=180,
+    )
+    took = monotonic() - start
+    said = machine.says("journalctl", "--no-pager", "-o", "cat", "-u", unit, "--grep", "[Ww]atchdog", "-n", "1")
+    return "a segmenter stopped by SIGSTOP", f"replaced and ready after {took:.0f} s; systemd: {said.splitlines()[-1]}"
+
+
+def crash_loop_is_slowed(machine: Machine) -> tuple[str, str]:
+    """A regressor that ends with 70 at once: from the sixth start on each waits, and the journal tells."""
+    unit = field.UNITS[3]
+    drop = machine.disk / f"etc/systemd/system/{unit}.d/90-crash.conf"
+    drop.parent.mkdir(parents=True, exist_ok=True)
+    broken = machine.disk / "usr/local/bin/broken"
+    broken.write_text("#!/bin/sh\necho 'it fails at once' >&2\nexit 70\n", encoding="utf-8")
+    broken.chmod(0o755)
+    drop.write_text("[Service]\nEnvironment=TUBERLINE=/usr/local/bin/broken\nEnvironmentFile=\n", encoding="utf-8")
+    machine.run("systemctl", "daemon-reload")
+    machine.says("systemctl", "restart", "--no-block", unit)
+    journal = ("journalctl", "--namespace=tuberline", "--no-pager", "-o", "cat", "-u", unit)
+    until(lambda: "within five minutes" in machine.says(*journal), "the crash loop told", timeout_s=90)
+    before = machine.says(*journal).count("it fails at once")
+    sleep(45)
+    after = machine.says(*journal).count("it fails at once")
+    told = next(line for line in machine.says(*journal).splitlines() if "within five minutes" in line)
+    shutil.rmtree(drop.parent)
+    machine.run("systemctl", "daemon-reload")
+    machine.says("systemctl", "restart", "--no-block", unit)
+    all_active(machine, (unit,))
+    if after - before > 2:
+        raise TrialError(f"a crash loop went on with {after - before} starts in 45 s")
+    return "a regressor that crashes at every start", f"{before} starts, then one each 30 s. The journal: '{told}'"
+
+
+def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0) -> str:
+    """The machine's ledger is finished and that of a replay on this computer."""
+    until(lambda: field.Seen(machine.disk).finished, "the line counted", timeout_s=timeout_s, every_s=3.0)
+    seen = field.Seen(machine.disk)
+    if seen.lines != reference:
+        raise TrialError(f"the ledger differs from the replay's: {len(seen.tubers)} tubers")
+    return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"
+
+
+def uninstalled(machine: Machine) -> tuple[str, str]:
+    """Units and scripts go; ledger, recordings and config stay."""
+    ledger = (machine.disk / field.LEDGER / "ledger.db").read_bytes()
+    machine.run("sh", INSTALL, "--uninstall")
+    left = ("var/lib/tuberline/recordings/new.mcap", "etc/tuberline/lines/field.toml")
+    lost = [path for path in left if not (machine.disk / path).exists()]
+    units = [str(path) for path in (machine.disk / "etc/systemd/system").glob("*tuberline*")]
+    running = machine.says("pgrep", "-u", "tuberline", "-a")
+    if lost or units or running or not (machine.disk / field.LEDGER / "ledger.db").exists():
+        raise TrialError(f"uninstalling lost {lost}, left {units}, running: {running}")
+    size = len(ledger)
+    return "`install.sh --uninstall`", f"no unit, no process left; ledger ({size // 1000} kB), recordings, config stay"
+
+
+def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]) -> Rows:
+    """Everything on one computer."""
+    machine = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
+    rows: Rows = []
+    try:
+        machine.power_on()
+        rows.append(("boot of the bare root", f"{machine.booted():.1f} s"))
+        install(machine, field.config(), field.ROLES)
+        rows.append(
+            (
+                "`install.sh` in it",
+                f"all {len(field.UNITS)} units active after {all_active(machine, field.UNITS):.0f} s",
+            )
+        )
+        again = machine.run("sh", INSTALL, "--roles", field.ROLES, "--run", "monday", "/root/field.toml")
+        changed = [line for line in again.splitlines() if line.startswith(("created", "updated"))]
+        rows.append(("`install.sh` again", f"changes {len(changed)} files"))
+        machine.shut_down()
+        machine.power_on()
+        took = all_active(machine, field.UNITS)
+        rows.append(
+            ("shut down, switched on", f"all units active by themselves after {took:.0f} s; {in_order(machine)}")
+        )
+        for step in (stopped_node_is_replaced, crash_loop_is_slowed):
+            rows.append(step(machine))
+            say(f"{rows[-1][0]}: {rows[-1][1]}")
+        rows += services_work(machine)
+        rows.append(("what it counted meanwhile", counted_as(machine, reference)))
+        rows.append(uninstalled(machine))
+    finally:
+        machine.remove()
+    return rows
+
+
+def two_machines(folder: Path, root: Path, recordings: Path, reference: list[str], minutes: float) -> Rows:
+    """Cameras boot first; the machine with the router, the ledger and the regressor minutes later."""
+    harvester = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
+    edge = Machine(folder, root, "edge", 2).make()
+    text = field.config(router="tcp/10.77.0.2:7447", listen="tcp/0.0.0.0:7447")
+    there = tuple(unit for unit in field.UNITS if "camera" in unit or "segmenter" in unit)
+    try:
+        harvester.power_on()
+        harvester.booted()
+        install(harvester, text, "camera,segmenter", "--no-start")
+        harvester.run("systemctl", "start", "--no-block", "tuberline@field.target")
+        sleep(60.0 * minutes)
+        restarts = sum(int(show(harvester, unit, "NRestarts")) for unit in there)
+        waiting = harvester.says(
+            "journalctl", "--namespace=tuberline", "-o", "cat", "--no-pager", "-n", "1", "-u", there[0]
+        )
+        edge.power_on()
+        edge.booted()
+        install(edge, text, "router,aggregator,regressor", "--no-start")
+        start = monotonic()
+        edge.run("systemctl", "start", "--no-block", "tuberline@field.target")
+        all_active(edge, tuple(unit for unit in field.UNITS if unit not in there))
+        all_active(harvester, there)
+        took = monotonic() - start
+        counted = counted_as(edge, reference)
+    finally:
+        harvester.remove()
+        edge.remove()
+    return [
+        (
+            f"cameras' machine booted {minutes:g} min before the router's",
+            f"waited with {restarts} restarts ('{waiting}'); all active {took:.0f} s after the router came; {counted}",
+        )
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="make boot", description=__doc__)
+    parser.add_argument("--keep", action="store_true", help="keep the installed root for the next time")
+    parser.add_argument("--minutes", type=float, default=5.0, help="how long the second machine comes after the first")
+    parser.add_argument("--only", choices=("one", "two"), help="one of the two parts")
+    given = parser.parse_args()
+    need_tools({**TOOLS, "debootstrap": "debootstrap"})
+    folder = workdir("machine")
+    need_root("make boot", f"it makes a Debian root under {folder}, mounts, boots machines, and adds control groups")
+    os.umask(0o022)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        root = machine_root(folder)
+        recordings = field.simulate(folder / "recordings", seed=SEED, tubers=24)
+        reference = field.replayed(recordings, folder / "reference")
+        make_network()
+        rows = one_machine(folder, root, recordings, reference) if given.only != "two" else []
+        if given.only != "one":
+            rows += two_machines(folder, root, recordings, reference, given.minutes)
+        for what, seen in rows:
+            say(f"{what}: {seen}")
+        if given.only is None:
+            into_docs("boot", table(("what", "seen"), rows))
+    finally:
+        remove_network()
+        if not given.keep:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    ended(main)

@@ -1,0 +1,179 @@
+"""A line of containers from compose.site.yaml: certificates, access rules, a network namespace each; all get killed.
+
+The compose file's own settings are used (deploy/trial/compose.py). Different are: the camera replays a recording
+instead of asking a RealSense, and what waits for a person in a live line waits for it as a replay does.
+Everything runs in a network namespace made for it, so that no port and no rule of this machine is touched.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.reader import reading, the_run
+from conveyor.errors import TuberlineError
+from deploy.trial.compose import command_of, podman_words, services
+from deploy.trial.engine import GATEWAY, SPACE, Engine
+from deploy.trial.tools import ROOT, TrialError, say, table, until
+
+ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page")
+IMAGE = {"tuberline-edge:local": "edge", "tuberline:local": "node", "tuberline-viewer:local": "viewer"}
+"""The image that a service names, as the target that it is built from."""
+UID = 10001
+RECORDING = ("--seed", "1607", "--tubers", "24", "--scene", "touching", "--fps", "15")
+AS_A_REPLAY = {
+    'source = "realsense"': 'path = "/recordings/belt"\nspeed = 1.0',
+    "[segmenter]": "[segmenter]\nweigh_deadline_s = 600.0",
+    "[aggregator]": "[aggregator]\ncamera_stall_s = 600.0",
+}
+Named = Callable[[str], str]
+
+
+class Line:
+    """The services of the site's compose file as containers; `project` keeps one line's volumes from another's."""
+
+    def __init__(self, engine: Engine, name_of: Named, folder: Path, project: str) -> None:
+        self._engine, self._name_of, self._project = engine, name_of, project
+        self._site = folder / "site.toml"
+        variables = {"RUN": project, "CERTS": str(folder / "certs")}
+        self.services = services(ROOT / "deploy/docker/compose.site.yaml", variables)
+        for service in self.services.values():
+            # The harvester's services ask the site's name server; here there is none. Old podman lacks host-gateway.
+            hosts = service.get("extra_hosts", ["edge.field.internal:host-gateway"])
+            service["extra_hosts"] = [host.replace("host-gateway", GATEWAY) for host in hosts]
+        camera = self.services["camera-left"]
+        for live in ("devices", "group_add"):
+            del camera[live]
+        camera["volumes"] = [*camera["volumes"], f"{folder / 'recordings'}:/recordings:ro"]
+
+    def up(self) -> dict[str, float]:
+        """Start all, each when the router is well; seconds until each was well."""
+        return {service: self._start(service) for service in ORDER}
+
+    def _start(self, name: str) -> float:
+        service = self.services[name]
+        entrypoint, words = command_of(service)
+        start = monotonic()
+        self._engine.podman(
+            *("run", "--detach", "--name", self._container(name), "--network", SPACE),
+            *podman_words(service, configs={"line": self._site}, project=self._project),
+            *("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096"),
+            *(*entrypoint, self._name_of(IMAGE[service["image"]]), *words),
+        )
+        if "healthcheck" in service and name != "camera-left":
+            until(lambda: self.well(name), f"{name} well", timeout_s=180)
+        return monotonic() - start
+
+    def _container(self, name: str) -> str:
+        return f"{self._project}-{name}"
+
+    def well(self, name: str) -> bool:
+        """What the service's own health check says, as an engine would ask it."""
+        return self._engine.podman("healthcheck", "run", self._container(name), check=False).returncode == 0
+
+    def kill(self, name: str) -> float:
+        """SIGKILL the container's first process from outside; seconds until its restart policy had it well again."""
+        pid, count = self._state(name)
+        os.kill(pid, signal.SIGKILL)
+        start = monotonic()
+        until(lambda: self._state(name)[1] > count and self._state(name)[0] > 0, f"{name} back", timeout_s=60)
+        if "healthcheck" in self.services[name]:
+            until(lambda: self.well(name), f"{name} well again", timeout_s=180)
+        return monotonic() - start
+
+    def _state(self, name: str) -> tuple[int, int]:
+        form = "{{.State.Pid}} {{.RestartCount}}"
+        said = self._engine.podman("inspect", "--format", form, self._container(name), check=False).stdout.split()
+        return (int(said[0]), int(said[1])) if len(said) == 2 else (0, 0)
+
+    def ledger(self) -> Path:
+        form = "{{.Mountpoint}}"
+        volume = self._engine.podman("volume", "inspect", "--format", form, f"{self._project}-ledger").stdout.strip()
+        return Path(volume) / "ledger" / "ledger.db"
+
+    def counted(self) -> int | None:
+        """Tubers in the ledger once the run is finished; None before."""
+        try:
+            with reading(self.ledger()) as view:
+                row = the_run(view, self.ledger(), None)
+                return sum(1 for _ in canonical_lines(view, row)) if row.finished else None
+        except (TuberlineError, OSError, sqlite3.Error):
+            return None
+
+    def canonical(self) -> list[str]:
+        with reading(self.ledger()) as view:
+            return list(canonical_lines(view, the_run(view, self.ledger(), None)))
+
+    def down(self) -> None:
+        for name in reversed(ORDER):
+            self._engine.podman("rm", "--force", "--time", "5", self._container(name), check=False)
+
+
+def trial(engine: Engine, name_of: Named, shut: Sequence[str]) -> str:
+    """Run the line calm and run it with every container killed; the table of both. Raises where a ledger differs."""
+    folder = engine.folder / "site"
+    shutil.rmtree(folder, ignore_errors=True)
+    prepare(engine, name_of, folder, shut)
+    reference = replayed(engine, name_of, folder, shut)
+    engine.within_own_network()
+    rows: list[tuple[object, ...]] = []
+    try:
+        calm = Line(engine, name_of, folder, "calm")
+        well = calm.up()
+        took = until(lambda: calm.counted() is not None, "the calm line", timeout_s=600)
+        compare("calm line", calm.canonical(), reference)
+        calm.down()
+        rows.append(("all well after start", *(f"{well[name]:.1f}" for name in ORDER), f"same, {took:.0f} s"))
+        say(f"containers: calm line counted in {took:.0f} s, ledger as the replay's")
+        shaken = Line(engine, name_of, folder, "shaken")
+        shaken.up()
+        back = {name: shaken.kill(name) for name in ORDER}
+        took = until(lambda: shaken.counted() is not None, "the shaken line", timeout_s=900)
+        compare("shaken line", shaken.canonical(), reference)
+        rows.append(("well again after SIGKILL", *(f"{back[name]:.1f}" for name in ORDER), f"same, {took:.0f} s"))
+        say(f"containers: each killed once, ledger as the replay's; back after {back}")
+        shaken.down()
+    finally:
+        engine.leave_own_network()
+    return table(("seconds until", *ORDER, "ledger"), rows)
+
+
+def compare(what: str, found: list[str], wanted: list[str]) -> None:
+    if found != wanted:
+        pair = next(((a, b) for a, b in zip(found, wanted, strict=False) if a != b), (len(found), len(wanted)))
+        raise TrialError(f"{what}: its ledger differs from the replay's: {pair[0]} / {pair[1]}")
+
+
+def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -> None:
+    """Certificates, config and recording, made with the images themselves."""
+    for name in ("certs", "recordings", "reference"):
+        (folder / name).mkdir(parents=True)
+        os.chown(folder / name, UID, UID)
+    text = (ROOT / "deploy/docker/site.toml").read_text(encoding="utf-8")
+    for old, new in AS_A_REPLAY.items():
+        text = text.replace(old, new)
+    (folder / "site.toml").write_text(text, encoding="utf-8")
+    made: tuple[tuple[str, Any], ...] = (
+        ("edge", ("certs", "make", "/site/site.toml", "--out", "/site/certs/made")),
+        ("edge", ("simulate", "--out", "/site/recordings/belt", *RECORDING)),
+    )
+    for target, words in made:
+        engine.podman("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none", name_of(target), *words)
+    for file in (folder / "certs/made").iterdir():
+        shutil.move(file, folder / "certs")
+
+
+def replayed(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -> list[str]:
+    """The canonical ledger of `tuberline replay` of the same recording, in one container."""
+    words = ("replay", "/site/recordings/belt", "--out", "/site/reference/run")
+    engine.podman("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none", name_of("node"), *words)
+    path = folder / "reference/run/ledger.db"
+    with reading(path) as view:
+        return list(canonical_lines(view, the_run(view, path, None)))

@@ -1,0 +1,76 @@
+"""buildah and podman with a storage of their own, so that nothing of this machine's images is touched."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+from deploy.trial.tools import run
+
+TOOLS = {
+    "buildah": "buildah",
+    "podman": "podman",
+    "runc": "runc",
+    "conmon": "conmon",
+    "catatonit": "catatonit",
+    "iptables": "iptables",
+    "nsenter": "util-linux",
+    "ip": "iproute2",
+}
+SPACE = "tuberline-trial"
+"""Of the network namespace, and of the network in it."""
+GATEWAY = "10.78.0.1"
+"""What compose calls host-gateway: where a published port of the host is reached from a container."""
+
+
+class Engine:
+    """Builds and runs images under `folder`; `close` removes every container and network of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        driver = "overlay" if "overlay" in Path("/proc/filesystems").read_text(encoding="utf-8") else "vfs"
+        driver = os.environ.get("STORAGE_DRIVER", driver)
+        self.storage = ["--root", str(folder / "storage"), "--runroot", str(folder / "run"), "--storage-driver", driver]
+        self._within: list[str] = []
+        # Networks live in the engine's own folder too, not in /etc/containers.
+        self._podman = ["podman", *self.storage, "--runtime", "runc", "--cgroup-manager", "cgroupfs"]
+        self._podman += ["--network-config-dir", str(folder / "networks")]
+
+    def within_own_network(self) -> None:
+        """Run from here on in a network namespace made for it: ports and rules of this machine stay as they are.
+
+        By nsenter and not by `ip netns exec`, which would hide the control groups.
+        """
+        self.leave_own_network()
+        run(["ip", "netns", "add", SPACE])
+        run(["ip", "-n", SPACE, "link", "set", "lo", "up"])
+        self._within = ["nsenter", f"--net=/run/netns/{SPACE}"]
+        self.podman("network", "create", "--subnet", "10.78.0.0/24", "--gateway", GATEWAY, SPACE)
+
+    def leave_own_network(self) -> None:
+        """Remove it, and every container in it."""
+        if self._within:
+            self.close()
+            self._within = []
+        run(["ip", "netns", "delete", SPACE], check=False)
+
+    def buildah(self, *words: str | Path, check: bool = True, timeout_s: float = 1800.0) -> str:
+        return run(["buildah", *self.storage, *words], check=check, timeout_s=timeout_s).stdout.strip()
+
+    def podman(
+        self, *words: str | Path, check: bool = True, timeout_s: float = 600.0
+    ) -> subprocess.CompletedProcess[str]:
+        return run([*self._within, *self._podman, *words], check=check, timeout_s=timeout_s)
+
+    def has(self, image: str) -> bool:
+        return self.podman("image", "exists", image, check=False).returncode == 0
+
+    def size_mb(self, image: str) -> int:
+        """What the image takes unpacked, MB (1e6 bytes)."""
+        return round(int(self.podman("image", "inspect", "--format", "{{.Size}}", image).stdout) / 1e6)
+
+    def close(self) -> None:
+        self.podman("rm", "--all", "--force", "--time", "2", check=False)
+        self.podman("network", "prune", "--force", check=False)
+        self.podman("volume", "prune", "--force", check=False)

@@ -1,0 +1,101 @@
+"""The line that the booted machines run: its config, its recording, its ledger and what the ledger should be."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from aggregator.ledger.export import canonical_lines
+from aggregator.ledger.reader import read_marks, read_runs, reading, the_run
+from conveyor.errors import TuberlineError
+from deploy.trial.tools import run
+
+LEDGER = "var/lib/tuberline/field/ledger"
+UNITS = (
+    "tuberline-router@field.service",
+    "tuberline-aggregator@field.service",
+    "tuberline-segmenter@field:front.service",
+    "tuberline-regressor@field:r1.service",
+    "tuberline-camera@field:front.service",
+)
+ROLES = "router,aggregator,camera,segmenter,regressor"
+TUBERLINE = (sys.executable, "-m", "tuberline")
+
+
+def config(*, router: str = "tcp/127.0.0.1:7447", listen: str = "", speed: float = 1.0) -> str:
+    """A line that replays /recordings/belt: it waits for every node as a replay does, so its ledger is the replay's."""
+    return f"""name = "field"
+
+[link]
+router = "{router}"
+{f'listen = ["{listen}"]' if listen else ""}
+
+[cameras.front]
+path = "/recordings/belt"
+speed = {speed}
+
+[segmenter]
+state_dir = "/var/lib/tuberline/field/state"
+weigh_deadline_s = 600.0
+
+[regressor]
+processes = 1
+state_dir = "/var/lib/tuberline/field/weights"
+
+[aggregator]
+out = "/{LEDGER}"
+camera_stall_s = 600.0
+"""
+
+
+def simulate(folder: Path, *, seed: int, tubers: int, fps: int = 10, speed_mps: float = 0.31) -> Path:
+    """The recording that the machines find as /recordings/belt."""
+    belt = folder / "belt"
+    shutil.rmtree(folder, ignore_errors=True)
+    options = ("--seed", str(seed), "--tubers", str(tubers), "--fps", str(fps), "--scene", "singulated")
+    options += ("--speed-mps", str(speed_mps))
+    run([*TUBERLINE, "simulate", "--out", belt, *options])
+    return folder
+
+
+def replayed(recordings: Path, out: Path) -> list[str]:
+    """The canonical ledger of an undisturbed replay of the recording on this computer."""
+    shutil.rmtree(out, ignore_errors=True)
+    run([*TUBERLINE, "replay", recordings / "belt", "--out", out, "--regressors", "1"])
+    with reading(out / "ledger.db") as view:
+        return list(canonical_lines(view, the_run(view, out / "ledger.db", None)))
+
+
+class Seen:
+    """A ledger of a machine as it is on its disk now, read from a copy so that the machine's own stays untouched."""
+
+    def __init__(self, disk: Path) -> None:
+        self.lines: list[str] = []
+        self.finished = False
+        self.travelled_m = 0.0
+        self.fault = ""
+        with tempfile.TemporaryDirectory() as folder:
+            for file in (disk / LEDGER).glob("ledger.*"):
+                with suppress(FileNotFoundError):  # SQLite takes its own away
+                    shutil.copy(file, folder)
+            path = Path(folder) / "ledger.db"
+            if not path.exists():
+                return
+            try:
+                with reading(path) as view:
+                    if not read_runs(view):
+                        return
+                    row = the_run(view, path, None)
+                    self.lines = list(canonical_lines(view, row))
+                    self.finished = row.finished
+                    self.travelled_m = max((mark.travelled_m for mark in read_marks(view, row).values()), default=0.0)
+            except (TuberlineError, sqlite3.Error) as error:
+                self.fault = str(error)
+
+    @property
+    def tubers(self) -> list[str]:
+        return [line for line in self.lines if '"tuber":' in line]

@@ -1,0 +1,109 @@
+"""What the trials have in common: asking for root and tools, running commands, their folder, tables for the docs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from time import monotonic
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs" / "deploy.md"
+
+
+class TrialError(Exception):
+    """What stopped a trial, in one sentence."""
+
+
+def say(text: str) -> None:
+    print(text, flush=True)
+
+
+def need_root(what: str, changes: str) -> None:
+    """Refuse anybody but root, with what it is needed for; tell root what is changed."""
+    if os.geteuid() != 0:
+        raise TrialError(f"{what} needs root: {changes}. Run it with sudo, on a machine that you may change")
+    say(f"{what}: {changes}")
+
+
+def need_tools(tools: dict[str, str]) -> None:
+    """Refuse where a program is missing; `tools` maps each to its Debian package."""
+    missing = {tool: package for tool, package in tools.items() if shutil.which(tool) is None}
+    if missing:
+        packages = " ".join(sorted(set(missing.values())))
+        raise TrialError(f"{', '.join(missing)} not found: apt-get install {packages}")
+
+
+def run(
+    command: Sequence[str | Path], *, check: bool = True, timeout_s: float = 900.0, text: str | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command with its output kept; a failure is told with the end of what it said."""
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, input=text, check=False, timeout=timeout_s)
+    if check and done.returncode != 0:
+        said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-15:])[-1500:]
+        raise TrialError(f"{' '.join(words)[:300]} ended with {done.returncode}:\n{said}")
+    return done
+
+
+def output(command: Sequence[str | Path], **options: float) -> str:
+    """What a command printed, stripped."""
+    return run(command, **options).stdout.strip()  # type: ignore[arg-type]
+
+
+def until(true: Callable[[], object], what: str, *, timeout_s: float, every_s: float = 0.5) -> float:
+    """Seconds until `true()` was; asking again and again, an error after `timeout_s`."""
+    from time import sleep
+
+    start = monotonic()
+    while not true():
+        if monotonic() - start > timeout_s:
+            raise TrialError(f"{what}: not within {timeout_s:.0f} s")
+        sleep(every_s)
+    return monotonic() - start
+
+
+def workdir(name: str) -> Path:
+    """The trial's own folder, out/trial/NAME unless TUBERLINE_TRIAL names another place; made when it is not there."""
+    folder = Path(os.environ.get("TUBERLINE_TRIAL", ROOT / "out" / "trial")).resolve() / name
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def version() -> str:
+    """The version of this clone."""
+    scope: dict[str, str] = {}
+    for line in (ROOT / "conveyor" / "__init__.py").read_text(encoding="utf-8").splitlines():
+        if line.startswith("__version__"):
+            exec(line, scope)
+    return scope["__version__"]
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Markdown."""
+    lines = ["| " + " | ".join(map(str, row)) + " |" for row in (head, ["---"] * len(head), *rows)]
+    return "\n".join(lines)
+
+
+def into_docs(name: str, text: str) -> None:
+    """Put a table between the marks of `name` in docs/deploy.md."""
+    begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    page = DOCS.read_text(encoding="utf-8")
+    if begin not in page or end not in page:
+        raise TrialError(f"{DOCS} lacks the marks {begin} and {end}")
+    before, rest = page.split(begin)
+    DOCS.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+def ended(main: Callable[[], None]) -> None:
+    """Run a trial's main function: one sentence and exit code 2 where it cannot."""
+    try:
+        main()
+    except TrialError as error:
+        sys.stderr.write(f"trial: {error}\n")
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None

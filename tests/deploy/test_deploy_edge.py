@@ -1,0 +1,73 @@
+"""A host without torch: cameras, segmenters and the ledger run there, and what needs torch says so in a sentence."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+DOCKER = ROOT / "deploy" / "docker"
+NEED_NO_TORCH = ("camera_sim.node", "camera_sim.recorder", "segmenter.node", "aggregator.node", "viewer.page.server")
+CONFIG = 'name = "field"\n[cameras.left]\npath = "recording"\n[aggregator]\nout = "ledger"\n'
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The interpreter of an environment that has every library of this one but torch."""
+    home = tmp_path_factory.mktemp("edge") / "venv"
+    venv.create(home, with_pip=False, symlinks=True)
+    site = home / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if not re.match(r"(torch|functorch|__editable__|_editable|tuberline)", entry.name):
+            (site / entry.name).symlink_to(entry)
+    return home / "bin" / "python"
+
+
+def run(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    return subprocess.run(
+        [str(python), *words], capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=120
+    )
+
+
+def test_camera_segmenter_and_ledger_need_no_torch(python: Path, tmp_path: Path) -> None:
+    code = f"import importlib.util, {', '.join(NEED_NO_TORCH)}; assert importlib.util.find_spec('torch') is None"
+    done = run(python, "-c", code, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("regressor", "--config", "line.toml", "--run", "r", "--name", "r1"),
+        ("weigh", "cloud.ply", "--belt-distance-m", "0.46"),
+    ],
+)
+def test_what_needs_torch_says_so_in_a_sentence_for_good(python: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
+    (tmp_path / "line.toml").write_text(CONFIG)
+    done = run(python, "-m", "tuberline", *words, cwd=tmp_path)
+    (sentence,) = done.stderr.splitlines()
+    assert f"`{words[0]}` needs torch, which is not installed here" in sentence
+    assert done.returncode == 2, "permanent: neither supervisor nor systemd tries again"
+
+
+def test_the_edge_images_list_has_everything_but_torch() -> None:
+    def listed(*options: str) -> set[str]:
+        words = [sys.executable, str(DOCKER / "requirements.py"), *options]
+        said = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+        return {re.split(r"[^\w.-]", line)[0] for line in said.splitlines()}
+
+    assert listed("deploy") - listed("--without", "torch", "deploy") == {"torch"}
+    assert listed("--only", "viewer") == {"rerun-sdk"}
+    words = [sys.executable, str(DOCKER / "requirements.py"), "cook"]
+    refused = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert refused.returncode != 0
+    assert "extra 'cook' is not in pyproject.toml; known: alarms" in refused.stderr

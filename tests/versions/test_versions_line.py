@@ -1,0 +1,218 @@
+"""Nodes of 0.1 (commit a7bbfcc) and of this version on one line, and a line of three hosts upgraded during a load."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from aggregator.ledger.check import check_file
+from conveyor import __version__
+from conveyor.config import dump_toml
+from tests.belts import simulate
+from tests.conftest import ROOT, wait_until
+from tuberline.replayer import fingerprint, recording_cameras, replay_config
+
+pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(600)]
+OLD_COMMIT = "a7bbfcc"
+TUBERS = 8
+HOSTS = {"edge": ("router", "aggregator"), "barn": ("regressor",), "harvester": ("segmenter", "camera")}
+
+
+@pytest.fixture(scope="module")
+def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources of 0.1."""
+    folder = tmp_path_factory.mktemp("old")
+    archive = subprocess.run(["git", "-C", str(ROOT), "archive", OLD_COMMIT], capture_output=True, check=False)
+    if archive.returncode != 0:
+        pytest.skip(f"commit {OLD_COMMIT} is not in this clone (git fetch --unshallow): mixed lines not tried")
+    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate(tmp_path_factory.mktemp("belt") / "recording", scene="singulated", tubers=str(TUBERS), fps="10")
+
+
+class Line:
+    """A line of single processes, each of one of the two versions."""
+
+    def __init__(self, recording: Path, out: Path, old: Path, *, speed: float = 0.0) -> None:
+        self.out, self._old = out, old
+        self.run = f"replay-{fingerprint(recording)}"
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        names = recording_cameras(recording)
+        config = replay_config(
+            recording, names, out=out, speed=speed, weights=None, regressors=1, rrd=None, settings={}
+        )
+        (self.camera,) = names
+        text = dump_toml(config)
+        (out / "line.toml").write_text(text)
+        (out / "old.toml").write_text(tomli_w.dumps(self._known_to_old(tomllib.loads(text))))
+
+    def _known_to_old(self, raw: dict[str, Any]) -> dict[str, Any]:
+        said = self._python(self._old, "-m", "conveyor", "config", "schema").stdout
+        known = {name: set(part.get("properties", {})) for name, part in json.loads(said)["$defs"].items()}
+        sections = {name: f"{name.capitalize()}Config" for name in raw}
+        kept: dict[str, Any] = {"name": raw["name"]}
+        for name, section in raw.items():
+            if name == "cameras":
+                keys = known["CameraConfig"]
+                kept[name] = {camera: {k: v for k, v in c.items() if k in keys} for camera, c in section.items()}
+            elif sections[name] in known:
+                kept[name] = {k: v for k, v in section.items() if k in known[sections[name]]}
+        return kept
+
+    def _environment(self, home: Path) -> dict[str, str]:
+        return {**os.environ, "PYTHONPATH": str(home), "OMP_NUM_THREADS": "1"}
+
+    def _python(self, home: Path, *words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, check=True, cwd=home, env=self._environment(home)
+        )
+
+    def start(self, *roles: str, version: str) -> None:
+        for role in roles:
+            home = self._old if version == "old" else ROOT
+            words = [role, "--config", str(self.out / f"{'old' if version == 'old' else 'line'}.toml")]
+            words += [] if role == "router" else ["--run", self.run]
+            words += {"regressor": ["--name", "r1"], "router": [], "aggregator": []}.get(
+                role, ["--camera", self.camera]
+            )
+            with (self.out / f"{role}.log").open("ab") as log:
+                module = "conveyor" if version == "old" else "tuberline"
+                self.processes[role] = subprocess.Popen(
+                    [sys.executable, "-m", module, *words],
+                    cwd=home,
+                    env=self._environment(home),
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                )
+
+    def stop(self, *roles: str) -> None:
+        for role in reversed(roles):
+            process = self.processes.pop(role)
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.wait(15)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def upgrade(self, host: str, *, version: str) -> None:
+        self.stop(*HOSTS[host])
+        self.start(*HOSTS[host], version=version)
+
+    def tubers(self) -> dict[int, float]:
+        """Place of every tuber in the ledger, by its number."""
+        try:
+            with closing(sqlite3.connect(f"file:{self.out / 'ledger.db'}?mode=ro", uri=True)) as db:
+                return dict(db.execute("SELECT tuber_id, place_x_m FROM tuber"))
+        except sqlite3.Error:
+            return {}
+
+    def finish(self, timeout_s: float = 200.0) -> dict[str, Any]:
+        wait_until(lambda: self.processes["aggregator"].poll() is not None, what="the summary", timeout_s=timeout_s)
+        assert self.processes["aggregator"].returncode == 0, self.log("aggregator")
+        summary: dict[str, Any] = json.loads((self.out / "summary.json").read_text())
+        return summary
+
+    def log(self, role: str) -> str:
+        return (self.out / f"{role}.log").read_text(errors="replace")[-3000:]
+
+    def close(self) -> None:
+        self.stop(*self.processes)
+
+
+@pytest.fixture
+def line(belt: Path, old: Path, tmp_path: Path) -> Iterator[Line]:
+    made = Line(belt, tmp_path, old)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("role", ["camera", "segmenter"])
+def test_a_node_of_0_1_works_on_a_line_of_this_version_and_is_named(line: Line, role: str) -> None:
+    roles = [name for host in HOSTS.values() for name in host]
+    line.start("router", version="new")
+    time.sleep(1.0)  # 0.1 gives up a router that is not there
+    line.start(*(name for name in roles if name not in ("router", role)), version="new")
+    line.start(role, version="old")
+    summary = line.finish()
+    assert summary["totals"]["count"] == TUBERS
+    assert summary["software"] == __version__
+    assert summary["other_versions"] == {f"{role}/{line.camera}": "0.1.0"}
+    assert f"runs tuberline 0.1.0, the ledger is kept by {__version__}" in line.log("aggregator")
+    assert check_file(line.out / "ledger.db") == []
+
+
+def test_a_regressor_of_0_1_refuses_the_views_of_this_version_in_words(line: Line) -> None:
+    """It knows no resting level, so it would weigh without one: the views wait for a regressor that does."""
+    line.start("router", version="new")
+    time.sleep(1.0)
+    line.start("aggregator", "segmenter", "camera", version="new")
+    line.start("regressor", version="old")
+    wait_until(lambda: "resting_offset_m" in line.log("regressor"), what="the refusal in words", timeout_s=120)
+    wait_until(lambda: "runs tuberline 0.1.0" in line.log("aggregator"), what="it told by the ledger", timeout_s=60)
+    assert "Traceback" not in line.log("regressor")
+    line.upgrade("barn", version="new")
+    assert line.finish()["totals"]["count"] == TUBERS
+
+
+def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(belt: Path, old: Path, tmp_path: Path) -> None:
+    """First the edge with the ledger, then the regressors, the harvester last; each step with tubers in the ledger."""
+    line = Line(belt, tmp_path, old, speed=0.15)
+    try:
+        for host in HOSTS:
+            line.start(*HOSTS[host], version="old")
+            time.sleep(1.0)
+        before: dict[int, float] = {}
+        for step, host in enumerate(HOSTS, start=1):
+            wait_until(lambda n=step: len(line.tubers()) >= n, what=f"{step} tubers", timeout_s=200)  # type: ignore[misc]
+            line.upgrade(host, version="new")
+            now = line.tubers()
+            assert before.items() <= now.items(), f"lost or moved before the upgrade of {host}"
+            before = now
+        summary = line.finish(300)
+        assert before.items() <= line.tubers().items()
+        assert summary["totals"]["count"] == len(line.tubers()) == TUBERS
+        assert summary["other_versions"] == {}
+        assert check_file(tmp_path / "ledger.db") == []
+    finally:
+        line.close()
+
+
+def test_the_way_back_leaves_the_ledger_where_it_is_and_says_so(belt: Path, old: Path, tmp_path: Path) -> None:
+    """Regressors' hosts go back as the harvester does; 0.1 refuses a ledger of this version, and does not touch it."""
+    line = Line(belt, tmp_path, old, speed=0.15)
+    try:
+        for host in HOSTS:
+            line.start(*HOSTS[host], version="new")
+            time.sleep(0.5)
+        wait_until(lambda: len(line.tubers()) >= 2, what="2 tubers", timeout_s=200)
+        line.stop("aggregator")
+        held = line.tubers()
+        line.start("aggregator", version="old")
+        wait_until(lambda: line.processes["aggregator"].poll() is not None, what="its refusal", timeout_s=60)
+        assert "schema version" in line.log("aggregator")
+        assert line.processes["aggregator"].returncode != 0
+        assert line.tubers() == held
+        line.start("aggregator", version="new")
+        summary = line.finish(300)
+        assert summary["totals"]["count"] == TUBERS
+        assert held.items() <= line.tubers().items()
+    finally:
+        line.close()

@@ -1,0 +1,58 @@
+"""Messages of version 0.1 are understood; one of another schema is refused with both versions."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+import conveyor.messages as messages
+from conveyor.errors import MessageError, Refusal
+from conveyor.wire import SCHEMA_VERSION
+
+OLD = Path(__file__).parent / "v0_1" / "messages"
+KINDS = {"TrackEntryMark": "TrackEntry"}
+SAMPLES = sorted(file.stem for file in OLD.glob("*.bin"))
+
+
+def decoded(sample: str) -> messages.Message:
+    kind: type[messages.Message] = getattr(messages, KINDS.get(sample, sample))
+    return kind.decode((OLD / f"{sample}.bin").read_bytes())
+
+
+@pytest.mark.parametrize("sample", SAMPLES)
+def test_every_message_of_0_1_is_understood(sample: str) -> None:
+    """A host of 0.1 in a line of later ones: what its nodes send is taken, with what they did not know at rest."""
+    message = decoded(sample)
+    assert message.encode()[:4] == (OLD / f"{sample}.bin").read_bytes()[:4]
+
+
+def test_their_values_are_what_0_1_meant() -> None:
+    weight, entry, mark = decoded("Weight"), decoded("TrackEntry"), decoded("TrackEntryMark")
+    assert isinstance(weight, messages.Weight)
+    assert (weight.view_id, weight.weight_g, weight.low_g, weight.high_g) == ("v/0", 100.0, 90.0, 110.0)
+    assert isinstance(entry, messages.TrackEntry)
+    assert entry.track is not None
+    assert (entry.n, entry.track.views[0].weight_g, entry.track.views_lost) == (2, 100.0, {"shed": 1})
+    assert isinstance(mark, messages.TrackEntry)
+    assert mark.mark is not None
+    assert (mark.mark.looked_at_m, mark.mark.travelled_m) == (0.4, 0.5)
+    counters = decoded("Counters")
+    assert isinstance(counters, messages.Counters)
+    assert counters.version == "0.1.0"
+    view = decoded("View")
+    assert isinstance(view, messages.View)
+    assert (view.resting_offset_m, view.depth.shape) == (0.0, (6, 8))
+
+
+def test_a_message_of_another_schema_is_refused_with_both_versions() -> None:
+    data = bytearray((OLD / "Committed.bin").read_bytes())
+    (version,) = struct.unpack_from("B", data, 3)
+    assert version == SCHEMA_VERSION, "0.1 spoke the same schema"
+    data[3] = SCHEMA_VERSION + 1
+    with pytest.raises(
+        MessageError, match=rf"version {SCHEMA_VERSION + 1}, this node speaks version {version}"
+    ) as found:
+        messages.Committed.decode(bytes(data))
+    assert found.value.reason is Refusal.VERSION
