@@ -42,6 +42,7 @@ GROUPS: dict[str, Commands] = {
     "Recordings": {
         "simulate": ("tuberline.cli.simulate:simulate", "Make a recording of a belt with known truth."),
         "info": ("tuberline.cli.recordings:info", "Describe a recording and warn of its traps."),
+        "import": ("tuberline.cli.import_frames:import_frames", "Make one of plain depth frames of any camera."),
         "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless."),
         "recover": ("tuberline.cli.recordings:recover", "Repair an MCAP file whose writer was killed."),
         "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),
