@@ -7,7 +7,6 @@ long as it takes, and goes on in the unit and with the numbers that the run bega
 from __future__ import annotations
 
 import contextlib
-import importlib
 import logging
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from conveyor.config import CameraConfig
 from conveyor.errors import DeviceError, InputError
-from conveyor.extras import install_hint
+from conveyor.extras import needed
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
@@ -279,9 +278,4 @@ class RealSenseSource:
 
 
 def _library() -> Any:
-    try:
-        return importlib.import_module("pyrealsense2")
-    except ImportError as error:
-        raise InputError(
-            f"a live RealSense camera needs the package pyrealsense2 ({error}); {install_hint('realsense')}"
-        ) from error
+    return needed("pyrealsense2", extra="realsense", what="a live RealSense camera")

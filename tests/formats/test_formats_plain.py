@@ -176,7 +176,7 @@ WRONG: dict[str, tuple[dict[str, Any], Callable[[Path], None] | None, str]] = {
     "8 bits": ({}, grey, r"depth_2\.png has 8 bits per pixel"),
     "cut short": ({}, short, r"depth_2\.png is cut short or no image"),
     "whole and decimal": ({}, metres, r"depth_2\.npy holds decimal numbers, the frames before it whole ones"),
-    "which array": ({}, two_arrays, r"depth_2\.npz needs one array of depths, named 'depth'; it has a \(60, 80\)"),
+    "which array": ({}, two_arrays, r"depth_2\.npz needs one image, or one named 'depth'; it has a \(60, 80\)"),
     "nothing there": ({"pattern": "*.exr"}, None, r"no depth frames .* match '\*\.exr'; there is nothing"),
 }
 

@@ -17,7 +17,7 @@ GROUPS: dict[str, Commands] = {
     "Count and weigh": {
         "demo": ("tuberline.cli.demo:demo", "Simulate a belt, run the whole line on it, compare with truth."),
         "replay": ("tuberline.cli.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
-        "weigh": ("tuberline.cli.weigh:weigh", "Weigh single clouds or depth and mask pairs; no line needed."),
+        "weigh": ("tuberline.cli.weigh:weigh", "Weigh clouds, or the objects of a frame; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export the ledger of a run."),

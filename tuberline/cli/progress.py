@@ -11,9 +11,12 @@ def console() -> Console:
     return Console(stderr=True)
 
 
-def progress_bar(*, total_known: bool = True) -> Progress:
-    """A bar with the time that remains, or words alone where no one knows how much there is; nothing in a log."""
+def progress_bar(*, total_known: bool = True, transient: bool = False) -> Progress:
+    """A bar with the time that remains, or words alone where no one knows how much there is; nothing in a log.
+
+    `transient`: it goes when the work is done.
+    """
     shown = console()
     words = TextColumn("{task.description}")
     columns = (words, BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) if total_known else (words,)
-    return Progress(*columns, console=shown, disable=not shown.is_terminal)
+    return Progress(*columns, console=shown, disable=not shown.is_terminal, transient=transient)

@@ -28,8 +28,8 @@ class DepthUnit:
     stored_m: float
 
     @classmethod
-    def of(cls, given_m: float | None, first: NDArray[Any], *, where: Path) -> DepthUnit:
-        """For frames like `first`.
+    def of(cls, given_m: float | None, first: NDArray[Any], *, where: Path, option: str = "--depth-unit") -> DepthUnit:
+        """For frames like `first`; `option` is how the command calls the unit.
 
         Raises:
             InputError: none given, or one that these frames cannot have.
@@ -40,22 +40,20 @@ class DepthUnit:
         units = (0.001, 1.0) if decimal else (0.001, 0.0001)
         if given_m is None:
             raise InputError(
-                f"give --depth-unit, how many metres one unit of the files is ({USUAL}). {told}: that is "
+                f"give {option}, how many metres one unit of the files is ({USUAL}). {told}: that is "
                 + " and ".join(f"{middle * unit:.4g} m at {unit:g}" for unit in units)
             )
         if not 0 < given_m <= 1:
-            raise InputError(f"--depth-unit is {given_m:g}; allowed is above 0 to 1 metre per unit ({USUAL})")
+            raise InputError(f"{option} is {given_m:g}; allowed is above 0 to 1 metre per unit ({USUAL})")
         if not decimal and given_m > MOST_UNIT_M:
             raise InputError(
-                f"--depth-unit is {given_m:g}, but {told}: whole numbers count at most {MOST_UNIT_M:g} m each ({USUAL})"
+                f"{option} is {given_m:g}, but {told}: whole numbers count at most {MOST_UNIT_M:g} m each ({USUAL})"
             )
         middle_m = middle * given_m
         if not NEAREST_M <= middle_m <= FARTHEST_M:
             metres = decimal and NEAREST_M <= middle <= FARTHEST_M
-            fix = "they are metres: give --depth-unit 1" if metres else f"give another one ({USUAL})"
-            raise InputError(
-                f"--depth-unit is {given_m:g}, but {told}, so what it shows lies {middle_m:.4g} m away; {fix}"
-            )
+            fix = f"they are metres: give {option} 1" if metres else f"give another one ({USUAL})"
+            raise InputError(f"{option} is {given_m:g}, but {told}, so what it shows lies {middle_m:.4g} m away; {fix}")
         return cls(given_m, FLOAT_UNIT_M if decimal else given_m)
 
     def convert(self, frame: NDArray[Any], *, where: Path) -> NDArray[np.uint16]:

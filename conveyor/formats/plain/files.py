@@ -16,6 +16,7 @@ from conveyor.formats.png16 import is_whole_png
 from conveyor.wire import MAX_ARRAY_BYTES
 
 IMAGES = (".png", ".tif", ".tiff")
+MASKS, MOST_OBJECTS = "mask", 2000
 ENDINGS = (*IMAGES, ".npy", ".npz", ".mat")
 
 
@@ -64,6 +65,30 @@ def read_frames(path: Path) -> NDArray[Any]:
     return array[None] if array.ndim == 2 else array
 
 
+def read_labels(path: Path) -> NDArray[np.int64]:
+    """(H, W) the number of the object that each pixel belongs to, 0 = background, from any of these files.
+
+    Raises:
+        InputError: broken, a colour picture, no whole numbers, or more objects than a frame can hold.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in ENDINGS:
+        raise InputError(f"instances {path} have the ending '{suffix}'; known: {', '.join(ENDINGS)}")
+    array = _image(path) if suffix in IMAGES else _numpy(path, MASKS) if suffix != ".mat" else _mat(path, MASKS)
+    if array.ndim != 2 or array.dtype.kind not in "biu":
+        raise InputError(
+            f"instances {path} hold {array.dtype} {array.shape}; expected one whole number per pixel, of shape (rows, "
+            "columns): 0 for background, 1, 2, ... for the objects"
+        )
+    objects = np.unique(array)
+    if len(objects) > MOST_OBJECTS or (len(objects) and objects[0] < 0):
+        raise InputError(
+            f"instances {path} hold {len(objects)} different numbers from {objects[0]} on: that is no mask of objects; "
+            f"allowed are 0 and at most {MOST_OBJECTS} others"
+        )
+    return np.asarray(array, np.int64)
+
+
 def _image(path: Path) -> NDArray[Any]:
     try:
         data = np.fromfile(path, np.uint8)
@@ -76,12 +101,12 @@ def _image(path: Path) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _numpy(path: Path) -> NDArray[Any]:
+def _numpy(path: Path, wanted: str = "depth") -> NDArray[Any]:
     try:
         loaded = np.load(path, mmap_mode="r", allow_pickle=False)
         if isinstance(loaded, np.lib.npyio.NpzFile):
             with loaded as file:
-                return _chosen({name: file[name] for name in file.files}, path)
+                return _chosen({name: file[name] for name in file.files}, path, wanted)
     except InputError:
         raise
     except Exception as error:  # NumPy lets errors of zip, zlib, tokenizer and memory through for broken files
@@ -89,7 +114,7 @@ def _numpy(path: Path) -> NDArray[Any]:
     return np.asarray(loaded)
 
 
-def _mat(path: Path) -> NDArray[Any]:
+def _mat(path: Path, wanted: str = "depth") -> NDArray[Any]:
     from scipy.io import loadmat
 
     try:
@@ -98,21 +123,21 @@ def _mat(path: Path) -> NDArray[Any]:
         raise InputError(f"{path} is of MATLAB's format 7.3: save it again with save(..., '-v7')") from error
     except Exception as error:  # SciPy lets errors of zlib, struct and its own through for broken files
         raise InputError(f"{path} is no whole MAT file: {error}") from error
-    return _chosen({name: array for name, array in loaded.items() if not name.startswith("__")}, path)
+    return _chosen({name: array for name, array in loaded.items() if not name.startswith("__")}, path, wanted)
 
 
-def _chosen(arrays: Mapping[str, Any], path: Path) -> NDArray[Any]:
-    """The array that is depth: the one named so, else the only one with rows and columns."""
+def _chosen(arrays: Mapping[str, Any], path: Path, wanted: str) -> NDArray[Any]:
+    """The array that is `wanted`: the one named so, else the only one with rows and columns."""
     wide = {
         name: array
         for name, array in arrays.items()
         if isinstance(array, np.ndarray) and array.ndim >= 2 and min(array.shape[:2]) > 4
     }
-    named = {name: array for name, array in wide.items() if name.lower() == "depth"}
-    named = named or {name: array for name, array in wide.items() if "depth" in name.lower()} or wide
+    named = {name: array for name, array in wide.items() if name.lower() == wanted}
+    named = named or {name: array for name, array in wide.items() if wanted in name.lower()} or wide
     if len(named) != 1:
         there = ", ".join(f"{name} {getattr(array, 'shape', '')}" for name, array in arrays.items()) or "none"
-        raise InputError(f"{path} needs one array of depths, named 'depth'; it has {there}")
+        raise InputError(f"{path} needs one image, or one named '{wanted}'; it has {there}")
     array = next(iter(named.values()))
     if array.nbytes > MAX_ARRAY_BYTES * 64:
         raise InputError(f"{path} holds {array.nbytes} bytes: save fewer frames in one file")
