@@ -277,5 +277,22 @@ class RealSenseSource:
         return np.where(converted <= np.iinfo(np.uint16).max, converted, 0).astype(np.uint16)
 
 
+def connected_devices() -> list[tuple[str, str]]:
+    """(name, serial number) of every RealSense on this machine.
+
+    Raises:
+        InputError: the SDK's package is not installed.
+        DeviceError: the SDK cannot look for them.
+    """
+    rs = _library()
+    try:
+        return [
+            (str(device.get_info(rs.camera_info.name)), str(device.get_info(rs.camera_info.serial_number)))
+            for device in rs.context().query_devices()
+        ]
+    except RuntimeError as error:
+        raise DeviceError(f"the RealSense SDK cannot look for cameras: {error}") from error
+
+
 def _library() -> Any:
     return needed("pyrealsense2", extra="realsense", what="a live RealSense camera")

@@ -23,6 +23,7 @@ GROUPS: dict[str, Commands] = {
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export the ledger of a run."),
     },
     "Set up and run a line": {
+        "init": ("tuberline.cli.init:init", "Write the file of a new line, for what it finds here."),
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "config": ("tuberline.cli.config:config", "Check, show or explain a line's configuration."),
         "calibrate": ("tuberline.cli.calibrate:calibrate", "Measure the belt, calibrate totals by load tickets."),

@@ -16,7 +16,7 @@ import numpy as np
 
 FOLDER = Path(os.environ["REALSENSE_STAND_IN"])
 SERIAL, DISTANCE_M, FPS = "123622270001", 0.46, 30
-camera_info = SimpleNamespace(serial_number=0, usb_type_descriptor=1, physical_port=2)
+camera_info = SimpleNamespace(serial_number=0, usb_type_descriptor=1, physical_port=2, name=3)
 stream = SimpleNamespace(depth=0)
 format = SimpleNamespace(z16=0)
 option = SimpleNamespace(depth_units=0)
@@ -45,7 +45,7 @@ def _need_device() -> None:
 class device:
     def get_info(self, what: int) -> str:
         _need_device()
-        return (SERIAL, "3.2", "2-1.4")[what]
+        return (SERIAL, "3.2", "2-1.4", "Intel RealSense D405")[what]
 
     def supports(self, what: int) -> bool:
         return True
