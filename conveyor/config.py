@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from conveyor.config_realsense import RealSenseConfig
 from conveyor.errors import ConfigError, TuberlineError
 from conveyor.resting import RestingLevel
 from conveyor.topics import check_name
@@ -56,6 +57,7 @@ class CameraConfig(Section):
     window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
     compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
     serial: str | None = Field(None, description="realsense: serial number of the device")
+    realsense: RealSenseConfig = RealSenseConfig()
     topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
     info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
     ros_domain: int = Field(0, ge=0, le=232, description="ros2: ROS_DOMAIN_ID of the publishing nodes")
@@ -68,6 +70,12 @@ class CameraConfig(Section):
     @classmethod
     def _absolute(cls, path: Path | None) -> Path | None:
         return path.expanduser() if path else None
+
+    @model_validator(mode="after")
+    def _settings_of_that_source(self) -> Self:
+        if self.source != "realsense" and self.realsense != RealSenseConfig():
+            raise ValueError(f"a section realsense is for source = 'realsense'; the source is '{self.source}'")
+        return self
 
 
 class BeltConfig(Section):
@@ -344,7 +352,7 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
     if not path:
         return sorted(LineConfig.model_fields)
     if path[0] == "cameras":
-        return sorted(CameraConfig.model_fields)
+        return sorted((RealSenseConfig if path[2:] == ("realsense",) else CameraConfig).model_fields)
     sections: dict[str, type[Section]] = {
         "link": LinkConfig,
         "access": AccessConfig,
