@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,9 +14,9 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(5 * LIMIT_S)]
 
 
 @pytest.fixture
-def walk(tmp_path: Path) -> Iterator[Walk]:
+def walk(tmp_path: Path) -> Walk:
     """A clean clone."""
-    yield Walk(tmp_path)
+    return Walk(tmp_path)
 
 
 def test_a_researcher_takes_a_network_of_their_own_elsewhere(walk: Walk) -> None:
