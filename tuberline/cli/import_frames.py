@@ -62,7 +62,7 @@ def import_frames(
     from conveyor.formats.plain.reader import PlainFrames
     from conveyor.formats.prepared import PreparedSource
     from conveyor.formats.within import plain_name
-    from tuberline.cli.progress import progress_bar
+    from tuberline.cli.progress import frames_bar
 
     if intrinsics is None:
         raise InputError(
@@ -85,14 +85,13 @@ def import_frames(
         pattern=pattern,
         belt_distance_m=belt_distance_m,
     )
-    with whole_output(target) as partial, progress_bar() as progress:
-        task = progress.add_task("frames", total=None)
+    with whole_output(target) as partial, frames_bar() as on_frame:
         done = write_recording(
             [PreparedSource(found, where=str(frames))],
             partial,
             files={},
             form=format,
-            on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+            on_frame=on_frame,
         )
     _tell(found, done.frames, target, json=json)
 

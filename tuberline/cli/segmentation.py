@@ -61,8 +61,10 @@ def segment(
         Print the counted tracks as JSON on stdout.
     """
     from segmenter.studies.offline import segment_recording
+    from tuberline.cli.progress import frames_bar
 
-    results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks)
+    with frames_bar() as on_frame:
+        results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
         sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
         return
@@ -115,11 +117,13 @@ def evaluate_segmentation(
     from segmenter.pipeline import Settings
     from segmenter.studies.evaluate import evaluate_recording
     from segmenter.warmup import warm_up
+    from tuberline.cli.progress import frames_bar
 
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
     settings = Settings(perception=PerceptionSettings(method=method or PerceptionSettings().method, weights=weights))
-    score = asdict(evaluate_recording(recording, settings=settings, every=every))
+    with frames_bar() as on_frame:
+        score = asdict(evaluate_recording(recording, settings=settings, every=every, on_frame=on_frame))
     if json:
         sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
         return
