@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from conveyor.config_base import Metres, Section
 from conveyor.config_gauge import GaugeSection
+from conveyor.config_realsense import RealSenseConfig
 from conveyor.errors import ConfigError, TuberlineError
 from conveyor.gauge import Gauge
 from conveyor.resting import RestingLevel
@@ -62,6 +63,7 @@ class CameraConfig(Section):
         "unixsock-stream//run/tuberline/front.sock; auto: where one `tuberline run` starts both; off: by the router",
     )
     serial: str | None = Field(None, description="realsense: serial number of the device")
+    realsense: RealSenseConfig = RealSenseConfig()
     topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
     info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
     ros_domain: int = Field(0, ge=0, le=232, description="ros2: ROS_DOMAIN_ID of the publishing nodes")
@@ -84,6 +86,12 @@ class CameraConfig(Section):
     def _by_the_clock(self) -> Self:
         if self.starts_at_s is not None and (self.waits or self.speed == 0 or self.source != "recording"):
             raise ValueError("starts_at_s plays a recording by the clock: it needs waits = false and a speed above 0")
+        return self
+
+    @model_validator(mode="after")
+    def _settings_of_that_source(self) -> Self:
+        if self.source != "realsense" and self.realsense != RealSenseConfig():
+            raise ValueError(f"a section realsense is for source = 'realsense'; the source is '{self.source}'")
         return self
 
 
@@ -416,7 +424,7 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
     if not path:
         return sorted(LineConfig.model_fields)
     if path[0] == "cameras":
-        return sorted(CameraConfig.model_fields)
+        return sorted((RealSenseConfig if path[2:] == ("realsense",) else CameraConfig).model_fields)
     sections: dict[str, type[Section]] = {
         "link": LinkConfig,
         "access": AccessConfig,

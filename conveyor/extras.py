@@ -2,9 +2,38 @@
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
+from conveyor.errors import InputError
+
 
 def install_hint(extra: str) -> str:
     """The command that adds the extra `extra` of pyproject.toml. Tuberline is installed from a clone of its repository:
     no package index has it.
     """
     return f"in the clone of the repository: .venv/bin/pip install -e '.[{extra}]'"
+
+
+def needed(module: str, *, extra: str, what: str) -> Any:
+    """A module of a package that only some installs have.
+
+    Raises:
+        InputError: it, or a package that it needs itself, is not installed; names that one.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise InputError(missing_package(error, module, extra=extra, what=what)) from error
+
+
+def missing_package(error: ImportError, package: str, *, extra: str, what: str) -> str:
+    """Which package is missing, and how it is installed: `package`, or one that it imports in its turn."""
+    lacking = (error.name or package).split(".")[0]
+    own = lacking.replace("-", "_") == package.split(".")[0].replace("-", "_")
+    lacking = package if own else lacking
+    if error.name is not None and "." in error.name and lacking == "backports":
+        lacking = error.name  # a name that several packages share
+    through = "" if own else f" (which {package} needs)"
+    broken = "" if isinstance(error, ModuleNotFoundError) else f", which is there and cannot be loaded ({error})"
+    return f"{what} needs the package {lacking}{through}{broken}; {install_hint(extra)}"

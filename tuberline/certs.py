@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from conveyor.errors import ConfigError, InputError
-from conveyor.extras import install_hint
+from conveyor.extras import missing_package
 from conveyor.files import cause
 from conveyor.identity import CA_FILE, Identity
 
@@ -30,7 +30,7 @@ try:
     )
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 except ImportError as error:
-    raise ConfigError(f"certificates need the package cryptography; {install_hint('deploy')}") from error
+    raise ConfigError(missing_package(error, "cryptography", extra="deploy", what="making certificates")) from error
 
 CA_KEY_FILE = "ca.key"
 CA_DAYS = 3650

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 
 from conveyor.errors import ConfigError, LinkError
-from conveyor.extras import install_hint
+from conveyor.extras import missing_package
 from conveyor.messages import Counters, Totals
 from conveyor.observer import Observer
 
@@ -16,7 +16,7 @@ try:
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
     from prometheus_client.registry import Collector
 except ImportError as error:
-    raise ConfigError(f"metrics need the package prometheus-client; {install_hint('deploy')}") from error
+    raise ConfigError(missing_package(error, "prometheus-client", extra="deploy", what="serving metrics")) from error
 
 PREFIX = "tuberline"
 NODE_LABELS = ("line", "role", "name", "host", "run")

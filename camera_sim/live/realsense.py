@@ -7,23 +7,24 @@ long as it takes, and goes on in the unit and with the numbers that the run bega
 from __future__ import annotations
 
 import contextlib
-import importlib
 import logging
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from camera_sim.live.realsense_options import apply, check_stream, depth_filters
 from conveyor.config import CameraConfig
 from conveyor.errors import DeviceError, InputError
-from conveyor.extras import install_hint
+from conveyor.extras import needed
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 
-WIDTH, HEIGHT, FPS = 848, 480, 30
+JPEG_QUALITY = 90
 WAIT_MS = 200
 STALLED_AFTER_S = 3.0
 BACK_WITHIN_S = 8.0
@@ -49,6 +50,8 @@ class RealSenseSource:
         self._rs = library
         self._serial = settings.serial
         self._pipeline: Any = None
+        self._align_color: Any = None
+        self._filters: list[Any] = []
         self._to_unit = 1.0
         self._poll: Callable[[float], bool] = lambda still_s: True
         self._log = logging.getLogger(f"camera/{name}")
@@ -85,30 +88,44 @@ class RealSenseSource:
         offset: int | None = None
         try:
             while self._poll(time.monotonic() - last_s):
-                depth = self._take()
-                if depth is None:
+                taken = self._take()
+                if taken is None:
                     if time.monotonic() - last_s >= STALLED_AFTER_S:
                         if not self._recover(last_s):
                             return
                         offset = None
                     continue
+                depth, color = taken
                 number = int(depth.get_frame_number())
                 if offset is None:  # the first one, or the first after a gap whose length only the time tells
-                    missed = 0 if newest == after else max(0, round((time.monotonic() - last_s) * FPS) - 1)
+                    missed = (
+                        0
+                        if newest == after
+                        else max(0, round((time.monotonic() - last_s) * self._settings.realsense.fps) - 1)
+                    )
                     offset = newest + 1 + missed - number
                 last_s = time.monotonic()
                 if number + offset > newest:
                     newest = number + offset
-                    yield self._frame(depth, newest, run)
+                    yield self._frame(depth, color, newest, run)
         finally:
             self._close()
 
-    def _take(self) -> Any:
-        """The next depth frame; None when none came within a moment, or the device is gone."""
+    def _take(self) -> tuple[Any, Any] | None:
+        """The next depth frame, filtered, and its colour, aligned to it, or None; None when none came within a moment,
+        or the device is gone.
+        """
         try:
-            return self._pipeline.wait_for_frames(WAIT_MS).get_depth_frame() or None
+            frames = self._pipeline.wait_for_frames(WAIT_MS)
+            if self._align_color is not None:
+                frames = self._align_color.process(frames)
+            depth = frames.get_depth_frame()
+            for one in self._filters if depth else ():
+                depth = one.process(depth)
+            color = frames.get_color_frame() if depth and self._align_color is not None else None
         except RuntimeError:
             return None
+        return (depth, color or None) if depth else None
 
     def _recover(self, since_s: float) -> bool:
         """Reset and open the device again, until it works; False: stop."""
@@ -121,7 +138,7 @@ class RealSenseSource:
                 return False
             try:
                 self._align(self._open())
-            except DeviceError as error:
+            except InputError as error:
                 self._log.error("%s; tried again in %.0f s", error, backoff_s)
                 if not self._wait(lambda: False, backoff_s, since_s):
                     return False
@@ -195,7 +212,14 @@ class RealSenseSource:
             where = self._where(device)
             config = rs.config()
             config.enable_device(serial)
-            config.enable_stream(rs.stream.depth, WIDTH, HEIGHT, rs.format.z16, FPS)
+            wanted = self._settings.realsense
+            check_stream(rs, device, wanted, camera=self._name)
+            told = apply(rs, device.first_depth_sensor(), wanted, camera=self._name)
+            config.enable_stream(rs.stream.depth, wanted.width, wanted.height, rs.format.z16, wanted.fps)
+            if wanted.color:
+                config.enable_stream(rs.stream.color, wanted.width, wanted.height, rs.format.bgr8, wanted.fps)
+            self._align_color = rs.align(rs.stream.depth) if wanted.color else None
+            self._filters = depth_filters(rs, wanted)
             self._pipeline = rs.pipeline()
             profile = self._pipeline.start(config)
             scale_m = self._depth_scale_m(profile.get_device().first_depth_sensor())
@@ -204,14 +228,15 @@ class RealSenseSource:
             self._close()
             raise DeviceError(f"camera '{self._name}': the RealSense refuses: {error}") from error
         self._serial = serial
+        self._log.info("RealSense %s: %s", serial, told)
         return CameraDescription(
             name=self._name,
-            origin=f"RealSense {serial}{where}",
+            origin=f"RealSense {serial}{where}: {told}",
             intrinsics=Intrinsics(k.width, k.height, k.fx, k.fy, k.ppx, k.ppy),
             depth_scale_m=scale_m,
             belt_distance_m=self._settings.belt_distance_m,
             belt_from_camera=None,
-            fps=float(FPS),
+            fps=float(wanted.fps),
             frames=None,
             live=True,
         )
@@ -256,7 +281,7 @@ class RealSenseSource:
                 told.append(f"{words} {device.get_info(field)}")
         return f" ({', '.join(told)})" if told else ""
 
-    def _frame(self, depth: Any, seq: int, run: str) -> Frame:
+    def _frame(self, depth: Any, color: Any, seq: int, run: str) -> Frame:
         d = self._description
         return Frame(
             camera=d.name,
@@ -268,6 +293,7 @@ class RealSenseSource:
             intrinsics=d.intrinsics,
             belt_distance_m=d.belt_distance_m,
             depth=self._in_unit(np.array(depth.get_data(), np.uint16)),
+            color_jpeg=None if color is None else _jpeg(np.asarray(color.get_data(), np.uint8)),
         )
 
     def _in_unit(self, depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -278,10 +304,27 @@ class RealSenseSource:
         return np.where(converted <= np.iinfo(np.uint16).max, converted, 0).astype(np.uint16)
 
 
-def _library() -> Any:
+def _jpeg(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(n,) the JPEG file of an (h, w, 3) picture."""
+    return np.asarray(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1], np.uint8).ravel()
+
+
+def connected_devices() -> list[tuple[str, str]]:
+    """(name, serial number) of every RealSense on this machine.
+
+    Raises:
+        InputError: the SDK's package is not installed.
+        DeviceError: the SDK cannot look for them.
+    """
+    rs = _library()
     try:
-        return importlib.import_module("pyrealsense2")
-    except ImportError as error:
-        raise InputError(
-            f"a live RealSense camera needs the package pyrealsense2 ({error}); {install_hint('realsense')}"
-        ) from error
+        return [
+            (str(device.get_info(rs.camera_info.name)), str(device.get_info(rs.camera_info.serial_number)))
+            for device in rs.context().query_devices()
+        ]
+    except RuntimeError as error:
+        raise DeviceError(f"the RealSense SDK cannot look for cameras: {error}") from error
+
+
+def _library() -> Any:
+    return needed("pyrealsense2", extra="realsense", what="a live RealSense camera")

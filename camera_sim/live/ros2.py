@@ -232,16 +232,34 @@ class Ros2Source:
 
     def _silence(self, topic: str, what: str) -> str:
         domain = self._settings.ros_domain
-        found = set()
-        for reply in self._session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=2.0):
-            published = published_topic(str(reply.ok.key_expr)) if reply.ok is not None else None
-            if published and published[1] in (IMAGE, COMPRESSED, INFO):
-                found.add(f"{published[0]} ({published[1]})")
+        found = {f"{name} ({kind})" for name, kind in _image_topics(self._session, domain)}
         return (
             f"camera '{self._name}': no {what} on ROS topic {topic} (domain {domain}) within {FIRST_WITHIN_S:g} s; "
             f"image topics published there: {', '.join(sorted(found)) or 'none'}. Is the driver running with "
             "RMW_IMPLEMENTATION=rmw_zenoh_cpp, and is ros_router its router?"
         )
+
+
+def published_depth(link: LinkConfig, domain: int) -> list[str]:
+    """Topics of depth images that nodes behind the router of `link` publish, by their names.
+
+    Raises:
+        LinkError: no router answers there.
+    """
+    with open_client(link, name="init") as session:
+        topics = _image_topics(session, domain)
+    depths = {name for name, kind in topics if kind in (IMAGE, COMPRESSED) and "depth" in name}
+    return sorted(name for name in depths if not name.endswith(("/compressed", "/theora")))
+
+
+def _image_topics(session: Any, domain: int) -> set[tuple[str, str]]:
+    """(topic, type) of the images and camera infos that are published."""
+    found = set()
+    for reply in session.liveliness().get(f"@ros2_lv/{domain}/**", timeout=2.0):
+        published = published_topic(str(reply.ok.key_expr)) if reply.ok is not None else None
+        if published and published[1] in (IMAGE, COMPRESSED, INFO):
+            found.add((published[0], published[1]))
+    return found
 
 
 def _ros_link(settings: CameraConfig, link: LinkConfig) -> LinkConfig:

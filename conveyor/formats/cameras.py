@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,9 @@ class CameraFrames:
         first_fault: what the first of them said.
     """
 
-    def __init__(self, source: PreparedSource) -> None:
+    def __init__(self, source: PreparedSource, on_frame: Callable[[], None] = lambda: None) -> None:
         self._source = source
+        self._on_frame = on_frame
         self.unreadable: Counter[str] = Counter()
         self.first_fault = ""
 
@@ -48,6 +50,7 @@ class CameraFrames:
         self.unreadable.clear()
         readable = 0
         for item in self._source.frames(run="offline"):
+            self._on_frame()
             if isinstance(item, Refused):
                 self.unreadable[item.reason] += 1
                 self.first_fault = self.first_fault or item.text
@@ -59,7 +62,13 @@ class CameraFrames:
             raise InputError(f"{self.description.origin}: no frame can be read{first}")
 
 
-def open_cameras(recording: Path, *, ignore_masks: bool = False) -> list[CameraFrames]:
+OnFrame = Callable[[int, int | None], None]
+"""Told after each frame of all cameras: how many were read, and how many there are, where that is known."""
+
+
+def open_cameras(
+    recording: Path, *, ignore_masks: bool = False, on_frame: OnFrame = lambda done, total: None
+) -> list[CameraFrames]:
     """Every camera of a recording of any kind, in its own order, each opened as `replay` opens it.
 
     Raises:
@@ -68,4 +77,8 @@ def open_cameras(recording: Path, *, ignore_masks: bool = False) -> list[CameraF
     names = camera_names(recording)
     if not names:
         raise InputError(f"{recording} holds no frames of any camera")
-    return [CameraFrames(open_source(recording, camera=name, ignore_masks=ignore_masks)) for name in names]
+    sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
+    counts = [source.description.frames for source in sources]
+    total = None if None in counts else sum(count or 0 for count in counts)
+    done = itertools.count(1)
+    return [CameraFrames(source, lambda: on_frame(next(done), total)) for source in sources]

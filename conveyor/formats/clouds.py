@@ -1,33 +1,36 @@
-"""Clouds from files: .ply, .npy, .npz. Camera frame, metres."""
+"""Clouds from files: .ply, .npy, .npz, .pcd, .xyz, .las, .laz. Camera frame, metres."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.ply import read_ply
+from conveyor.extras import needed
+from conveyor.formats.ply import MAX_POINTS, read_ply
+
+Points = NDArray[np.float64]
 
 
-def read_cloud(path: Path) -> NDArray[np.float64]:
-    """(N, 3) float64 points of a .ply, .npy or .npz file.
+def read_cloud(path: Path) -> Points:
+    """(N, 3) float64 points of a file that `CLOUDS` names by its ending.
 
     Raises:
-        InputError: missing, truncated, of another layout, or not finite.
+        InputError: missing, truncated, of another layout, or not finite; or a package that is not installed.
     """
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InputError(f"cloud {path} does not exist")
-    if suffix == ".ply":
-        points = read_ply(path)
-    elif suffix in (".npy", ".npz"):
-        points = _read_numpy(path)
-    else:
-        raise InputError(
-            f"cloud {path} has the ending '{suffix}'; known: .ply, .npy, .npz, or a depth/rgb pair of .png"
-        )
+        raise InputError(f"cloud {path} {'is a folder' if path.is_dir() else 'does not exist'}")
+    reader = CLOUDS.get(suffix)
+    if reader is None:
+        known = ", ".join(CLOUDS)
+        raise InputError(f"cloud {path} has the ending '{suffix}'; known: {known}, or a depth/rgb pair of .png")
+    points = reader(path)
     if not np.isfinite(points).all():
         bad = int((~np.isfinite(points)).any(1).sum())
         raise InputError(f"cloud {path} has {bad} of {len(points)} points that are not finite: remove them first")
@@ -38,7 +41,7 @@ def read_cloud(path: Path) -> NDArray[np.float64]:
     return points
 
 
-def _read_numpy(path: Path) -> NDArray[np.float64]:
+def _read_numpy(path: Path) -> Points:
     try:
         loaded = np.load(path, allow_pickle=False)
         if isinstance(loaded, np.lib.npyio.NpzFile):  # by what it is, not by what it is called
@@ -57,3 +60,70 @@ def _read_numpy(path: Path) -> NDArray[np.float64]:
     if loaded.ndim != 2 or loaded.shape[1] != 3 or loaded.dtype.kind not in "fiu":
         raise InputError(f"cloud {path} holds {loaded.dtype} {loaded.shape}; expected numbers of shape (N, 3)")
     return np.asarray(loaded, np.float64)
+
+
+def _read_xyz(path: Path) -> Points:
+    """Lines of x y z and whatever follows, parted by blanks, commas or semicolons; '#' and '//' begin remarks."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cloud {path} is no text of points: {error}") from error
+    lines = text.replace(",", " ").replace(";", " ").replace("//", "#").splitlines()
+    if lines and not any(character.isdigit() for character in lines[0]):
+        lines = lines[1:]  # names of columns
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a file without lines; it has no points
+        try:
+            points = np.loadtxt(lines, np.float64, usecols=(0, 1, 2), ndmin=2)
+        except ValueError as error:
+            raise InputError(f"cloud {path} has a line that does not begin with x, y, z: {error}") from error
+    return points.reshape(-1, 3)
+
+
+def _read_pcd(path: Path) -> Points:
+    """Points that PCL marks as missing (not a number) are left out."""
+    library = needed("pypcd4", extra="clouds", what=f"cloud {path.name}")
+    try:
+        cloud = library.PointCloud.from_path(path)
+        points = np.asarray(cloud.numpy(("x", "y", "z")), np.float64)
+        announced = int(cloud.metadata.points)
+    except Exception as error:  # the library lets errors of pydantic, NumPy and lzf through for broken files
+        raise InputError(f"cloud {path} is no whole PCD file with x, y, z: {_first_line(error)}") from error
+    if announced != len(points):
+        raise InputError(f"cloud {path} is truncated: {announced} points announced, {len(points)} there")
+    return points[np.isfinite(points).all(1)]
+
+
+def _read_las(path: Path) -> Points:
+    library = needed("laspy", extra="clouds", what=f"cloud {path.name}")
+    try:
+        with library.open(path) as file:
+            announced = int(file.header.point_count)
+            if announced > MAX_POINTS:
+                raise InputError(f"cloud {path} announces {announced} points; allowed are up to {MAX_POINTS}")
+            cloud = file.read()
+            points = np.stack([np.asarray(getattr(cloud, axis), np.float64) for axis in "xyz"], axis=1)
+    except InputError:
+        raise
+    except Exception as error:  # the library lets errors of struct, NumPy and its decoders through for broken files
+        raise InputError(f"cloud {path} is no whole LAS file: {_first_line(error)}") from error
+    if announced != len(points):
+        raise InputError(f"cloud {path} is truncated: {announced} points announced, {len(points)} there")
+    return points
+
+
+CLOUDS: dict[str, Callable[[Path], Points]] = {
+    ".ply": read_ply,
+    ".npy": _read_numpy,
+    ".npz": _read_numpy,
+    ".pcd": _read_pcd,
+    ".xyz": _read_xyz,
+    ".las": _read_las,
+    ".laz": _read_las,
+}
+"""Readers of clouds by the endings of their names."""
+
+
+def _first_line(error: Any) -> str:
+    """What an error says, as far as it fits a sentence."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__

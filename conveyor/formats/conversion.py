@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,8 @@ from conveyor.formats.folder.writer import FolderWriter, write_line_file
 from conveyor.formats.merged import in_time
 from conveyor.formats.target import TargetFormat, target_format
 from conveyor.messages import Frame
+
+Files = Mapping[str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +52,29 @@ def convert_recording(
         open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
         for name in camera_names(source)
     ]
+    return write_recording(sources, target, files=recording_files(source), form=form, on_frame=on_frame)
+
+
+def write_recording(
+    sources: Sequence[Source],
+    target: Path,
+    *,
+    files: Files,
+    form: TargetFormat = "auto",
+    on_frame: Callable[[int, int], None] = lambda done, total: None,
+) -> Converted:
+    """Write the frames of all `sources`, one per camera, to `target`; `files` are those beside them (truth.json).
+
+    Raises:
+        InputError: a source that cannot be used, or a place that cannot be written.
+    """
     total = sum(one.description.frames or 0 for one in sources)
     refused: Counter[str] = Counter()
     texts: list[str] = []
     done = 0
     chosen = target_format(target, form)
     with ExitStack() as stack:
-        write = _WRITERS[chosen](stack, source, target, sources)
+        write = _WRITERS[chosen](stack, target, sources, files)
         for item in in_time(sources, run="recorded"):
             if isinstance(item, Refused):
                 refused[item.reason] += 1
@@ -66,34 +84,34 @@ def convert_recording(
                 done += 1
             on_frame(done + refused.total(), total)
     if chosen == "folder":
-        _write_files(source, target, [one.description.name for one in sources])
+        _write_files(target, files, [one.description.name for one in sources])
     return Converted(done, dict(refused), tuple(texts[:10]))
 
 
-def _to_mcap(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+def _to_mcap(stack: ExitStack, target: Path, sources: Sequence[Source], files: Files) -> Callable[[Frame], None]:
     from conveyor.formats.mcap.writer import McapFrameWriter
 
     writer = stack.enter_context(McapFrameWriter(target))
     for one in sources:
         d = one.description
         writer.add_camera(d.name, fps=d.fps, resting_offset_mm=d.resting_offset_mm, resting_sd_mm=d.resting_sd_mm)
-    for name, data in recording_files(source).items():
+    for name, data in files.items():
         writer.attach(name, data)
     return writer.write
 
 
-def _to_ros2(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+def _to_ros2(stack: ExitStack, target: Path, sources: Sequence[Source], files: Files) -> Callable[[Frame], None]:
     from conveyor.formats.ros2.writer import Ros2McapWriter
 
     writer = stack.enter_context(Ros2McapWriter(target))
     for one in sources:
         writer.add_camera(one.description)
-    for name, data in recording_files(source).items():
+    for name, data in files.items():
         writer.attach(name, data)
     return writer.write
 
 
-def _to_folder(stack: ExitStack, source: Path, target: Path, sources: list[Source]) -> Callable[[Frame], None]:
+def _to_folder(stack: ExitStack, target: Path, sources: Sequence[Source], files: Files) -> Callable[[Frame], None]:
     writers = {one.description.name: stack.enter_context(FolderWriter(target, one.description)) for one in sources}
     return lambda frame: writers[frame.camera].write(frame)
 
@@ -101,8 +119,7 @@ def _to_folder(stack: ExitStack, source: Path, target: Path, sources: list[Sourc
 _WRITERS = {"folder": _to_folder, "mcap": _to_mcap, "ros2": _to_ros2}
 
 
-def _write_files(source: Path, target: Path, cameras: list[str]) -> None:
-    files = recording_files(source)
+def _write_files(target: Path, files: Files, cameras: list[str]) -> None:
     for name, data in files.items():
         (target / name).write_bytes(data)
     if "line.json" not in files:

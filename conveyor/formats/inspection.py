@@ -17,6 +17,11 @@ SAMPLES = 8
 BELT_QUANTILE = 0.75
 """Of a frame's depths: the belt is the farthest thing, and most frames show more of it than of tubers."""
 BELT_DIFFERS_M = 0.015
+NEAREST_M, FARTHEST_M = 0.15, 2.5
+"""Where cameras hang over belts; depth of another distance has a wrong unit, or shows no belt."""
+UNITS_M = (0.001, 0.0001, 0.00025, 0.00005)
+"""That cameras give: most, the D405 and SR300, the L515, some structured light."""
+LIKELY_M = (0.25, 1.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +119,8 @@ def _samples(keys: list[FrameKey]) -> list[FrameKey]:
 
 def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDescription) -> list[str]:
     given = expected_distance_m(frames[0]) if frames else None
+    if given is None and belt_seen_m is not None and not NEAREST_M <= belt_seen_m <= FARTHEST_M:
+        return [impossible_distance(belt_seen_m, d.depth_scale_m)]
     if given is None:
         return ["the belt distance is not given: it has to be fitted, or set belt_distance_m in the line's config"]
     medians = [seen for seen in (median_depth_m(frame) for frame in frames) if seen is not None]
@@ -128,6 +135,17 @@ def _scale_warnings(frames: list[Frame], belt_seen_m: float | None, d: CameraDes
             f"the belt seems {belt_seen_m:.3f} m away but {given:.3f} m are given: 10 mm cost about 10 % of each weight"
         ]
     return []
+
+
+def impossible_distance(seen_m: float, depth_scale_m: float) -> str:
+    """Where a belt cannot be, and which depth unit would put it where one can be."""
+    fitting = [unit for unit in UNITS_M if LIKELY_M[0] <= seen_m * unit / depth_scale_m <= LIKELY_M[1]]
+    told = " and ".join(f"{unit:g} ({seen_m * unit / depth_scale_m:.3g} m)" for unit in fitting)
+    fix = f"a unit that fits is {told}" if told else "no usual unit fits: is a belt in view?"
+    return (
+        f"the belt seems {seen_m:.4g} m away, and cameras hang {NEAREST_M:g} to {FARTHEST_M:g} m over belts: "
+        f"depth_scale_m {depth_scale_m:g} may be wrong; {fix}"
+    )
 
 
 def _time_warnings(gaps: int, clock_faults: int) -> list[str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from conveyor.errors import InputError
 from regressor.network.pointraft import PointRaft
+from regressor.network.unwrap import objects_within, state_dict_within
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule
 from regressor.weigh.volume import VolumeRule
@@ -186,11 +188,12 @@ def _tensors(path: Path, data: bytes) -> dict[str, Tensor]:
             state: Any = load_safetensors(data)
         else:
             state = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        raise InputError(f"weights {path} {objects_within(str(error))}") from error
     except Exception as error:  # both libraries raise a wide, undocumented set for broken files
-        raise InputError(f"weights {path} are no safetensors file or PyTorch state dict: {error}") from error
-    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
-        raise InputError(f"weights {path} hold a {type(state).__name__}, not a state dict of tensors")
-    return state
+        first_line = next(iter(str(error).splitlines()), "")
+        raise InputError(f"weights {path} are no safetensors file or PyTorch state dict: {first_line}") from error
+    return state_dict_within(state, where=path)
 
 
 def _sidecar(path: Path, digest: str) -> Sidecar:

@@ -1,8 +1,10 @@
-"""Export to ONNX: the fast form with shared neighbours, for any batch size, in one fixed shape per cloud.
+"""Export to ONNX: the fast form with shared neighbours and all rules around it, in one fixed shape per cloud.
 
-Input `groups` (B, 256, 3) float32: 64 neighbours, 64 first-stage and 128 second-stage centroids, centred, metres, as
-`regressor.network.fast.groups_tensor` lays them out; `height_m` (B,) float32. Output `weight_g` (B,). Clouds whose
-radius binds (`grouping.GatheredGroups`) are not for this form: weigh them with `regressor.network.fast`.
+Inputs (B clouds): `groups` (B, 256, 3) float32: 64 neighbours, 64 first-stage and 128 second-stage centroids, centred,
+metres, as `regressor.network.fast.groups_tensor` lays them out; `height_m` (B,) float32 above the resting level;
+`features` (B, 17) float64 of the visible surface; `belt_sd_m` (B,) float64. Outputs, (B,) float64 grams: `weight_g`
+with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of, `network_g` and `volume_g`.
+Clouds whose radius binds (`grouping.GatheredGroups`) are not for this form.
 """
 
 from __future__ import annotations
@@ -14,14 +16,29 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.extras import needed
 from regressor.network.checkpoint import Sidecar
 from regressor.network.grouping import CENTROIDS_2
 from regressor.network.pointraft import NEIGHBOURS, PointRaft, SharedMlp
 from regressor.network.reduced import edge_features, global_feature
+from regressor.weigh.surface import NAMES
 
 POINTS = 1024
 OPSET = 17
+LICENCE = "Apache-2.0"
+PREPARATION = (
+    "tuberline.prepare(cloud, belt_distance_m).feed() makes all inputs of one tuber's cloud, in metres, from a camera "
+    "that looks straight down. groups (256, 3): of the cleaned cloud, centred on the mean of its points, z away from "
+    "the camera, farthest-point sampling from the first point gives 64 neighbours, the first 64 centroids and the "
+    "first 128 centroids, one after the other. height_m: of the highest point above the level where undersides lie. "
+    "features: of the visible surface, in the order that 'features' names. belt_sd_m: standard deviation of that level."
+)
+OUTPUTS_TOLD = (
+    "grams, one per cloud. weight_g with its 90 % interval low_g to high_g as a ledger has a single view; network_g is "
+    "the network alone, volume_g the visible volume alone. Outside 'ranges' no one knows how good they are."
+)
 
 
 class ExportedPointRaft(nn.Module):
@@ -58,28 +75,52 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
     Raises:
         InputError: the extra 'export' is not installed.
     """
+    from regressor.weigh.graph import INPUTS, OUTPUTS, WeighingGraph
+
     if sidecar.input.points != POINTS:
         raise InputError(f"{sidecar.model_id} takes {sidecar.input.points} points; export knows networks of {POINTS}")
-    try:
-        import onnx  # noqa: F401
-    except ImportError as error:
-        raise InputError("export needs the package onnx: install the extra 'export'") from error
+    onnx = needed("onnx", extra="export", what="export")
     count = batch or 2
-    example = (torch.zeros(count, 2 * NEIGHBOURS + CENTROIDS_2, 3), torch.zeros(count))
-    open_axes = {name: {0: "batch"} for name in ("groups", "height_m", "weight_g")}
+    example = (
+        torch.zeros(count, 2 * NEIGHBOURS + CENTROIDS_2, 3),
+        torch.zeros(count),
+        torch.ones(count, len(NAMES), dtype=torch.float64),
+        torch.zeros(count, dtype=torch.float64),
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         # The tracing exporter is deprecated in favour of one that needs a further package for the same graph.
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            ExportedPointRaft(model),
+            WeighingGraph(ExportedPointRaft(model), sidecar),
             example,
             str(path),
-            input_names=["groups", "height_m"],
-            output_names=["weight_g"],
-            dynamic_axes=None if batch else open_axes,
+            input_names=list(INPUTS),
+            output_names=list(OUTPUTS),
+            dynamic_axes=None if batch else {name: {0: "batch"} for name in (*INPUTS, *OUTPUTS)},
             opset_version=OPSET,
             dynamo=False,
         )
+    exported = onnx.load(str(path))
+    exported.producer_name, exported.producer_version = "tuberline", __version__
+    onnx.helper.set_model_props(exported, described(sidecar))
+    onnx.save(exported, str(path))
     text = json.dumps(sidecar.model_dump(mode="json"), indent=1, allow_nan=False)
     path.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
+
+
+def described(sidecar: Sidecar) -> dict[str, str]:
+    """What the file says of itself to a program that has never heard of us; values are text, some of it JSON."""
+    ranges = {name: getattr(sidecar, name).model_dump() for name in ("belt_distance_m", "weight_g", "length_mm")}
+    return {
+        "name": sidecar.name,
+        "model": sidecar.model_id,
+        "weights_sha256": sidecar.sha256,
+        "licence": LICENCE,
+        "ranges": json.dumps(ranges),
+        "input": json.dumps(sidecar.input.model_dump(mode="json")),
+        "start": sidecar.start.kind,
+        "features": json.dumps(NAMES),
+        "preparation": PREPARATION,
+        "outputs": OUTPUTS_TOLD,
+    }

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from conveyor.errors import InputError
+from conveyor.extras import needed
 from regressor.training.cloudset import CloudSet
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training, predict
@@ -41,10 +41,7 @@ def search(
     Raises:
         InputError: Optuna is not installed.
     """
-    try:
-        import optuna
-    except ImportError as error:
-        raise InputError("a search needs optuna: install the extra 'train'") from error
+    optuna = needed("optuna", extra="train", what="a search")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
 
     def mae_g(trial: Any) -> float:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
-from conveyor.formats.clouds import read_cloud
+from conveyor.formats.clouds import CLOUDS, read_cloud
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrinsics
 from conveyor.formats.potatotwin.layout import pair_of
 from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
@@ -34,19 +34,26 @@ class FileOptions:
 
 @dataclass(frozen=True, slots=True)
 class FileResult:
-    """What came of one file: a weight or an error."""
+    """What came of one file, or of one object of a frame: a weight or an error."""
 
     path: Path
     points: int
     height_mm: float | None
     weighed: Weighed | None
     error: str = ""
+    object: int | None = None
+
+    @property
+    def name(self) -> str:
+        """For tables: the file's name, and which object."""
+        return self.path.name if self.object is None else f"{self.path.name} #{self.object}"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         answer = asdict(self.weighed) if self.weighed else {}
         return {
             "path": str(self.path),
+            "object": self.object,
             "points": self.points,
             "height_mm": self.height_mm,
             **answer,
@@ -57,6 +64,40 @@ class FileResult:
 def weigh_files(paths: Sequence[Path], options: FileOptions, weigher: Weigher) -> list[FileResult]:
     """One result per file, in order; a depth image and its mask given both are one."""
     return [weigh_file(path, options, weigher) for path in once_per_pair(paths)]
+
+
+def files_within(paths: Sequence[Path]) -> list[Path]:
+    """The same paths, with the clouds in a folder and the folders below it in place of the folder; where there are
+    none, its pairs of images.
+
+    Raises:
+        InputError: a folder holds neither.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(file for file in path.rglob("*") if file.is_file())
+        files = [file for file in inside if file.suffix.lower() in CLOUDS]
+        files = files or [file for file in inside if _is_pair(file)]
+        if not files:
+            recording = any(file.name in ("camera.json", "metadata.yaml") for file in inside)
+            hint = (
+                "it is a recording: `tuberline replay` counts and weighs what is in it"
+                if recording
+                else (f"clouds end in {', '.join(CLOUDS)}; pairs of images are named <label>_depth_<row>.png")
+            )
+            raise InputError(f"{path} holds no cloud and no pair of images; {hint}")
+        found += files
+    return found
+
+
+def _is_pair(file: Path) -> bool:
+    try:
+        return file.suffix.lower() == ".png" and bool(pair_of(file))
+    except InputError:
+        return False
 
 
 def once_per_pair(paths: Sequence[Path]) -> list[Path]:

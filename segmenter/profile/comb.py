@@ -72,7 +72,7 @@ def find_comb(
             teeth = focal_px * baseline_m * steps / depth_scale_m
             if teeth * (edges[0] - edges[-1]) < FEWEST_TEETH:
                 continue
-            tried: NDArray[np.float64] = (teeth * (1 + np.arange(-AROUND, AROUND, FINEST))).astype(np.float64)
+            tried = np.asarray(teeth * (1 + np.arange(-AROUND, AROUND, FINEST)), dtype=np.float64)
             matches = _matches(tried, edges, share, weight)
             at = int(np.argmax(matches))
             focal_baseline = float(tried[at] * depth_scale_m / steps)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from conveyor.errors import InputError
-from conveyor.formats.cameras import open_cameras
+from conveyor.formats.cameras import OnFrame, open_cameras
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
@@ -126,13 +126,16 @@ class _Seen:
     split_ms: float
 
 
-def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -> SegmentationScore:
+def evaluate_recording(
+    recording: Path, *, settings: Settings, every: int = 1, on_frame: OnFrame = lambda done, total: None
+) -> SegmentationScore:
     """Score segmentation on all cameras of a recording with masks.
 
     Args:
         recording: of any kind, with masks.
         settings: of the core.
         every: use only every n-th frame; the tracker sees no others either.
+        on_frame: told after each frame that is read.
 
     Raises:
         InputError: there are no masks.
@@ -140,7 +143,7 @@ def evaluate_recording(recording: Path, *, settings: Settings, every: int = 1) -
     total, times, sizes = Agreement(), [], set()
     load: LoadScore | None = LoadScore()
     unreadable: Counter[str] = Counter()
-    for camera in open_cameras(recording):
+    for camera in open_cameras(recording, on_frame=on_frame):
         core = Segmenter(settings)
         perception = Perception(settings.perception, settings.split)
         counted: list[tuple[float, float]] = []

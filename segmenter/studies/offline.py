@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.belt_findings import belt_findings
-from conveyor.formats.cameras import CameraFrames, open_cameras
+from conveyor.formats.cameras import CameraFrames, OnFrame, open_cameras
 from conveyor.messages import Track
 from segmenter.frame.picture import picture as draw
 from segmenter.frame.picture import save_picture
@@ -44,6 +44,7 @@ def segment_recording(
     picture_seq: int | None = None,
     masks: bool = False,
     settings: Settings | None = None,
+    on_frame: OnFrame = lambda done, total: None,
 ) -> list[CameraResult]:
     """Run the core over every camera of a recording of any kind.
 
@@ -52,7 +53,7 @@ def segment_recording(
     """
     settings = settings or Settings()
     warm_up(settings.split.pixel_mm)
-    cameras = open_cameras(recording, ignore_masks=not masks)
+    cameras = open_cameras(recording, ignore_masks=not masks, on_frame=on_frame)
     results = []
     for camera in cameras:
         target = picture

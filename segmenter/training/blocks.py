@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from conveyor.errors import InputError
+from conveyor.extras import needed
 
 KEEP_AVERAGE = 0.998
 OPSET = 17
@@ -34,10 +34,7 @@ def export_net(net: nn.Module, path: Path, example: Tensor) -> None:
     Raises:
         InputError: the package onnx is missing.
     """
-    try:
-        import onnx  # noqa: F401
-    except ImportError as error:
-        raise InputError("writing the network needs the package onnx: install the extra 'export'") from error
+    needed("onnx", extra="export", what="writing the network")
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         # The tracing exporter is deprecated in favour of one that needs a further package for the same graph.

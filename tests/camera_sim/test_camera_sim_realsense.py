@@ -102,7 +102,9 @@ def test_it_is_reset_opened_again_and_aligned(
         assert supervisor.crashes == {"camera": 0}
         info = side.info()
         assert info is not None
-        assert info.source == "RealSense 123622270001 (USB 3.2, port 2-1.4)"
+        assert info.source == (
+            "RealSense 123622270001 (USB 3.2, port 2-1.4): 848x480 at 30/s, preset default, exposure automatic"
+        )
 
         watched.do("stalled")
         watched.silence()

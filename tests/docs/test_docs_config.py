@@ -9,13 +9,15 @@ import sys
 import pytest
 
 from conveyor.config import CameraConfig, LineConfig, SegmenterConfig, parse_config
+from conveyor.config_realsense import RealSenseConfig
 from conveyor.errors import ConfigError
 from tuberline.cli.config_page import CAMERA, config_page, explained, settings
 
 
 def test_every_key_is_there_with_its_meaning() -> None:
     keys = {setting.key for setting in settings()}
-    assert {f"cameras.{CAMERA}.{name}" for name in CameraConfig.model_fields} <= keys
+    assert {f"cameras.{CAMERA}.{name}" for name in CameraConfig.model_fields if name != "realsense"} <= keys
+    assert {f"cameras.{CAMERA}.realsense.{name}" for name in RealSenseConfig.model_fields} <= keys
     assert {f"segmenter.{name}" for name in SegmenterConfig.model_fields} <= keys
     sections = {name for name in LineConfig.model_fields if name != "name"}
     assert {key.partition(".")[0] for key in keys} == sections | {"name"}

@@ -11,7 +11,8 @@ import pytest
 from segmenter_scene import SMALL, Scene, scattered
 
 from conveyor.errors import InputError
-from tuberline.cli.segmentation import calibrate_belt, evaluate_segmentation, segment
+from tuberline.cli.calibrate_belt import calibrate_belt
+from tuberline.cli.segmentation import evaluate_segmentation, segment
 
 STEP_M = 0.0133
 BODIES = scattered(6, seed=8)

@@ -16,7 +16,7 @@ from regressor.weigh.weigher import Weigher, weigh_view
 from tests.regressor.ellipsoids import ellipsoid_view
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = sorted((ROOT / "docs" / "examples").glob("*.py"))
+EXAMPLES = sorted((ROOT / "docs" / "examples").glob("0*.py"))
 HEAVY = ("torch", "cv2", "zenoh", "numba", "scipy", "numpy", "pydantic", "rerun")
 
 

@@ -83,11 +83,35 @@ class NetworkInputs:
         groups: (256, 3) float32, what a network of `tuberline export-onnx` takes as `groups`: 64 neighbours, 64
             first-stage and 128 second-stage centroids. None for a cloud so wide (0.2 m) that its points do not all
             share their neighbours; such a cloud is not for the exported network.
+        features: (17,) float64, what the visible surface measures: volume, outline, how it lies.
+        standing_m: height_m before it is clamped.
     """
 
     points: NDArray[np.float32]
     height_m: float
     groups: NDArray[np.float32] | None
+    features: NDArray[np.float64]
+    standing_m: float
+
+    def feed(self, *, belt_sd_mm: float = 2.0, resting_sd_mm: float = 0.0) -> dict[str, NDArray[np.floating]]:
+        """The inputs of a network of `tuberline export-onnx`, by name, for a batch of one; concatenate them for more.
+
+        Args:
+            belt_sd_mm, resting_sd_mm: as for `weigh`.
+
+        Raises:
+            TuberlineError: a cloud too wide for the exported network.
+        """
+        if self.groups is None:
+            raise InputError("the cloud is 0.2 m wide or wider: the exported network does not take it, `weigh` does")
+        _in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
+        _in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
+        return {
+            "groups": self.groups[None],
+            "height_m": np.array([self.standing_m], np.float32),
+            "features": self.features[None],
+            "belt_sd_m": np.array([np.hypot(belt_sd_mm, resting_sd_mm) / 1000]),
+        }
 
 
 def load_weights(path: str | Path | None = None) -> Weights:
@@ -121,8 +145,8 @@ def weigh(
 
     Args:
         cloud: (N, 3) in metres, at least 30 points of one tuber and nothing else, in the frame of a camera that looks
-            straight down on the belt (x right, y down in the image, z away from the camera); or a .ply, .npy or .npz
-            file of it.
+            straight down on the belt (x right, y down in the image, z away from the camera); or a file of it
+            (.ply, .npy, .npz, .xyz, .pcd, .las).
         belt_distance_m: from the camera to the belt along the optical axis, metres: 0.05 to 5.
         belt_sd_mm: how well that distance is known, standard deviation in millimetres: 0 to 100. It widens the
             interval and does not move the weight.
@@ -202,18 +226,23 @@ def weigh_depth(
 
 
 def prepare(
-    cloud: NDArray[np.floating] | str | Path, belt_distance_m: float, *, weights: Weights | None = None
+    cloud: NDArray[np.floating] | str | Path,
+    belt_distance_m: float,
+    *,
+    resting_offset_mm: float = 0.0,
+    weights: Weights | None = None,
 ) -> NetworkInputs:
     """Make of one cloud what PointRAFT takes: cleaned, level, centred, sampled.
 
     Args:
-        cloud, belt_distance_m: as for `weigh`.
+        cloud, belt_distance_m, resting_offset_mm: as for `weigh`.
         weights: for which; they say how sampling starts and where the height is clamped. None: the shipped ones.
 
     Raises:
         TuberlineError: as for `weigh`.
     """
-    prepared = _prepared(cloud, belt_distance_m)
+    _in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
+    prepared = _prepared(cloud, belt_distance_m, resting_offset_mm)
     sidecar = (weights or _shipped()).sidecar
     count = min(len(prepared.points), sidecar.input.points)
     if sidecar.start.kind == "prefix":
@@ -224,6 +253,8 @@ def prepare(
         points=prepared.points[farthest_points(prepared.points, count)],
         height_m=prepared.clamped_height_m(sidecar.input.max_height_m),
         groups=groups_tensor(groups) if isinstance(groups, SharedGroups) else None,
+        features=prepared.surface.as_array(),
+        standing_m=prepared.height_m,
     )
 
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from cyclopts import App
 
 calibrate = App(name="calibrate", help="Measure the geometry of a line; calibrate its weights by a scale.")
-calibrate.command("tuberline.cli.segmentation:calibrate_belt", name="belt", help="Fit the belt's plane to a recording.")
+calibrate.command(
+    "tuberline.cli.calibrate_belt:calibrate_belt", name="belt", help="Fit the belt's plane to a recording."
+)
 calibrate.command(
     "tuberline.cli.calibrate_bucket:calibrate_bucket", name="bucket", help="Calibrate by one bucket that passed."
 )

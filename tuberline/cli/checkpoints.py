@@ -40,7 +40,7 @@ def import_checkpoint(
 
 
 def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
-    """Export weights to ONNX, with their sidecar beside them.
+    """Export all that makes a weight to one ONNX file: network, volume rule, blend, interval; the sidecar beside it.
 
     Parameters
     ----------
@@ -60,4 +60,4 @@ def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = N
     model, sidecar = load_checkpoint(weights)
     with whole_output(out) as partial:
         write(partial, model, sidecar, batch=batch)
-    sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}\n")
+    sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}; an example: docs/examples/onnx_outside.py\n")

@@ -17,7 +17,7 @@ GROUPS: dict[str, Commands] = {
     "Count and weigh": {
         "demo": ("tuberline.cli.demo:demo", "Simulate a belt, run the whole line on it, compare with truth."),
         "replay": ("tuberline.cli.replay:replay", "Run the whole line on a recording: ledger, summary, tubers."),
-        "weigh": ("tuberline.cli.weigh:weigh", "Weigh single clouds or depth and mask pairs; no line needed."),
+        "weigh": ("tuberline.cli.weigh:weigh", "Weigh clouds, or the objects of a frame; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
         "export": ("tuberline.cli.export:export", "Tubers, loads and maps for other programs: CSV, Parquet, ISOXML."),
@@ -25,6 +25,7 @@ GROUPS: dict[str, Commands] = {
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),
     },
     "Set up and run a line": {
+        "init": ("tuberline.cli.init:init", "Write the file of a new line, for what it finds here."),
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "config": ("tuberline.cli.config:config", "Check, show or explain a line's configuration."),
         "camera": ("tuberline.cli.camera:camera", "`camera profile`: how good is a camera's depth?"),
@@ -46,6 +47,7 @@ GROUPS: dict[str, Commands] = {
     "Recordings": {
         "simulate": ("tuberline.cli.simulate:simulate", "Make a recording of a belt with known truth."),
         "info": ("tuberline.cli.recordings:info", "Describe a recording and warn of its traps."),
+        "import": ("tuberline.cli.import_frames:import_frames", "Make one of plain depth frames of any camera."),
         "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless."),
         "recover": ("tuberline.cli.recordings:recover", "Repair an MCAP file whose writer was killed."),
         "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),

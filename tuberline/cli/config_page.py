@@ -84,7 +84,7 @@ def explained(key: str) -> Setting:
     """
     known = {setting.key: setting for setting in settings()}
     parts = key.split(".")
-    if parts[0] == "cameras" and len(parts) == 3:
+    if parts[0] == "cameras" and len(parts) in (3, 4):
         parts[1] = CAMERA
     if (wanted := ".".join(parts)) in known:
         return known[wanted]
@@ -117,12 +117,15 @@ def _table(section: str, rows: list[Setting], about: str) -> str:
 def _docstrings() -> dict[str, str]:
     """What the schema says of each section, by the section's key."""
     schema = LineConfig.model_json_schema()
-    about = {"": schema["description"]}
-    for name, field in schema["properties"].items():
+    return {"": schema["description"], **dict(_about(schema, schema, prefix=""))}
+
+
+def _about(section: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) -> Iterator[tuple[str, str]]:
+    for name, field in section["properties"].items():
         if inner := _section_of(field, schema):
-            camera = "additionalProperties" in field
-            about[f"{name}.{CAMERA}" if camera else name] = inner["description"]
-    return about
+            key = prefix + (f"{name}.{CAMERA}" if "additionalProperties" in field else name)
+            yield key, inner["description"]
+            yield from _about(inner, schema, prefix=f"{key}.")
 
 
 def _section(section: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) -> Iterator[Setting]:

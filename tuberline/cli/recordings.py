@@ -98,19 +98,18 @@ def convert(
     """
     from conveyor.files import whole_output
     from conveyor.formats.conversion import convert_recording
-    from tuberline.cli.progress import progress_bar
+    from tuberline.cli.progress import frames_bar
 
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
-    with whole_output(target) as partial, progress_bar() as progress:
-        task = progress.add_task("frames", total=None)
+    with whole_output(target) as partial, frames_bar() as on_frame:
         done = convert_recording(
             source,
             partial,
             form=format,
             belt_distance_m=belt_distance_m,
             depth_scale_m=depth_scale_m,
-            on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+            on_frame=on_frame,
         )
     if json:
         report = {"out": str(target), "frames": done.frames, "refused": done.refused}

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from segmenter.calibrate import BeltCalibration
     from segmenter.studies.offline import CameraResult
 
 
@@ -62,8 +61,10 @@ def segment(
         Print the counted tracks as JSON on stdout.
     """
     from segmenter.studies.offline import segment_recording
+    from tuberline.cli.progress import frames_bar
 
-    results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks)
+    with frames_bar() as on_frame:
+        results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
         sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
         return
@@ -116,11 +117,13 @@ def evaluate_segmentation(
     from segmenter.pipeline import Settings
     from segmenter.studies.evaluate import evaluate_recording
     from segmenter.warmup import warm_up
+    from tuberline.cli.progress import frames_bar
 
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
     settings = Settings(perception=PerceptionSettings(method=method or PerceptionSettings().method, weights=weights))
-    score = asdict(evaluate_recording(recording, settings=settings, every=every))
+    with frames_bar() as on_frame:
+        score = asdict(evaluate_recording(recording, settings=settings, every=every, on_frame=on_frame))
     if json:
         sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
         return
@@ -133,48 +136,7 @@ def evaluate_segmentation(
     Console(stderr=True).print(table)
 
 
-def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) -> None:
-    """Measure where the belt is, from a recording of it, empty or running.
-
-    Parameters
-    ----------
-    recording
-        Recording of any kind that `replay` takes.
-    frames
-        How many of the first frames to use.
-    json
-        Print the calibrations as JSON on stdout, belt_from_camera included.
-    """
-    from segmenter.calibrate import calibrate_recording
-
-    results = calibrate_recording(recording, frames=frames)
-    if json:
-        sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(
-        "camera", "frames", "belt distance m", "spread mm", "tilt deg", "residual mm", "belt seen", "off by mm"
-    )
-    for r in results:
-        off = "-" if r.disagreement_mm is None else f"{r.disagreement_mm:+.1f}"
-        table.add_row(
-            r.camera,
-            f"{r.frames} of {r.asked}",
-            f"{r.belt_distance_m:.4f}",
-            f"{r.spread_mm:.2f}",
-            f"{r.tilt_deg:.2f}",
-            f"{r.residual_mm:.2f}",
-            f"{r.belt_share:.0%}",
-            off,
-        )
-    console = Console(stderr=True)
-    console.print(table)
-    _warn_of_unreadable(console, results)
-
-
-def _warn_of_unreadable(console: Console, results: Sequence[CameraResult | BeltCalibration]) -> None:
+def _warn_of_unreadable(console: Console, results: Sequence[CameraResult]) -> None:
     for r in results:
         if r.unreadable:
             reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(r.unreadable.items()))

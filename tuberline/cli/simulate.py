@@ -94,7 +94,7 @@ def simulate(
     from camera_sim.sim.scenes import SceneSettings, layout_named
     from conveyor.files import whole_output
     from tuberline.api.recordings import check_ranges
-    from tuberline.cli.progress import progress_bar
+    from tuberline.cli.progress import frames_bar
 
     layout, faults = layout_named(scene), check_faults(inject)
     check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
@@ -115,8 +115,7 @@ def simulate(
         heave_mm=heave_mm,
         heave_hz=heave_hz,
     )
-    with whole_output(out) as partial, progress_bar() as progress:
-        task = progress.add_task("frames", total=None)
+    with whole_output(out) as partial, frames_bar() as on_frame:
         truth = record_scene(
             partial,
             settings,
@@ -125,7 +124,7 @@ def simulate(
             color=color,
             faults=faults,
             form=format,
-            on_frame=lambda done, total: progress.update(task, completed=done, total=total),
+            on_frame=on_frame,
         )
         _remove(replaced)
     counted, weight_kg = len(truth["tubers"]), sum(tuber["weight_g"] for tuber in truth["tubers"]) / 1000

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.progress import progress_bar
 from tuberline.cli.stoppable import leave, stoppable
 
 if TYPE_CHECKING:
-    from regressor.weigh.files import FileResult
+    from rich.progress import Progress
+
+    from regressor.weigh.files import FileOptions, FileResult
 
 
 def weigh(
@@ -24,20 +28,23 @@ def weigh(
     belt_sd_mm: float = 2.0,
     resting_offset_mm: float = 0.0,
     resting_sd_mm: float = 0.0,
+    instances: Path | None = None,
     weights: Path | None = None,
     depth_scale_m: float | None = None,
     intrinsics: Path | None = None,
     json: bool = False,
+    csv: bool = False,
 ) -> None:
-    """Weigh single clouds (.ply, .npz, .npy) or depth and mask pairs (.png) of one tuber each.
+    """Weigh single clouds (.ply, .npz, .npy, .pcd, .xyz, .las), depth and mask pairs (.png), or a frame's objects.
 
     Exits with 2 if any file could not be weighed; the others are weighed all the same. Ctrl-C ends it with 130 and says
-    how many were weighed; those are shown, but with --json nothing is.
+    how many were weighed; those are shown, but with --json or --csv nothing is.
 
     Parameters
     ----------
     paths
-        Clouds in the camera's frame and metres, or either file of a 3DPotatoTwin depth/rgb pair.
+        Clouds in the camera's frame and metres, one tuber each; either file of a 3DPotatoTwin depth/rgb pair; folders
+        of them; or, with --instances, one depth frame.
     belt_distance_m
         Camera to belt along the optical axis, metres.
     belt_sd_mm
@@ -46,35 +53,30 @@ def weigh(
         How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags.
     resting_sd_mm
         How well that offset is known, standard deviation in millimetres.
+    instances
+        Image of the frame's size with the number of the object that each pixel belongs to, 0 for background: one row
+        per object.
     weights
         A .safetensors or an upstream .pth file; default: the shipped ones.
     depth_scale_m
-        Metres per unit of a depth image; default: what the intrinsics file says, else 0.001.
+        Metres per unit of a depth image; default: what the intrinsics file says, else 0.001 (1 for decimal depth).
     intrinsics
-        Intrinsics of a depth image; default: 0_camera_intrinsics/ beside the images.
+        Intrinsics of a depth image (see `import`); default: 0_camera_intrinsics/ beside the images.
     json
         Print a JSON list on stdout.
+    csv
+        Print a table of comma-separated values on stdout.
     """
-    if not 0.05 <= belt_distance_m <= 5.0:
-        raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
-    if not 0 <= belt_sd_mm <= 100:
-        raise InputError(
-            f"--belt-sd-mm is {belt_sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)"
-        )
+    check_belt(belt_distance_m, belt_sd_mm)
     check_resting(resting_offset_mm, resting_sd_mm)
-    results: list[FileResult] = []
-    wanted = list(paths)
+    if json and csv:
+        raise InputError("give --json or --csv, not both")
+    if instances is not None and (len(paths) != 1 or paths[0].is_dir()):
+        raise InputError(f"--instances belong to one frame, {len(paths)} paths are given: name one depth image")
 
-    def how_far() -> str:
-        return f"stopped: {len(results)} of {len(wanted)} were weighed" + (", nothing was written" if json else "")
+    def weighed(done: list[FileResult], progress: Progress) -> None:
+        from regressor.weigh.files import FileOptions
 
-    with stoppable(how_far) as stopped:
-        import torch
-
-        from regressor.weigh.files import FileOptions, once_per_pair, weigh_file
-        from regressor.weigh.weigher import Weigher
-
-        torch.set_num_threads(1)
         options = FileOptions(
             belt_distance_m=belt_distance_m,
             belt_sd_m=belt_sd_mm / 1000,
@@ -83,25 +85,85 @@ def weigh(
             resting_offset_m=resting_offset_mm / 1000,
             resting_sd_m=resting_sd_mm / 1000,
         )
-        wanted = once_per_pair(paths)
-        weigher = Weigher.load(weights)
-        for path in wanted:
-            results.append(weigh_file(path, options, weigher))  # noqa: PERF401 - what was weighed counts when stopped
-    if stopped.is_set() and (json or not results):
+        _weigh_all(paths, instances, options, weights, done, progress)
+
+    _run(weighed, len(paths), "json" if json else "csv" if csv else "table")
+
+
+def _run(weighed: Callable[[list[FileResult], Progress], None], count: int, form: str) -> None:
+    """Weigh, until all is weighed or Ctrl-C, then show what was."""
+    results: list[FileResult] = []
+    bar = progress_bar(transient=True)
+    task = bar.add_task("weighing", total=count)
+
+    def how_far() -> str:
+        told = f"stopped: {len(results)} of {bar.tasks[task].total:.0f} were weighed"
+        return told + (", nothing was written" if form != "table" else "")
+
+    with stoppable(how_far) as stopped, bar:
+        weighed(results, bar)
+    if stopped.is_set() and (form != "table" or not results):
         leave()
-    if json:
-        sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
-    else:
-        from rich.console import Console
-
-        from tuberline.cli.weigh_table import weight_table
-
-        Console().print(weight_table(results))
+    _show(results, form)
     if stopped.is_set():
         leave()
     failed = [result.error for result in results if result.error]
     if failed:
         raise InputError("\n".join(failed))
+
+
+def _weigh_all(
+    paths: list[Path],
+    instances: Path | None,
+    options: FileOptions,
+    weights: Path | None,
+    done: list[FileResult],
+    progress: Progress,
+) -> None:
+    """One result after the other, so that what was weighed counts when stopped."""
+    import torch
+
+    from regressor.weigh.files import files_within, once_per_pair, weigh_file
+    from regressor.weigh.instances import weigh_instances
+    from regressor.weigh.weigher import Weigher
+
+    torch.set_num_threads(1)
+    (task,) = progress.task_ids
+    wanted = paths if instances else once_per_pair(files_within(paths))
+    progress.update(task, total=len(wanted))
+    weigher = Weigher.load(weights)
+    if instances is not None:
+        done.extend(weigh_instances(paths[0], instances, options, weigher))
+        return
+    for path in wanted:
+        done.append(weigh_file(path, options, weigher))
+        progress.update(task, completed=len(done))
+
+
+def _show(results: list[FileResult], form: str) -> None:
+    if form == "json":
+        sys.stdout.write(json_module.dumps([result.as_dict() for result in results], indent=1) + "\n")
+        return
+    from tuberline.cli.weigh_table import weight_csv, weight_table
+
+    if form == "csv":
+        sys.stdout.write(weight_csv(results))
+        return
+    from rich.console import Console
+
+    Console().print(weight_table(results))
+
+
+def check_belt(distance_m: float, sd_mm: float) -> None:
+    """Refuse a belt that no camera looks at.
+
+    Raises:
+        InputError: with the option, the value and what is allowed.
+    """
+    if not 0.05 <= distance_m <= 5.0:
+        raise InputError(f"--belt-distance-m is {distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
+    if not 0 <= sd_mm <= 100:
+        raise InputError(f"--belt-sd-mm is {sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)")
 
 
 def check_resting(offset_mm: float, sd_mm: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,6 +35,9 @@ DAMAGE = (
     McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError, MemoryError, OverflowError
 )  # fmt: skip
 """What the MCAP library raises on files that are cut or damaged."""
+MCAP0_MAGIC = b"\x89MCAP0\r\n"
+WRITTEN_WITHIN_S = 10.0
+"""A recorder brings what it has to the disk every second (`McapFrameWriter`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,7 @@ def mcap_channels(path: Path) -> tuple[McapChannel, ...]:
     for metadata in stated:
         check_version(metadata.get("version"), newest=FORMAT_VERSION, what=FORMAT_NAME, where=path)
     if summary is None:
-        raise InputError(f"{path} was not closed: its writer was killed. Repair it with `tuberline recover {path}`")
+        raise InputError(being_written(path) or f"{path} was not closed: its writer was killed. {recover_it(path)}")
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
     found = []
     for number, channel in summary.channels.items():
@@ -183,7 +187,25 @@ def open_mcap(path: Path) -> Iterator[Any]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     except DAMAGE as error:
-        raise InputError(
-            f"{path} is cut or damaged ({type(error).__name__}: {error}); "
-            f"`tuberline recover {path}` saves what is whole"
-        ) from error
+        damage = f"{path} is cut or damaged ({type(error).__name__}: {error}). {recover_it(path)}"
+        raise InputError(being_written(path) or damage) from error
+
+
+def being_written(path: Path) -> str:
+    """That a file without an end is still being recorded, where it grew a moment ago; else empty."""
+    ago_s = time.time() - path.stat().st_mtime
+    with path.open("rb") as file:
+        begun = file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        file.seek(max(0, path.stat().st_size - len(MCAP0_MAGIC)))
+        ended = begun and file.tell() > 0 and file.read() == MCAP0_MAGIC
+    if not begun or ended or not 0 <= ago_s < WRITTEN_WITHIN_S:
+        return ""
+    return (
+        f"{path} is being written: {path.stat().st_size / 1e6:.1f} MB, the last of them {ago_s:.0f} s ago, and no end "
+        "yet. Look again when its recorder has stopped"
+    )
+
+
+def recover_it(path: Path) -> str:
+    """What saves a file without an end."""
+    return f"`tuberline recover {path}` saves what is whole"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.formats.plain.pinhole import read_pinhole
 from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD
 from conveyor.geometry import Intrinsics
 
@@ -46,27 +47,15 @@ def find_intrinsics(path: Path) -> Path:
 
 
 def read_intrinsics(path: Path) -> tuple[Intrinsics, float]:
-    """(intrinsics, metres per depth unit) of an Open3D camera_intrinsic JSON or of a recording's camera.json.
+    """(intrinsics, metres per depth unit) of any file that `read_pinhole` takes and that states the image's size.
 
     Raises:
         InputError: unreadable, or without width, height and matrix (or fx, fy, cx, cy).
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8-sig"))
-        if "intrinsic_matrix" in data:
-            matrix = [float(value) for value in data["intrinsic_matrix"]]
-            fx, fy, cx, cy = matrix[0], matrix[4], matrix[6], matrix[7]  # column-major
-            scale_m = 1.0 / round(float(data.get("depth_scale", 1000.0)), 3)  # 999.99993896 of the D405 is 1 mm
-        else:
-            fx, fy, cx, cy = (float(data[key]) for key in ("fx", "fy", "cx", "cy"))
-            scale_m = float(data.get("depth_scale_m", 0.001))
-        size = int(data["width"]), int(data["height"])
-    except (OSError, ValueError, KeyError, TypeError, IndexError, ZeroDivisionError, RecursionError) as error:
-        raise InputError(
-            f"intrinsics {path} cannot be used ({error!r}): expected width, height and intrinsic_matrix (9 numbers, "
-            "column-major) or fx, fy, cx, cy"
-        ) from error
-    return Intrinsics(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy), scale_m
+    found = read_pinhole(path)
+    if found.width is None or found.height is None:
+        raise InputError(f"intrinsics {path} do not say the image's size: add width and height, pixels")
+    return found.intrinsics(found.width, found.height, where=path), found.depth_scale_m or 0.001
 
 
 def intrinsics_json(k: Intrinsics) -> dict[str, Any]:

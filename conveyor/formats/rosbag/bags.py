@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any, Protocol
 
 from conveyor.errors import InputError, MessageError
-from conveyor.extras import install_hint
+from conveyor.extras import missing_package
 from conveyor.formats.mcap.layout import ENCODING
 from conveyor.formats.mcap.reader import open_mcap
 from conveyor.formats.rosbag import foxglove
@@ -207,7 +207,7 @@ def _rosbags() -> Any:
         from rosbags.serde import SerdeError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise InputError(f"reading ROS messages needs the package rosbags ({error}); {install_hint('bags')}") from error
+        raise InputError(missing_package(error, "rosbags", extra="bags", what="reading ROS messages")) from error
     return SimpleNamespace(
         AnyReader=AnyReader,
         AnyReaderError=AnyReaderError,

@@ -1,0 +1,162 @@
+"""All that makes a weight as one graph, for export: the network, the volume rule, their blend and the interval.
+
+The same arithmetic as `volume.py`, `blend.py`, `viewscale.py` and `interval.py`, in torch and float64, so that another
+program gets from one file what a line books. `tests/regressor/test_regressor_export.py` holds both to each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from conveyor.statistics import NORMAL_90
+from regressor.network.checkpoint import Sidecar
+from regressor.weigh.blend import MOST_CORRECTION, BlendRule
+from regressor.weigh.interval import IntervalRule
+from regressor.weigh.quadratic import UNITS, QuadraticRule
+from regressor.weigh.surface import NAMES
+from regressor.weigh.viewscale import OWN_ERROR, TYPICAL_G, ScaleRule
+from regressor.weigh.volume import TYPICAL_RULE, VolumeRule
+
+INPUTS = ("groups", "height_m", "features", "belt_sd_m")
+OUTPUTS = ("weight_g", "low_g", "high_g", "network_g", "volume_g")
+
+
+class WeighingGraph(nn.Module):
+    """Weights of B clouds, as a ledger has those of single views."""
+
+    def __init__(self, network: nn.Module, sidecar: Sidecar) -> None:
+        super().__init__()
+        self.network = network
+        self._highest_m = sidecar.input.max_height_m
+        self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
+        self._blend = sidecar.blend_rule
+        self._interval = sidecar.interval_rule
+        self.eval()
+
+    def forward(self, groups: Tensor, height_m: Tensor, features: Tensor, belt_sd_m: Tensor) -> tuple[Tensor, ...]:
+        """(B,) grams each, in the order of `OUTPUTS`.
+
+        Args:
+            groups: (B, 256, 3) float32, as `groups_tensor` lays them out. height_m: (B,) float32 above the resting
+                level. features: (B, 17) float64 in the order of `surface.NAMES`. belt_sd_m: (B,) float64.
+        """
+        network_g = self.network(groups, height_m.clamp(0.0, self._highest_m)).double()
+        volume_g = volume_rule(self._volume, features)
+        weight_g = blended(self._blend, network_g, volume_g, features)
+        low_g, high_g = self._bounds(weight_g, network_g, volume_g, features, height_m.double(), belt_sd_m)
+        # A network that fails is not believed: the visible volume weighs alone.
+        fine = network_g > 0
+        factor = math.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05))
+        return (
+            torch.where(fine, weight_g, volume_g),
+            torch.where(fine, low_g, volume_g / factor),
+            torch.where(fine, high_g, volume_g * factor),
+            network_g,
+            volume_g,
+        )
+
+    def _bounds(
+        self, weight_g: Tensor, network_g: Tensor, volume_g: Tensor, features: Tensor, height_m: Tensor, sd_m: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        rule = self._interval
+        if rule is None:
+            idle = 0.0 * sd_m  # an input that nothing reads would not be one of the exported graph's
+            return 0.7 * weight_g + idle, 1.3 * weight_g
+        scale = _one(weight_g)
+        if rule.scale is not None:
+            terms = view_terms(weight_g, network_g, volume_g, features, height_m, sd_m)
+            scale = scale_rule(rule.scale, terms)
+        return bounds(rule, weight_g, scale)
+
+
+def volume_rule(rule: VolumeRule, features: Tensor) -> Tensor:
+    """(B,) grams; as `VolumeRule.weights_g`."""
+    terms = _terms(features, rule.names)
+    ln_g = rule.intercept + terms @ _row(rule.coefficients)
+    if rule.products:
+        ln_g = ln_g + _pairs(terms, rule.low, rule.high) @ _row(rule.products)
+    return ln_g.clamp(-5.0, 12.0).exp()
+
+
+def blended(rule: BlendRule, network_g: Tensor, volume_g: Tensor, features: Tensor) -> Tensor:
+    """(B,) grams; as `BlendRule.weights_g`."""
+    ln_g = network_g.clamp(min=1e-3).log() * (1 - rule.share) + volume_g.log() * rule.share
+    if rule == BlendRule(rule.share):
+        return ln_g.exp()
+    ln_g = ln_g.clamp(min=math.log(1e-3))
+    correction = rule.intercept + rule.slope * (ln_g - rule.middle)
+    for slope, seen in zip(rule.slopes, rule.seen, strict=True):
+        correction = correction + slope * quadratic_rule(seen, features)
+    return (ln_g + correction.clamp(-MOST_CORRECTION, MOST_CORRECTION)).exp()
+
+
+def quadratic_rule(rule: QuadraticRule, features: Tensor) -> Tensor:
+    """(B,); as `QuadraticRule.values`."""
+    terms = _between(_terms(features, NAMES), rule.low, rule.high)
+    found = rule.intercept + terms @ _row(rule.coefficients) + _pairs(terms, rule.low, rule.high) @ _row(rule.products)
+    return found.clamp(rule.least, rule.most)
+
+
+def view_terms(
+    weight_g: Tensor, network_g: Tensor, volume_g: Tensor, features: Tensor, height_m: Tensor, sd_m: Tensor
+) -> Tensor:
+    """(B, 6); as `viewscale.view_terms`."""
+    length, width, volume, area = (
+        features[:, NAMES.index(name)].clamp(min=1.0) for name in ("length_mm", "width_mm", "volume_ml", "area_cm2")
+    )
+    ln_weight = (weight_g.clamp(min=1.0) / TYPICAL_G).log()
+    disagreement = (network_g.clamp(min=1.0) / volume_g.clamp(min=1.0)).log().abs()
+    steepness = ((1e3 * height_m).clamp(min=5.0) / width).log()
+    belt = (1 + (100 * sd_m * area / volume / OWN_ERROR) ** 2).sqrt().log()
+    return torch.stack([ln_weight, ln_weight**2, disagreement, (length / width).log(), steepness, belt], dim=1)
+
+
+def scale_rule(rule: ScaleRule, terms: Tensor) -> Tensor:
+    """(B,) grams; as `ScaleRule.scale_g`."""
+    return (rule.intercept + _between(terms, rule.low, rule.high) @ _row(rule.slopes)).exp()
+
+
+def bounds(rule: IntervalRule, weight_g: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
+    """((B,), (B,)) grams; as `IntervalRule.bounds_g`."""
+    low = weight_g + (scale * _interpolated(weight_g, rule.at_g, rule.below_g)).clamp(max=0.0)
+    high = weight_g + (scale * _interpolated(weight_g, rule.at_g, rule.above_g)).clamp(min=0.0)
+    return low.clamp(min=0.0), high
+
+
+def _interpolated(x: Tensor, at: Sequence[float], values: Sequence[float]) -> Tensor:
+    """np.interp: (B,), constant beyond both ends."""
+    found = values[0] * _one(x)
+    for index in range(len(at) - 1):
+        wide = at[index + 1] - at[index]
+        found = found + (x - at[index]).clamp(0.0, wide) * ((values[index + 1] - values[index]) / wide)
+    return found
+
+
+def _terms(features: Tensor, names: Sequence[str]) -> Tensor:
+    columns = [features[:, NAMES.index(name)] for name in names]
+    logs = [c.clamp(min=1e-3).log() if n.endswith(UNITS) else c for n, c in zip(names, columns, strict=True)]
+    return torch.stack(logs, dim=1)
+
+
+def _pairs(terms: Tensor, low: Sequence[float], high: Sequence[float]) -> Tensor:
+    span = torch.tensor(np.maximum(np.subtract(high, low), 1e-9))
+    scaled = 2 * (_between(terms, low, high) - _row(low)) / span - 1
+    first, second = (torch.from_numpy(index) for index in np.triu_indices(len(low)))
+    return scaled[:, first] * scaled[:, second]
+
+
+def _between(values: Tensor, low: Sequence[float], high: Sequence[float]) -> Tensor:
+    return torch.minimum(torch.maximum(values, _row(low)), _row(high))
+
+
+def _row(values: Sequence[float]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def _one(like: Tensor) -> Tensor:
+    return torch.ones_like(like)

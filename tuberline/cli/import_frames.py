@@ -1,0 +1,119 @@
+"""`tuberline import`: a recording from plain depth frames of any camera."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from conveyor.errors import InputError
+
+if TYPE_CHECKING:
+    from conveyor.formats.plain.reader import PlainFrames
+
+FPS = (0.01, 1000.0)
+
+
+def import_frames(
+    frames: Path,
+    /,
+    *,
+    intrinsics: Path | None = None,
+    depth_unit: Annotated[float | None, Parameter(name=["--depth-unit"])] = None,
+    fps: float | None = None,
+    belt_distance_m: float | None = None,
+    out: Path | None = None,
+    camera: str = "front",
+    pattern: str = "*",
+    format: Literal["auto", "folder", "mcap", "ros2"] = "auto",
+    json: bool = False,
+) -> None:
+    """Make a recording of depth frames that any camera's software saved: PNG, TIFF, NPY, NPZ or MAT.
+
+    Parameters
+    ----------
+    frames
+        Folder of the frames of one camera, in the order of the numbers in their names; or one file of frames.
+    intrinsics
+        JSON with fx, fy, cx, cy (and width, height) or with a 3x3 matrix "K"; a ROS camera info, Open3D's and other
+        common layouts are read too, and a text file of three rows.
+    depth_unit
+        Metres per unit of the files: 0.001 for millimetres, 1 for decimal metres. Default: what the intrinsics say.
+    fps
+        Frames per second.
+    belt_distance_m
+        Camera to belt along the optical axis, metres; without it the belt is fitted.
+    out
+        What to write: a folder, or a name ending in .mcap. Default: recordings/NAME, by the name of the folder.
+    camera
+        What to call the camera.
+    pattern
+        Which files of the folder are frames, e.g. '*.depth.png'.
+    format
+        As for `convert`: folder, mcap, ros2, or auto: by the name.
+    json
+        Say what was written as JSON.
+    """
+    from conveyor.files import whole_output
+    from conveyor.formats.conversion import write_recording
+    from conveyor.formats.plain.reader import PlainFrames
+    from conveyor.formats.prepared import PreparedSource
+    from conveyor.formats.within import plain_name
+    from tuberline.cli.progress import frames_bar
+
+    if intrinsics is None:
+        raise InputError(
+            'give --intrinsics K.json, a file like {"fx": 612.4, "fy": 612.1, "cx": 320.0, "cy": 240.0}: without them '
+            "depth says nothing of sizes"
+        )
+    if fps is None or not FPS[0] <= fps <= FPS[1]:
+        raise InputError(f"give --fps, frames per second ({FPS[0]:g} to {FPS[1]:g}); it is {fps or 'not given'}")
+    if belt_distance_m is not None and not 0.05 <= belt_distance_m <= 5.0:
+        raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres")
+    target = out or Path("recordings") / frames.resolve().stem
+    if target.exists():
+        raise InputError(f"{target} exists; recordings are not overwritten, choose another name with --out")
+    found = PlainFrames(
+        frames,
+        intrinsics=intrinsics,
+        depth_unit_m=depth_unit,
+        fps=fps,
+        camera=plain_name(camera, where="--camera"),
+        pattern=pattern,
+        belt_distance_m=belt_distance_m,
+    )
+    with whole_output(target) as partial, frames_bar() as on_frame:
+        done = write_recording(
+            [PreparedSource(found, where=str(frames))],
+            partial,
+            files={},
+            form=format,
+            on_frame=on_frame,
+        )
+    _tell(found, done.frames, target, json=json)
+
+
+def _tell(found: PlainFrames, frames: int, target: Path, *, json: bool) -> None:
+    d = found.description
+    report = {
+        "out": str(target),
+        "frames": frames,
+        "missing": found.missing,
+        "width": d.intrinsics.width,
+        "height": d.intrinsics.height,
+        "depth_scale_m": d.depth_scale_m,
+        "notes": list(d.notes),
+    }
+    if json:
+        sys.stdout.write(json_module.dumps(report) + "\n")
+        return
+    gaps = f", {found.missing} missing between them" if found.missing else ""
+    unit = f"in units of {d.depth_scale_m * 1000:g} mm"
+    frames_of = "1 frame" if frames == 1 else f"{frames} frames"
+    sys.stdout.write(f"{frames_of} of {d.intrinsics.width}x{d.intrinsics.height} {unit}{gaps} in {target}\n")
+    for note in d.notes:
+        sys.stderr.write(f"warning: {note}\n")
+    sys.stdout.write(f"look at it: tuberline info {target}\n")
