@@ -65,7 +65,7 @@ def find_comb(
     weight = np.asarray(np.convolve(seen, np.ones(SMOOTH_OVER) / SMOOTH_OVER, mode="same"), np.float64)
     share = np.where(weight > 0, seen / np.maximum(weight, 1e-9) - 1, 0.0)
     weight = weight / (weight + ENOUGH)
-    edges = 1.0 / (np.arange(low, high + 2) - 0.5)
+    edges = np.asarray(1.0 / (np.arange(low, high + 2) - 0.5), np.float64)
     found: list[Comb] = []
     for baseline_m in baselines_m:
         for steps in STEPS_PER_PX:
