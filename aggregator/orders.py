@@ -25,8 +25,8 @@ from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.node import Node
 
 MOST_WAITING = 64
-PATIENCE_S = 8.0
-"""For so long an order waits to know where the belt is."""
+PATIENCE_S = 2.5
+"""For so long an order waits to know where the belt is; within that its asker listens (`conveyor.load_orders`)."""
 
 
 class Orders:

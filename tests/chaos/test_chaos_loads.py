@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -28,8 +29,12 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
         with open_client(link, name="loader") as session:
 
             def ask(action: str, **fields: str) -> None:
+                """While the line stays supervised: what was killed is started again."""
                 order = LoadOrder(new_request(), action, by="test", fields=fields)  # type: ignore[arg-type]
-                answers.append(send_order(session, line.observer.line, order, within_s=60))
+                with ThreadPoolExecutor(1) as pool:
+                    asked = pool.submit(send_order, session, line.observer.line, order, within_s=60)
+                    line.wait(asked.done, what=f"an answer to {action} {fields}", timeout_s=90)
+                answers.append(asked.result())
 
             line.wait_applied()
             line.wait_count("tubers_committed", 1)
