@@ -80,7 +80,7 @@ class Orders:
                     with self._lock:
                         self._waiting.append((came_s, order, query))
                     continue
-                told = refusal(order, error)
+                told = refusal(order, error, later=True)
             except InputError as error:
                 told = refusal(order, error)
             if not told.done:

@@ -16,7 +16,7 @@ from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.session import open_client
 from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay
 
-pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(900)]
 
 
 def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, run_dir: Path, tmp_path: Path) -> None:
@@ -47,7 +47,7 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
             line.wait_applied()
             ask("start", name="C")
 
-    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.3)
+    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.1, timeout_s=300)
     assert summary["balanced"]
     assert [answer.error for answer in answers] == ["", "", ""]
     assert canonical(tmp_path / "run") == canonical(run_dir)
