@@ -280,7 +280,7 @@ ORDER_LOAD = Topic(
     Delivery.QUERY,
     Priority.INTERACTIVE_HIGH,
     "",
-    "takes a LoadOrder: starts, ends, notes, weighs or undoes a load; answered with LoadAnswer once it is durable in the ledger",
+    "takes a LoadOrder: starts, ends, notes, weighs, undoes a load; answered when durable in the ledger",
 )
 
 TOPICS: tuple[Topic, ...] = (

@@ -36,16 +36,13 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
                     line.wait(asked.done, what=f"an answer to {action} {fields}", timeout_s=90)
                 answers.append(asked.result())
 
-            line.wait_applied()
-            line.wait_count("tubers_committed", 1)
-            line.kill(segmenter)
+            line.wait_count("frames_processed", 10)
             ask("start", name="A")
-            line.wait_count("tubers_committed", 4)
-            ask("start", name="B")
             line.kill(segmenter)
+            ask("start", name="B")
             line.kill("aggregator")
-            line.wait_applied()
             ask("start", name="C")
+            line.kill(segmenter)
 
     summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.1, timeout_s=300)
     assert summary["balanced"]
@@ -62,4 +59,3 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
         assert {n: sums[n].load.count for n in found} == found
         assert sum(found.values()) == read_sums(view, run.run).load.count
     assert [span.load for span in spans] == [0, 1, 2, 3]
-    assert found[spans[0].n] > 0
