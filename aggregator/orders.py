@@ -25,8 +25,8 @@ from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.node import Node
 
 MOST_WAITING = 64
-PATIENCE_S = 8.0
-"""For so long an order waits to know where the belt is."""
+PATIENCE_S = 2.5
+"""For so long an order waits to know where the belt is; within that its asker listens (`conveyor.load_orders`)."""
 
 
 class Orders:
@@ -80,7 +80,7 @@ class Orders:
                     with self._lock:
                         self._waiting.append((came_s, order, query))
                     continue
-                told = refusal(order, error)
+                told = refusal(order, error, later=True)
             except InputError as error:
                 told = refusal(order, error)
             if not told.done:

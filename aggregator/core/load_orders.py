@@ -65,9 +65,9 @@ def answer(order: LoadOrder, event: LoadEvent, book: LoadBook) -> LoadAnswer:
     )
 
 
-def refusal(order: LoadOrder, error: Exception) -> LoadAnswer:
+def refusal(order: LoadOrder, error: Exception, *, later: bool = False) -> LoadAnswer:
     """What is told of an order that was not."""
-    return LoadAnswer(order.request, False, error=str(error)[:4000])
+    return LoadAnswer(order.request, False, error=str(error)[:4000], later=later)
 
 
 def _told(event: LoadEvent, load: Load) -> str:

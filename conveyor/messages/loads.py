@@ -58,6 +58,7 @@ class LoadAnswer(Message):
         text: what was done, in words. error: why not; '' where it was done.
         event: number under which the ledger has it; 0 where refused.
         place_x_m: where on the belt the load changed, where it did and that is a number.
+        later: refused because of what will be known soon: the same order again may be carried out.
     """
 
     request: Name
@@ -68,6 +69,7 @@ class LoadAnswer(Message):
     name: Told = ""
     event: Count = 0
     place_x_m: BeltPlace | None = None
+    later: Yes = False
 
 
 @dataclass(frozen=True, slots=True)

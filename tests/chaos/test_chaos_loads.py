@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.session import open_client
 from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay
 
-pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(900)]
 
 
 def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, run_dir: Path, tmp_path: Path) -> None:
@@ -28,21 +29,22 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
         with open_client(link, name="loader") as session:
 
             def ask(action: str, **fields: str) -> None:
+                """While the line stays supervised: what was killed is started again."""
                 order = LoadOrder(new_request(), action, by="test", fields=fields)  # type: ignore[arg-type]
-                answers.append(send_order(session, line.observer.line, order, within_s=60))
+                with ThreadPoolExecutor(1) as pool:
+                    asked = pool.submit(send_order, session, line.observer.line, order, within_s=60)
+                    line.wait(asked.done, what=f"an answer to {action} {fields}", timeout_s=90)
+                answers.append(asked.result())
 
-            line.wait_applied()
-            line.wait_count("tubers_committed", 1)
-            line.kill(segmenter)
+            line.wait_count("frames_processed", 10)
             ask("start", name="A")
-            line.wait_count("tubers_committed", 4)
-            ask("start", name="B")
             line.kill(segmenter)
+            ask("start", name="B")
             line.kill("aggregator")
-            line.wait_applied()
             ask("start", name="C")
+            line.kill(segmenter)
 
-    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.3)
+    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.1, timeout_s=300)
     assert summary["balanced"]
     assert [answer.error for answer in answers] == ["", "", ""]
     assert canonical(tmp_path / "run") == canonical(run_dir)
@@ -57,4 +59,3 @@ def test_a_segmenter_and_the_aggregator_killed_around_a_change(recording: Path, 
         assert {n: sums[n].load.count for n in found} == found
         assert sum(found.values()) == read_sums(view, run.run).load.count
     assert [span.load for span in spans] == [0, 1, 2, 3]
-    assert found[spans[0].n] > 0

@@ -59,6 +59,7 @@ def test_make_gives_every_node_its_own_private_files(line: Path) -> None:
         "recorder": "recorder@north",
         "operator": "operator@north",
         "keeper": "keeper@north",
+        "loader": "loader@north",
     }
     assert {stat.S_IMODE(file.stat().st_mode) for file in folder.iterdir()} == {0o600}
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700

@@ -51,7 +51,7 @@ EXAMPLES: list[m.Message] = [
     TUBER,
     TOTALS,
     m.LoadOrder("r1", "start", "gate", 0.5, fields={"name": "A", "variety": "Agria"}, note="wet", place_x_m=-1.5),
-    m.LoadAnswer("r1", True, text="load 1 (A) has begun", load=1, name="A", event=1, place_x_m=-1.5),
+    m.LoadAnswer("r1", True, text="load 1 (A) has begun", load=1, name="A", event=1, place_x_m=-1.5, later=False),
 ]
 NAMES = [f"{type(example).__name__}-{i}" for i, example in enumerate(EXAMPLES)]
 
