@@ -98,7 +98,8 @@ class BeltSegmenter:
         closed = self._decide(frame)
 
         self.instances, self.found, self._last = instances, found, frame
-        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed))
+        foreign = self.decider.take_foreign()
+        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed), foreign=foreign)
 
     def finish(self) -> list[ClosedTrack]:
         """Decide all tracks still open: the camera has ended."""

@@ -23,9 +23,10 @@ class ClosedTrack:
 
 @dataclass(frozen=True, slots=True)
 class RefusedTrack:
-    """A track that does not count."""
+    """A track that does not count; `foreign` where it is a clod, a stone or haulm, and kept as that."""
 
     reason: TrackRefusal
+    foreign: Track | None = None
 
 
 Decision = ClosedTrack | RefusedTrack
@@ -33,10 +34,14 @@ Decision = ClosedTrack | RefusedTrack
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What one frame led to. `dropped`: why the frame could not be used; None where it was processed."""
+    """What one frame led to. `dropped`: why the frame could not be used; None where it was processed.
+
+    `closed` are tracks that count, `foreign` those that were refused and are kept as clods, stones or haulm.
+    """
 
     travel_m: float
     estimated: bool
     instances: int
     closed: tuple[ClosedTrack, ...]
     dropped: FrameDrop | None = None
+    foreign: tuple[Track, ...] = ()

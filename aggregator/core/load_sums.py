@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.core.foreign import ForeignBody, ForeignSums
+from aggregator.core.size_bins import SizeBins
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -36,10 +38,15 @@ class LoadSums:
     merged: int = 0
     late: int = 0
     classes: list[int] = field(default_factory=list)
+    sizes: SizeBins = field(default_factory=SizeBins)
+    foreign: ForeignSums = field(default_factory=ForeignSums)
     _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
 
-    def add(self, tuber: Tuber) -> None:
-        """Count one committed tuber."""
+    def add(self, tuber: Tuber | ForeignBody) -> None:
+        """Count one committed tuber, or what is none."""
+        if isinstance(tuber, ForeignBody):
+            self.foreign.add(tuber)
+            return
         self.count += 1
         n, weight_g = self.weighed.get((tuber.method, tuber.model), (0, 0.0))
         self.weighed[tuber.method, tuber.model] = (n + 1, weight_g + tuber.weight_g)
@@ -51,6 +58,8 @@ class LoadSums:
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
         self._put(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), 1)
+        self.sizes.add(tuber)
+        self.foreign.add_tuber(tuber)
         self.passed(tuber.crossed_ns)
 
     def _put(self, bin_: int, n: int) -> None:
@@ -72,6 +81,8 @@ class LoadSums:
         self.seen_by.update(other.seen_by)
         self.merged += other.merged
         self.late += other.late
+        self.sizes.take(other.sizes)
+        self.foreign.take(other.foreign)
         for at, n in enumerate(other.classes):
             self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
 
@@ -134,6 +145,8 @@ class LoadSums:
             "merged": self.merged,
             "late": self.late,
             "classes": self.classes,
+            "sizes": self.sizes.plain(),
+            "foreign": self.foreign.plain(),
         }
 
     @classmethod
@@ -143,6 +156,8 @@ class LoadSums:
             **{
                 **plain,
                 "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
+                "foreign": ForeignSums.from_plain(plain.get("foreign", {})),
+                "sizes": SizeBins.from_plain(plain.get("sizes", {})),
                 "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
             }
         )

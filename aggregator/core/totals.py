@@ -13,7 +13,7 @@ from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
-from conveyor.messages import LoadNow, Totals
+from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals
 from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
@@ -122,6 +122,9 @@ class LoadTotals:
         belt_m: float | None = None,
         unseen_m: Mapping[str, float] | None = None,
         load: LoadNow | None = None,
+        contract: str = "",
+        classes: tuple[ClassTotal, ...] = (),
+        foreign: ForeignTotal | None = None,
     ) -> Totals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
@@ -157,4 +160,7 @@ class LoadTotals:
                 coverage=min(coverage, 1.0) if coverage else 1.0,
             ),
             load=load,
+            contract=contract,
+            classes=classes,
+            foreign=foreign,
         )

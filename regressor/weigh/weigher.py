@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
+from conveyor.messages.sizes import Sizes
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
 from regressor.network.pointraft import PointRaft
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
+from regressor.weigh.sizes import load_rules, size_features
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
@@ -31,6 +33,7 @@ class Weighed:
     """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual.
 
     `network_g` and `volume_g` are what it is made of: the network's answer (None without one) and the volume rule's.
+    `sizes`: of the whole tuber; None by weights that are only studied.
     """
 
     weight_g: float
@@ -41,6 +44,7 @@ class Weighed:
     method: Literal["pointraft", "volume"]
     model: str
     flags: tuple[str, ...]
+    sizes: Sizes | None
 
 
 class Weigher:
@@ -83,16 +87,17 @@ class Weigher:
             belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
             resting_sd_m: the same of the resting level below it.
         """
-        by_volume_g = self._volume.weight_g(cloud.surface)
+        by_volume_g, level_sd_m = self._volume.weight_g(cloud.surface), math.hypot(belt_sd_m, resting_sd_m)
         if self._network is None:
-            return self._by_volume(by_volume_g, cloud.flags)
+            return self._by_volume(cloud, by_volume_g, cloud.flags, level_sd_m=level_sd_m)
         height_m = cloud.clamped_height_m(self.sidecar.input.max_height_m)
         network_g = self._network.weigh(self._group(cloud.points), height_m)
         if not np.isfinite(network_g) or network_g <= 0:
-            return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
+            return self._by_volume(cloud, by_volume_g, (*cloud.flags, "network_failed"), level_sd_m=level_sd_m)
         parts = np.array([network_g]), np.array([by_volume_g])
         weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
-        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, math.hypot(belt_sd_m, resting_sd_m))
+        terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
+        low, high = self._bounds(weight_g, terms)
         return Weighed(
             weight_g=round(weight_g, 3),
             low_g=round(low, 3),
@@ -102,9 +107,12 @@ class Weigher:
             method="pointraft",
             model=self.sidecar.model_id,
             flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *self.form.flags),
+            sizes=load_rules().sizes(size_features(cloud), terms),
         )
 
-    def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
+    def _by_volume(
+        self, cloud: PreparedCloud, weight_g: float, flags: tuple[str, ...], *, level_sd_m: float
+    ) -> Weighed:
         factor = float(np.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05)))
         return Weighed(
             weight_g=round(weight_g, 3),
@@ -115,19 +123,14 @@ class Weigher:
             method="volume",
             model=VOLUME_MODEL,
             flags=flags,
+            sizes=load_rules().sizes(size_features(cloud), _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
         )
 
-    def _bounds(
-        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, level_sd_m: float
-    ) -> tuple[float, float]:
+    def _bounds(self, weight_g: float, terms: NDArray[np.float64]) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        weight, network, by_volume, height, belt_sd = (
-            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, level_sd_m)
-        )
-        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, belt_sd)
-        low, high = self._interval.bounds_g(np.array([weight_g]), terms)
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None])
         return float(low[0]), float(high[0])
 
     def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
@@ -140,6 +143,17 @@ class Weigher:
             "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
         }
         return tuple(name for name, fine in checks.items() if not fine)
+
+
+def _terms(
+    cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, level_sd_m: float
+) -> NDArray[np.float64]:
+    """(6,) of `view_terms`."""
+    weight, network, by_volume, height, level_sd = (
+        np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, level_sd_m)
+    )
+    terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, level_sd)
+    return np.asarray(terms[0], np.float64)
 
 
 def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
@@ -169,6 +183,7 @@ def weigh_view(weigher: Weigher, view: View, *, regressor: str) -> Weight:
         model=weighed.model,
         flags=weighed.flags,
         regressor=regressor,
+        sizes=weighed.sizes,
     )
     try:
         weight.check()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,12 +17,14 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
+from segmenter.track.foreign import foreign_kind
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import Candidate, size_m
 
 REJECTED_KEPT = 1000
 """Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
+MOST_ODDS = 1000.0
 MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 """A track refused so is decided later while it is still in view: more frames may show it."""
 
@@ -44,6 +46,9 @@ class TrackDecider:
     ) -> None:
         self.counted = 0
         self.discarded: Counter[TrackRefusal] = Counter()
+        self.foreign: list[Track] = []
+        """Refused since `take_foreign`, in the order in which they were decided."""
+        self.foreign_kept = 0
         self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
         self._settings = settings
         self._perception = perception
@@ -64,6 +69,11 @@ class TrackDecider:
                 closed.append(decision)
         return closed
 
+    def take_foreign(self) -> tuple[Track, ...]:
+        """What was refused as a clod, a stone or haulm since the last call."""
+        taken, self.foreign = tuple(self.foreign), []
+        return taken
+
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
         """What becomes of a track; None where it is not due."""
         tracker, travel_m = now.tracker, now.follower.travel_m
@@ -78,7 +88,7 @@ class TrackDecider:
         if reason is not None:
             return RefusedTrack(reason)
         decision = self._measured(track, at, now)
-        if decision == RefusedTrack(TrackRefusal.DISTRACTOR):
+        if isinstance(decision, RefusedTrack) and decision.reason is TrackRefusal.DISTRACTOR:
             self.rejected.append(at)
         return decision
 
@@ -94,7 +104,8 @@ class TrackDecider:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
             track.answer = self._perception.classify(track.patch)
             reason = class_refusal(track.answer, self._settings)
-        if reason is not None:
+        kind = foreign_kind(reason, length_m=length_m, width_m=width_m)
+        if reason is not None and kind is None:
             return RefusedTrack(reason)
         track_id = f"{now.frame.run}/{now.frame.camera}/{track.first_seq}-{track.number}"
         views = tuple(
@@ -103,16 +114,24 @@ class TrackDecider:
         )
         under_m = float(np.median([view.resting_offset_m for view in views]))
         message = _message(track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m)
+        if kind is not None or track.answer is not None:
+            log_odds = None if track.answer is None else min(max(track.answer.log_odds, -MOST_ODDS), MOST_ODDS)
+            message = replace(message, kind=kind or "tuber", log_odds=log_odds)
         try:
             check_part(message)
         except UnsendableError:
-            return RefusedTrack(TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
+            return RefusedTrack(reason or TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
+        if reason is not None:
+            return RefusedTrack(reason, message)
         return ClosedTrack(message, views, track.answer)
 
     def _book(self, track: TrackState, decision: Decision) -> None:
         if isinstance(decision, RefusedTrack):
             track.state, track.reason = State.DISCARDED, decision.reason
             self.discarded[decision.reason] += 1
+            if decision.foreign is not None:
+                self.foreign.append(decision.foreign)
+                self.foreign_kept += 1
         else:
             track.state = State.COUNTED
             self.counted += 1

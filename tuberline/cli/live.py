@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from conveyor.messages import Counters, LoadNow, Totals
+from tuberline.cli.class_table import classes_line
 
 _SHOWN = {
     "camera": ("frames_published", "frames_resent"),
@@ -104,6 +105,8 @@ def totals_panel(totals: Totals | None) -> Panel:
     text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
+    lit = classes_line(totals.load.classes if totals.load else totals.classes)
+    text += f"\n{lit}" if lit else ""
     if totals.load is not None:
         return Panel(Text.from_markup(f"{_so_far(totals.load)}\nrun: {text}"), title=_load_title(totals.load))
     return Panel(text, title=title)
