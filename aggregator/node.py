@@ -47,6 +47,7 @@ COUNTED = (
     *Taken,
     "tubers_committed",
     "tubers_merged",
+    "foreign_committed",
     "tracks_late",
     "tracks_late_duplicate",
     "tracks_repeated",

@@ -9,7 +9,9 @@ from typing import Any
 
 from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import Ticket, read_tickets
+from aggregator.core.class_totals import class_totals
 from aggregator.core.coverage import Coverage, Moment, coverage
+from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_state import load_state
 from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load
@@ -24,6 +26,7 @@ from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
 from conveyor.config import LineConfig
+from conveyor.contract import read_contract
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.layers import layers_in_words
@@ -49,6 +52,7 @@ class Reporter:
         settings = config.aggregator
         self._given = read_tickets(settings.tickets) if settings.tickets else ()
         self._by_loads: tuple[tuple[int, int], tuple[Ticket, ...]] = ((0, 0), ())
+        self._contract = read_contract(settings.contract) if settings.contract else None
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -101,6 +105,8 @@ class Reporter:
             self._tickets(now_s),
             prior=prior_told(told_belt(self._config)),
             cultivar=self._config.aggregator.cultivar,
+            contract=self._contract,
+            densities=self._config.foreign,
         )
 
     def totals(self, now_s: float) -> Totals:
@@ -115,7 +121,9 @@ class Reporter:
             sheets=self.sheets,
         )
         prior, cultivar = prior_told(told_belt(self._config)), self._config.aggregator.cultivar
-        return LoadTotals(sums.load, self._tickets(now_s), prior=prior, cultivar=cultivar).message(
+        totals = LoadTotals(sums.load, self._tickets(now_s), prior=prior, cultivar=cultivar)
+        contract = self._contract
+        return totals.message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -125,6 +133,9 @@ class Reporter:
             belt_m=seen.belt_m,
             unseen_m=seen.mean_unseen_m(),
             load=self.open_load(now_s),
+            contract=contract.told if contract else "",
+            classes=class_totals(totals, contract) if contract else (),
+            foreign=foreign_total(totals, self._config.foreign),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:

@@ -225,7 +225,19 @@ class AggregatorConfig(Section):
     histogram_step_g: float = Field(50.0, gt=0, le=1000, description="width of a class in the histogram of weights")
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
     tickets: Path | None = Field(None, description="a scale's tickets that calibrate totals, see `tuberline calibrate`")
+    contract: Path | None = Field(None, description="classes of size that a buyer wants, see docs/sizes.md")
     cultivar: str = Field("", description="named as with the tickets: its own factor is learned beside the line's")
+
+
+class ForeignConfig(Section):
+    """What clods, stones and haulm weigh: their volume is measured, their density is not."""
+
+    clod_density: float = Field(1.6, gt=0, le=4, description="of a clod, g/ml: 1.3 dry and loose to 1.9 wet and dense")
+    stone_density: float = Field(2.6, gt=0, le=4, description="of a stone, g/ml")
+    haulm_density: float = Field(0.3, ge=0, le=2, description="of what lies under the surface of haulm, g/ml, with air")
+    stone_share: float = Field(
+        0.3, ge=0, le=1, description="stones among clods and stones, by volume: depth does not tell them apart"
+    )
 
 
 class ViewerConfig(Section):
@@ -331,6 +343,7 @@ class LineConfig(Section):
     segmenter: SegmenterConfig = SegmenterConfig()
     regressor: RegressorConfig = RegressorConfig()
     aggregator: AggregatorConfig = AggregatorConfig()
+    foreign: ForeignConfig = ForeignConfig()
     viewer: ViewerConfig | None = None
     alarms: AlarmsConfig | None = None
     gnss: GnssConfig | None = None
@@ -431,6 +444,7 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
         "segmenter": SegmenterConfig,
         "regressor": RegressorConfig,
         "aggregator": AggregatorConfig,
+        "foreign": ForeignConfig,
         "viewer": ViewerConfig,
         "alarms": AlarmsConfig,
     }

@@ -112,10 +112,17 @@ class BeltSegmenter:
 
         # Tracks that are due: counted, or refused with a reason
         closed = self._decide(frame)
-        early = self.decider.early(Moment(frame, self.tracker, self.follower)) if self._settings.early_views else []
+        early = self.decider.early(self._moment(frame)) if self._settings.early_views else []
 
         self.instances, self.found, self._last = instances, found, frame
-        return StepResult(motion.travel_m, self.follower.estimated, len(instances), tuple(closed), early=tuple(early))
+        return StepResult(
+            motion.travel_m,
+            self.follower.estimated,
+            len(instances),
+            tuple(closed),
+            early=tuple(early),
+            foreign=self.decider.take_foreign(),
+        )
 
     def finish(self) -> list[ClosedTrack]:
         """Decide all tracks still open: the camera has ended."""

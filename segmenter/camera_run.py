@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,7 +90,7 @@ class CameraRun:
         self.core = Segmenter(self.settings.core, resume=_resume(mark, self.log.since_mark, self.log.speed_mps))
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = _views_left(mark.views, self.log.since_mark)
-        self._base_tracks = _tracks_left(mark.tracks, logged=len(self.log.since_mark))
+        self._base_tracks = _tracks_left(mark.tracks, self.log.since_mark)
         self._done_seq = self.frames.newest_seq
 
     def close(self) -> None:
@@ -118,6 +119,7 @@ class CameraRun:
             self._thinning.looked(frame.captured_ns, self.core.travel_m)
         self._take(list(result.closed), now_s)
         self._take_early(result.early, now_s)
+        self._keep(result.foreign, now_s)
         return result
 
     def info(self, info: CameraInfo, now_s: float) -> None:
@@ -141,6 +143,7 @@ class CameraRun:
         if not self.ended:
             self.ended = True
             self._take(self.core.finish(), now_s)
+            self._keep(self.core.take_foreign(), now_s)
             for view_id in self.early.rest():
                 self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
 
@@ -195,8 +198,10 @@ class CameraRun:
 
     def counts(self) -> dict[str, dict[str, int]]:
         """The balance sheets: frames, views, tracks. A track counts once it is in the log; until then it is open."""
-        tracks, waiting = self.core.track_counts(), len(self.weighing)
+        tracks, waiting, foreign = self.core.track_counts(), self.weighing.tubers, self.weighing.foreign
         logged = {**tracks, "counted": tracks["counted"] - waiting, "open": tracks["open"] + waiting}
+        if foreign:
+            logged["foreign"] = tracks["foreign"] - foreign
         return {
             "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0},
             "views": _sum(self.dispatcher.balance(), self._base_views),
@@ -226,6 +231,11 @@ class CameraRun:
             if view.rank < self.budget.views:
                 self.early.sent(view, now_s)
                 self.dispatcher.offer(view, now_s=now_s)
+
+    def _keep(self, foreign: Sequence[Track], now_s: float) -> None:
+        """Log what is no tuber as what it is; no one weighs it."""
+        for track in foreign:
+            self.weighing.add(ClosedTrack(track, ()), now_s)
 
     def _mark_due(self) -> Mark | None:
         if self.log.last_mark is not None and self.log.last_mark.final:
@@ -296,14 +306,17 @@ def _resume(mark: Mark, logged: list[Track], speed_mps: float) -> Resume:
     )
 
 
-def _tracks_left(sheet: dict[str, int], *, logged: int) -> dict[str, int]:
-    """A dead process's sheet: `logged` tracks were counted after it was written, the rest of the open ones are lost."""
-    still_open = sheet.get("open", 0)
+def _tracks_left(sheet: dict[str, int], tracks: list[Track]) -> dict[str, int]:
+    """A dead process's sheet: `tracks` were logged after it was written, the rest of the open ones are lost."""
+    logged, still_open = sum(track.kind == "tuber" for track in tracks), sheet.get("open", 0)
+    foreign = len(tracks) - logged
     left = {name: n for name, n in sheet.items() if name != "open"}
     left["opened"] = left.get("opened", 0) + max(0, logged - still_open)
     left["counted"] = left.get("counted", 0) + logged
     discarded = f"discarded_{TrackRefusal.RESTART}"
     left[discarded] = left.get(discarded, 0) + max(0, still_open - logged)
+    if foreign:
+        left["foreign"] = left.get("foreign", 0) + foreign
     return left
 
 

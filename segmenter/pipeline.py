@@ -7,7 +7,7 @@ from collections import Counter, deque
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.messages import Frame
+from conveyor.messages import Frame, Track
 from conveyor.reasons import FrameDrop, TrackRefusal
 from segmenter.belt_segmenter import BeltSegmenter, Settings, row_place_m
 from segmenter.frame.belt import BeltGeometry
@@ -69,6 +69,10 @@ class Segmenter:
     def finish(self) -> list[ClosedTrack]:
         """Decide all tracks still open: the camera has ended."""
         return self._running.finish() if self._running else []
+
+    def take_foreign(self) -> tuple[Track, ...]:
+        """What `finish` refused as a clod, a stone or haulm."""
+        return self._running.decider.take_foreign() if self._running else ()
 
     @property
     def travel_m(self) -> float:
@@ -136,11 +140,13 @@ class Segmenter:
         return self._running.coverage.travelled_m if self._running else self._waiting.travelled_m
 
     def track_counts(self) -> dict[str, int]:
-        """opened = counted + discarded by reason + open."""
+        """opened = counted + discarded by reason + open; 'foreign' of the discarded are kept."""
         opened = self._running.tracker.opened if self._running else 0
         discarded = {f"discarded_{reason}": n for reason, n in sorted(self.discarded.items())}
         still_open = opened - self.counted - self.discarded.total()
-        return {"opened": opened, "counted": self.counted, "open": still_open, **discarded}
+        foreign = self._running.decider.foreign_kept if self._running else 0
+        kept = {"foreign": foreign} if foreign else {}
+        return {"opened": opened, "counted": self.counted, "open": still_open, **discarded, **kept}
 
     def complete_travel_m(self) -> float:
         """All tubers that crossed the centre row at or before this travel have been closed."""

@@ -23,9 +23,10 @@ class ClosedTrack:
 
 @dataclass(frozen=True, slots=True)
 class RefusedTrack:
-    """A track that does not count."""
+    """A track that does not count; `foreign` where it is a clod, a stone or haulm, and kept as that."""
 
     reason: TrackRefusal
+    foreign: Track | None = None
 
 
 Decision = ClosedTrack | RefusedTrack
@@ -35,8 +36,9 @@ Decision = ClosedTrack | RefusedTrack
 class StepResult:
     """What one frame led to.
 
-    `dropped`: why the frame could not be used; None where it was processed. `early`: views of tracks that are not
-    decided yet, which may be weighed already.
+    `dropped`: why the frame could not be used; None where it was processed. `closed` are tracks that count, `foreign`
+    those that were refused and are kept as clods, stones or haulm. `early`: views of tracks that are not decided yet,
+    which may be weighed already.
     """
 
     travel_m: float
@@ -45,3 +47,4 @@ class StepResult:
     closed: tuple[ClosedTrack, ...]
     dropped: FrameDrop | None = None
     early: tuple[View, ...] = ()
+    foreign: tuple[Track, ...] = ()

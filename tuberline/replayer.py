@@ -13,6 +13,7 @@ from typing import Any
 
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
+from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, TuberlineError
 from conveyor.observer import observer_when_there
 from conveyor.taken import check_port_free
@@ -38,6 +39,7 @@ def replay_recording(
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
     resting_sd_mm: float | None = None,
+    contract: Path | None = None,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -46,6 +48,7 @@ def replay_recording(
     Args:
         resting_offset_mm, resting_sd_mm: how far tubers' undersides lie below the belt, and how well that is known;
             None: what the recording states.
+        contract: a buyer's classes of size (TOML).
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
 
     Raises:
@@ -57,6 +60,10 @@ def replay_recording(
     cameras = recording_cameras(recording)
     prepare_out(out)
     belt = stated_belt(recording, cameras, resting_offset_mm, resting_sd_mm)
+    sections: dict[str, Any] = {"belt": belt, **(settings or {})}
+    if contract is not None:
+        read_contract(contract)  # refused before anything is started
+        sections["aggregator"] = {**sections.get("aggregator", {}), "contract": str(contract.resolve())}
     config = replay_config(
         recording,
         cameras,
@@ -65,7 +72,7 @@ def replay_recording(
         weights=weights,
         regressors=regressors,
         rrd=rrd,
-        settings={"belt": belt, **(settings or {})},
+        settings=sections,
         ignore_masks=ignore_masks,
     )
     run = run_id(recording)

@@ -66,7 +66,7 @@ def ledger_equations(
     """
     return [
         Equation(
-            "tracks in logs = counted + late duplicates + repeats + pending",
+            "tracks in logs = counted + foreign + late duplicates + repeats + pending",
             track_entries,
             sum(roles.values()) + pending,
         ),

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
+from aggregator.core.foreign import ForeignBody, ForeignSums
 from aggregator.core.layers import LayerSums
+from aggregator.core.size_bins import SizeBins
 from conveyor.camera_flags import CAMERA_NOISE, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
@@ -43,10 +45,15 @@ class LoadSums:
     late: int = 0
     classes: list[int] = field(default_factory=list)
     layers: LayerSums = field(default_factory=LayerSums)
+    sizes: SizeBins = field(default_factory=SizeBins)
+    foreign: ForeignSums = field(default_factory=ForeignSums)
     _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
 
-    def add(self, tuber: Tuber) -> None:
-        """Count one committed tuber."""
+    def add(self, tuber: Tuber | ForeignBody) -> None:
+        """Count one committed tuber, or what is none."""
+        if isinstance(tuber, ForeignBody):
+            self.foreign.add(tuber)
+            return
         self.count += 1
         n, weight_g = self.weighed.get((tuber.method, tuber.model), (0, 0.0))
         self.weighed[tuber.method, tuber.model] = (n + 1, weight_g + tuber.weight_g)
@@ -61,6 +68,8 @@ class LoadSums:
         self.late += "late" in tuber.flags
         self.layers.add(tuber)
         self._put(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), 1)
+        self.sizes.add(tuber)
+        self.foreign.add_tuber(tuber)
         self.passed(tuber.crossed_ns)
 
     def _put(self, bin_: int, n: int) -> None:
@@ -85,6 +94,8 @@ class LoadSums:
         self.layers.take(other.layers)
         self.noisy_g += other.noisy_g
         self.off_g_mm += other.off_g_mm
+        self.sizes.take(other.sizes)
+        self.foreign.take(other.foreign)
         for at, n in enumerate(other.classes):
             self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
 
@@ -155,6 +166,8 @@ class LoadSums:
             "late": self.late,
             "classes": self.classes,
             "layers": self.layers.plain(),
+            "sizes": self.sizes.plain(),
+            "foreign": self.foreign.plain(),
         }
 
     @classmethod
@@ -164,6 +177,8 @@ class LoadSums:
             **{
                 **plain,
                 "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
+                "foreign": ForeignSums.from_plain(plain.get("foreign", {})),
+                "sizes": SizeBins.from_plain(plain.get("sizes", {})),
                 "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
                 "layers": LayerSums.from_plain(plain["layers"]) if "layers" in plain else LayerSums(),
             }

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
+from aggregator.core.class_totals import class_totals
 from aggregator.core.coverage import Coverage, Moment, belt_window, coverage
+from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Load, Span
 from aggregator.core.sight import CameraSight
 from aggregator.core.totals import LoadTotals
+from conveyor.config import ForeignConfig
+from conveyor.contract import Contract
 from conveyor.messages import LoadNow
 
 
@@ -55,7 +59,14 @@ def counted(parts: Sequence[tuple[LoadSums, Coverage]]) -> LoadCounted:
 
 
 def load_now(
-    load: Load, found: LoadCounted, tickets: Sequence[Ticket], *, prior: Prior | None = None, cultivar: str = ""
+    load: Load,
+    found: LoadCounted,
+    tickets: Sequence[Ticket],
+    *,
+    prior: Prior | None = None,
+    cultivar: str = "",
+    contract: Contract | None = None,
+    densities: ForeignConfig | None = None,
 ) -> LoadNow:
     """The open load as the totals tell it; `cultivar` where it names no variety of its own."""
     totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=load.variety or cultivar)
@@ -82,4 +93,6 @@ def load_now(
         belt_m=found.belt_m,
         unseen_m=dict(found.unseen_m),
         calibrated_by=totals.calibrated().told,
+        classes=class_totals(totals, contract) if contract else (),
+        foreign=foreign_total(totals, densities or ForeignConfig()),
     )

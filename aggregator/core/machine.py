@@ -17,6 +17,7 @@ import numpy as np
 
 from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
 from aggregator.core.cameras import Cameras
+from aggregator.core.foreign import ForeignBody, is_foreign, make_body
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
 from aggregator.core.reasons import Role
@@ -99,6 +100,7 @@ class Batch:
     tubers: tuple[Tuber, ...]
     observations: tuple[Observation, ...]
     watermark_x_m: float
+    bodies: tuple[ForeignBody, ...] = ()
     settled: Mapping[str, int] = field(default_factory=dict)
     sights: Mapping[str, CameraSight] = field(default_factory=dict)
     head_start_m: float | None = None
@@ -106,7 +108,7 @@ class Batch:
     @property
     def empty(self) -> bool:
         """Nothing new to write."""
-        return not (self.entries or self.tubers or self.observations)
+        return not (self.entries or self.tubers or self.observations or self.bodies)
 
 
 @dataclass(slots=True)
@@ -122,6 +124,7 @@ class Restored:
     sights: dict[str, CameraSight] = field(default_factory=dict)
     pending: list[PendingTrack] = field(default_factory=list)
     tubers: int = 0
+    bodies: int = 0
     watermark_x_m: float = math.inf
     head_start_m: float | None = None
 
@@ -161,6 +164,7 @@ class Aggregation:
         self._entries: list[Applied] = []
         self._observations: list[Observation] = []
         self._tubers = state.tubers
+        self._bodies = state.bodies
         self._watermark_x_m = state.watermark_x_m
         if state.begun:
             self.cameras.resumed(head_start_m=state.head_start_m)
@@ -275,12 +279,13 @@ class Aggregation:
         watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
         self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + self.cameras.place_slack_m)
         self._place()
-        tubers = self._complete_tubers()
+        tubers, bodies = self._complete_tubers()
         batch = Batch(
             tuple(self._entries),
             tuple(tubers),
             tuple(self._observations),
             self._watermark_x_m,
+            tuple(bodies),
             settled=self._settled(),
             sights=self.cameras.sights,
             head_start_m=self.cameras.head_start_m,
@@ -352,16 +357,20 @@ class Aggregation:
         dx_m, dy_m = track.place_x_m - tuber.place_x_m, track.place_y_m - tuber.place_y_m
         return math.hypot(dx_m / self._gate.x_m(seen, seen), dy_m / self._gate.y_m(seen, seen))
 
-    def _complete_tubers(self) -> list[Tuber]:
-        """Tubers of the blocks that nothing can join any more, in order along the belt."""
+    def _complete_tubers(self) -> tuple[list[Tuber], list[ForeignBody]]:
+        """Tubers, and what is none, of the blocks that nothing can join any more, in order along the belt."""
         certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m]
         tubers: list[Tuber] = []
+        bodies: list[ForeignBody] = []
         done: set[str] = set()
         reach_m = self._gate.widest_m if self.cameras.estimated else self._gate.measured_m
         for block in blocks(certain, self._gate):
             if min(track.place_x_m for track in block) - reach_m < self._watermark_x_m:
                 break
             for group in merge(block, self._gate):
+                if is_foreign(group):
+                    bodies.append(self._complete_body(group))
+                    continue
                 self._tubers += 1
                 tuber = make_tuber(group, run=self.run, tuber_id=self._tubers)
                 tubers.append(tuber)
@@ -372,7 +381,14 @@ class Aggregation:
                     self._observe(member, Role.COUNTED, tuber.tuber_id)
             done.update(track.track.track_id for track in block)
         self._placed = [track for track in self._placed if track.track.track_id not in done]
-        return tubers
+        return tubers, bodies
+
+    def _complete_body(self, group: Group) -> ForeignBody:
+        self._bodies += 1
+        self._count("foreign_committed")
+        for member in group.members:
+            self._observe(member, Role.FOREIGN, None)
+        return make_body(group, run=self.run, body_id=self._bodies)
 
     def _observe(self, placed: PlacedTrack, role: Role, tuber_id: int | None) -> None:
         track = placed.track

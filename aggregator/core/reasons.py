@@ -22,6 +22,8 @@ class Role(StrEnum):
 
     COUNTED = "counted"
     """With others of its place it is a tuber."""
+    FOREIGN = "foreign"
+    """With others of its place it is a clod, a stone or haulm."""
     LATE_DUPLICATE = "late_duplicate"
     """Its tuber was committed before it came."""
     REPEAT = "repeat"

@@ -14,7 +14,7 @@ from aggregator.calibration.tickets import Ticket
 from aggregator.core.layers import Hidden, hidden
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
-from conveyor.messages import LoadNow, Totals
+from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals
 from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
@@ -147,6 +147,9 @@ class LoadTotals:
         belt_m: float | None = None,
         unseen_m: Mapping[str, float] | None = None,
         load: LoadNow | None = None,
+        contract: str = "",
+        classes: tuple[ClassTotal, ...] = (),
+        foreign: ForeignTotal | None = None,
     ) -> Totals:
         """The totals as published."""
         low_g, high_g = self.interval_g()
@@ -186,4 +189,7 @@ class LoadTotals:
             hidden=under.tubers,
             hidden_g=under.weight_g,
             layered_m=under.belt_m,
+            contract=contract,
+            classes=classes,
+            foreign=foreign,
         )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from aggregator.core.foreign import mean_odds
 from aggregator.core.fusion import fuse
 from aggregator.core.merge import Group
+from aggregator.core.size_fusion import fuse_sizes
 from conveyor.layers import on_others_flag
 from conveyor.messages import Tuber
 
@@ -13,11 +15,12 @@ MOST_FLAGS = 256
 def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
     """The tuber that all tracks of `group` saw.
 
-    Size, weight and place come from the tracks that saw it whole, where there are any. Flags: what its views were
-    flagged with, 'on_others_35_mm' (it lies on others, that high), what its cameras were (`conveyor.camera_flags`),
-    'cut' (never seen whole), 'late' (came after its
-    place was committed), 'travel_estimated', 'rejoined' (two tracks of one camera).
+    Size, weight and place come from the tracks that were taken for a tuber's and saw it whole, where there are any.
+    Flags: what its views were flagged with, 'on_others_35_mm' (it lies on others, that high), what its cameras were
+    (`conveyor.camera_flags`), 'cut' (never seen whole), 'late' (came after its place was committed),
+    'travel_estimated', 'rejoined' (two tracks of one camera).
     """
+    group = Group([member for member in group.members if member.track.kind == "tuber"] or group.members)
     members = sorted(group.members, key=lambda member: (member.camera, member.track.first_seq, member.track.track_id))
     tracks = [member.track for member in members]
     sized = [member.track for member in group.best]
@@ -58,4 +61,6 @@ def make_tuber(group: Group, *, run: str, tuber_id: int) -> Tuber:
         flags=tuple(sorted(flags)[:MOST_FLAGS]),
         cameras=cameras,
         tracks=tuple(track.track_id for track in tracks),
+        sizes=fuse_sizes([view.sizes for track in weighed for view in track.views if view.sizes is not None]),
+        log_odds=mean_odds(group),
     )

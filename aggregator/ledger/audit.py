@@ -86,9 +86,10 @@ def audit_sums(run: RunRow, sums: RunSums, marks: Mapping[str, Mark], *, faults:
     equations = {camera: camera_equations(mark) for camera, mark in marks.items()}
     for camera, mark in marks.items():
         if mark.final:  # a replay that went back to its first frame has logged tracks again, and counted them once
-            counted, logged = mark.tracks.get("counted", 0), sums.tracks.get(camera, 0) - sums.repeats.get(camera, 0)
+            counted = mark.tracks.get("counted", 0) + mark.tracks.get("foreign", 0)
+            logged = sums.tracks.get(camera, 0) - sums.repeats.get(camera, 0)
             equations[camera].append(
-                Equation("tracks counted by the camera = tracks in the ledger, repeats aside", counted, logged)
+                Equation("tracks counted or kept by the camera = tracks in the ledger, repeats aside", counted, logged)
             )
     for camera, refused in sorted(sums.set_aside.items()):
         equations.setdefault(camera, []).append(Equation("entries that could not be read = none", refused, 0))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Span
 from aggregator.ledger.faults import DAMAGE
 from aggregator.ledger.load_rows import read_book, read_span_sums
-from aggregator.ledger.reader import read_last_batch, read_runs, read_sums, read_tubers
+from aggregator.ledger.reader import read_bodies, read_last_batch, read_runs, read_sums, read_tubers
 from aggregator.ledger.receipt import receipt_path
 from aggregator.ledger.recount import recount, recounted_spans
 from aggregator.ledger.schema import (
@@ -166,7 +167,7 @@ def _differences(run: str, counted: RunSums, carried: RunSums) -> Iterator[str]:
             yield f"run {run} has {rows} rows of {table.name}, its sums say {said}"
         elif crcs != said_crcs:
             yield f"run {run}: the rows of {table.name} are not those that its sums were made of"
-    for name in ("tracks", "roles", "repeats", "counted", "last_tuber_id"):
+    for name in ("tracks", "roles", "repeats", "counted", "last_tuber_id", "last_body_id"):
         if getattr(counted, name) != getattr(carried, name):
             yield f"run {run}: {name} come to {getattr(counted, name)}, its sums say {getattr(carried, name)}"
     if not counted.load.same_as(carried.load):
@@ -176,7 +177,7 @@ def _differences(run: str, counted: RunSums, carried: RunSums) -> Iterator[str]:
 def _span_differences(view: LedgerView, run: str, spans: Sequence[Span], step_g: float) -> Iterator[str]:
     """The tubers of each stretch of belt, added up by their places, against the sums carried along."""
     carried = read_span_sums(view, run)
-    counted = recounted_spans(read_tubers(view, run), spans, histogram_step_g=step_g)
+    counted = recounted_spans(chain(read_tubers(view, run), read_bodies(view, run)), spans, histogram_step_g=step_g)
     for n in sorted({*carried, *counted}):
         mine = counted.get(n) or LoadSums(step_g)  # a stretch whose change was undone keeps its row, empty
         if n not in carried:

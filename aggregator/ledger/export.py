@@ -54,7 +54,15 @@ def canonical_tuber(tuber: Tuber) -> dict[str, object]:
         "flags": list(tuber.flags),
         "cameras": list(tuber.cameras),
         "tracks": [track.removeprefix(f"{tuber.run}/") for track in tuber.tracks],
+        **_sizes(tuber),
     }
+
+
+def _sizes(tuber: Tuber) -> dict[str, object]:
+    """Its sizes, where there are any: ledgers before version 4 have none."""
+    if tuber.sizes is None:
+        return {}
+    return {"sizes": {name: _round(value, 1) for name, value in plain(tuber.sizes).items()}}
 
 
 def full_lines(view: LedgerView, run: RunRow) -> Iterator[str]:

@@ -10,7 +10,10 @@ from pathlib import Path
 
 from aggregator.core.loads import Span, span_of
 from conveyor.errors import StorageError, TuberlineError
-from conveyor.messages import Tuber
+from conveyor.messages import Sizes, Tuber
+
+SIZES = {"caliper_length": "length", "caliper_width": "width", "caliper_thickness": "thickness", "mesh": "mesh"}
+"""Sizes of the whole tuber by their names in the table; `low` and `high` bound the 90 % interval of each."""
 
 COLUMNS = (
     "id",
@@ -22,6 +25,7 @@ COLUMNS = (
     "length_mm",
     "width_mm",
     "height_mm",
+    *(f"{name}{bound}_mm" for name in SIZES for bound in ("", "_low", "_high")),
     "cameras",
     "views",
     "method",
@@ -52,6 +56,7 @@ def tubers_csv(tubers: Iterable[Tuber], spans: Sequence[Span] = ()) -> Iterator[
                 f"{tuber.length_mm:.1f}",
                 f"{tuber.width_mm:.1f}",
                 f"{tuber.height_mm:.1f}",
+                *_sizes(tuber.sizes),
                 " ".join(tuber.cameras),
                 tuber.views,
                 tuber.method,
@@ -62,6 +67,14 @@ def tubers_csv(tubers: Iterable[Tuber], spans: Sequence[Span] = ()) -> Iterator[
             )
         )
     yield line.getvalue()
+
+
+def _sizes(sizes: Sizes | None) -> list[str]:
+    """Each size with its interval; empty where nothing is said of it."""
+    if sizes is None:
+        return [""] * (3 * len(SIZES))
+    found = [(sizes.of(measure)[0], *sizes.interval_mm(measure)) for measure in SIZES.values()]
+    return [f"{value:.1f}" for row in found for value in row]
 
 
 def write_whole(path: Path, text: str | Iterable[str]) -> None:

@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable, Sequence
 
 from aggregator.core.coverage import Moment, all_reach, belt_window
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import span_coverage
 from aggregator.core.loads import LoadBook, LoadEvent, Said, Span
@@ -46,8 +47,8 @@ class LoadKeeper:
             self._sums[run] = read_span_sums(self._view(), run)
         return self._sums[run]
 
-    def count(self, run: str, tubers: Sequence[Tuber]) -> None:
-        """Tubers of a batch: each goes to the stretch that holds its place."""
+    def count(self, run: str, tubers: Sequence[Tuber | ForeignBody]) -> None:
+        """Tubers of a batch, and what is none: each goes to the stretch that holds its place."""
         spans = self.book.spans.get(run)
         if spans and tubers:
             self._write(run, add_tubers(self.sums(run), spans, tubers))
@@ -58,7 +59,7 @@ class LoadKeeper:
             sums.load = LoadSums(histogram_step_g)
         self._again[run] = set(self.sums(run))
 
-    def add_again(self, run: str, tuber: Tuber) -> None:
+    def add_again(self, run: str, tuber: Tuber | ForeignBody) -> None:
         """One of them."""
         if spans := self.book.spans.get(run):
             add_tubers(self.sums(run), spans, [tuber])

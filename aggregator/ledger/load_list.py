@@ -6,28 +6,35 @@ from collections.abc import Mapping
 from typing import Any
 
 from aggregator.calibration.load_tickets import load_ticket
+from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_told import load_now
-from aggregator.core.loads import Load
+from aggregator.core.loads import Load, LoadTicket
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_of
 from aggregator.ledger.verified import LedgerView
+from conveyor.contract import Contract
 from conveyor.errors import InputError
 from conveyor.messages.base import plain
 
 
-def told_loads(view: LedgerView, *, limit: int, undone: bool = False) -> list[dict[str, Any]]:
+def told_loads(
+    view: LedgerView, *, limit: int, undone: bool = False, contract: Contract | None = None
+) -> list[dict[str, Any]]:
     """The newest loads first, calibrated by the tickets of this ledger's loads. Names and units as in
     `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what scales said), `said` (all
-    that was said of it) and `refused` (why its ticket does not calibrate).
+    that was said of it) and `refused` (why its ticket does not calibrate), `jacket_g`
+    (gross less net less foreign matter: soil on tubers).
     """
     ledger = ReadLoads(view)
     seen = ledger.seen()
     tickets, _ = tickets_of(ledger, seen)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]
-    return [_told(ledger, load, seen, tickets) for load in newest]
+    return [_told(ledger, load, seen, tickets, contract) for load in newest]
 
 
-def _told(ledger: ReadLoads, load: Load, seen: Mapping[str, Seen], tickets: list[Any]) -> dict[str, Any]:
+def _told(
+    ledger: ReadLoads, load: Load, seen: Mapping[str, Seen], tickets: list[Any], contract: Contract | None
+) -> dict[str, Any]:
     found = count_load(ledger, load, seen)
     refused = []
     try:
@@ -36,7 +43,8 @@ def _told(ledger: ReadLoads, load: Load, seen: Mapping[str, Seen], tickets: list
         refused.append(str(error))
     is_open = any(ledger.loads.open_load(run) is load and not ledger.runs[run].finished for run, _ in load.spans)
     net, gross = load.ticket(net=True), load.ticket(net=False)
-    values: dict[str, Any] = plain(load_now(load, found, tickets))
+    now = load_now(load, found, tickets, contract=contract)
+    values: dict[str, Any] = plain(now)
     return {
         **values,
         "run": load.run,
@@ -46,9 +54,14 @@ def _told(ledger: ReadLoads, load: Load, seen: Mapping[str, Seen], tickets: list
         "undone": load.undone,
         "net_g": None if net is None else net.ticket_g,
         "gross_g": None if gross is None else gross.ticket_g,
+        "jacket_g": jacket_g(_grams(gross), _grams(net), now.foreign),
         "refused": refused,
         "said": _said(load),
     }
+
+
+def _grams(ticket: LoadTicket | None) -> float | None:
+    return None if ticket is None else ticket.ticket_g
 
 
 def _said(load: Load) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 from aggregator.core.coverage import Coverage
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import LoadBook, LoadEvent, Said, Span, span_of
 from aggregator.core.reasons import Unseen
@@ -70,7 +71,7 @@ def read_span_sums(view: LedgerView, run: str) -> dict[int, SpanSums]:
     return {span: SpanSums.from_text(payload) for _run, span, _step, payload in found}
 
 
-def add_tubers(sums: dict[int, SpanSums], spans: Sequence[Span], tubers: Sequence[Tuber]) -> set[int]:
+def add_tubers(sums: dict[int, SpanSums], spans: Sequence[Span], tubers: Sequence[Tuber | ForeignBody]) -> set[int]:
     """Add each tuber to the stretch that holds its place; returns the stretches that changed."""
     changed = set()
     for tuber in tubers:

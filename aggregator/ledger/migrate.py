@@ -2,7 +2,8 @@
 
 Version 2 carries the sums of each run along (`total`) and calls a batch's watermark by its name; on the way from
 version 1 (Tuberline 0.1) every row is read and verified, and a ledger that is damaged is left as it is and refused.
-Version 3 adds tables for loads, empty, so it costs the same whatever a ledger holds.
+Version 3 adds tables for loads, empty, and version 4 columns for sizes, which hold nothing in old rows: both cost the
+same whatever a ledger holds.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from collections.abc import Callable
 from aggregator.ledger.check import ledger_faults
 from aggregator.ledger.reader import read_runs
 from aggregator.ledger.recount import recount
-from aggregator.ledger.schema import SCHEMA_VERSION, TOTAL, load_definition, moving_definition
+from aggregator.ledger.schema import (
+    SCHEMA_VERSION,
+    TABLES,
+    TOTAL,
+    foreign_definition,
+    load_definition,
+    moving_definition,
+)
 from aggregator.ledger.steps import first_step
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import LedgerError
@@ -34,6 +42,7 @@ def migrate(db: sqlite3.Connection, view: LedgerView, step: Callable[[str], None
         for statement in load_definition():
             db.execute(statement)
             step("migration: loads' table, index or guard made")
+    _to_version_4(db, view.version, step)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     step("migration: version written")
 
@@ -55,3 +64,14 @@ def _to_version_2(db: sqlite3.Connection, view: LedgerView, step: Callable[[str]
         step("migration: sums written")
     db.execute("ALTER TABLE batch RENAME COLUMN line_x_m TO watermark_x_m")
     step("migration: column named")
+
+
+def _to_version_4(db: sqlite3.Connection, version: int, step: Callable[[str], None]) -> None:
+    """New columns hold nothing in old rows, which keep their checksums so."""
+    for table in TABLES:
+        for statement in table.additions(version):
+            db.execute(statement)
+            step("migration: column added")
+    for statement in foreign_definition():
+        db.execute(statement)
+        step("migration: table of foreign matter or guard made")

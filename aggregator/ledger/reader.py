@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.core.coverage import Coverage, Moment, coverage
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.sight import CameraSight
-from aggregator.ledger.rows import tuber_from
-from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, OBSERVATION, RUN, SUMMARY, TOTAL, TUBER
+from aggregator.ledger.rows import body_from, tuber_from
+from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, FOREIGN, OBSERVATION, RUN, SUMMARY, TOTAL, TUBER
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, Row, reading
 from conveyor.errors import LedgerError, MessageError
@@ -96,6 +97,11 @@ def _lacks(view: LedgerView, run: str, tuber_id: int) -> LedgerError:
         f"ledger {view.path} lacks the row of table tuber with run '{run}', tuber_id {tuber_id}, which its sums tell "
         f"of; `tuberline ledger repair {view.path}` computes it again from its tracks"
     )
+
+
+def read_bodies(view: LedgerView, run: str) -> Iterator[ForeignBody]:
+    """What of `run` was no tuber, by id; none in a ledger before version 4."""
+    return map(body_from, view.rows(FOREIGN, "WHERE run = ? ORDER BY body_id", (run,)))
 
 
 def read_tubers_near(view: LedgerView, run: str, low_x_m: float, high_x_m: float) -> Iterator[Tuber]:

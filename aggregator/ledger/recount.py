@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Span, span_of
 from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
-from aggregator.ledger.rows import tuber_from
-from aggregator.ledger.schema import COVERAGE, ENTRY, OBSERVATION, TUBER, WRITTEN_ONCE, Table, row
+from aggregator.ledger.rows import body_from, tuber_from
+from aggregator.ledger.schema import COVERAGE, ENTRY, FOREIGN, OBSERVATION, TUBER, WRITTEN_ONCE, Table, row
 from aggregator.ledger.sums import DEFAULT_STEP_G, RunSums
 from aggregator.ledger.verified import LedgerView, Row
 from conveyor.messages import Mark, Tuber
 
-ORDER = {TUBER.name: "tuber_id", ENTRY.name: "camera, n", OBSERVATION.name: "camera, n", COVERAGE.name: "camera, n"}
+ORDER = {
+    FOREIGN.name: "body_id",
+    TUBER.name: "tuber_id",
+    ENTRY.name: "camera, n",
+    OBSERVATION.name: "camera, n",
+    COVERAGE.name: "camera, n",
+}
 
 
 def recount(view: LedgerView, run: str, *, histogram_step_g: float = DEFAULT_STEP_G) -> RunSums:
@@ -47,6 +54,8 @@ def recounted(tables: Iterable[tuple[Table, Iterable[Row]]], *, histogram_step_g
                 sums.add_set_aside(found[1])
             elif table is TUBER:
                 sums.add_tuber(tuber_from(found))
+            elif table is FOREIGN:
+                sums.add_body(body_from(found))
             elif table is OBSERVATION:
                 sums.add_observation(found[1], found[4])
                 waiting.get(found[1], set()).discard(found[2])
@@ -63,7 +72,9 @@ def recounted(tables: Iterable[tuple[Table, Iterable[Row]]], *, histogram_step_g
     return sums
 
 
-def recounted_spans(tubers: Iterable[Tuber], spans: Sequence[Span], *, histogram_step_g: float) -> dict[int, LoadSums]:
+def recounted_spans(
+    tubers: Iterable[Tuber | ForeignBody], spans: Sequence[Span], *, histogram_step_g: float
+) -> dict[int, LoadSums]:
     """What the tubers of a run come to in each of its stretches; empty where it has none."""
     found = {span.n: LoadSums(histogram_step_g) for span in spans}
     for tuber in tubers if found else ():

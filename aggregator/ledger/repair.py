@@ -12,6 +12,7 @@ import shutil
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +24,18 @@ from aggregator.ledger.faults import DAMAGE, explained
 from aggregator.ledger.load_rows import SpanSums, event_from, event_row
 from aggregator.ledger.receipt import Receipt, receipt_path
 from aggregator.ledger.recount import recounted, recounted_spans
-from aggregator.ledger.rows import tuber_from, tuber_row
+from aggregator.ledger.rows import body_from, tuber_from, tuber_row
 from aggregator.ledger.schema import (
     BATCH,
     COVERAGE,
     ENTRY,
+    FOREIGN,
     LOAD_EVENT,
     LOAD_TOTAL,
     OBSERVATION,
+    OLDEST_VERSION,
     RUN,
+    SCHEMA_VERSION,
     SUMMARY,
     TABLES,
     TOTAL,
@@ -117,12 +121,14 @@ def _read_table(db: sqlite3.Connection, table: Table, report: Repaired) -> list[
 def _both_ways(db: sqlite3.Connection, table: Table, report: Repaired) -> list[Row]:
     """Rows from the front until the damage, and from the back until the damage; columns as they were made."""
     rows: list[Row] = []
-    if table.since > 1 and not db.execute("SELECT 1 FROM sqlite_master WHERE name = ?", (table.name,)).fetchone():
-        return rows  # a ledger of an older version
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    version = version if OLDEST_VERSION <= version <= SCHEMA_VERSION else SCHEMA_VERSION
+    if table.since > version:
+        return rows
     for order in ("ASC", "DESC"):
         cursor = db.cursor()
         try:
-            rows.extend(cursor.execute(f"SELECT * FROM {table.name} ORDER BY rowid {order}"))
+            rows.extend(cursor.execute(f"{table.select(version)} ORDER BY rowid {order}"))
             break
         except DAMAGE as error:
             report.repaired.append(f"{table.name}: reading ({order}) stopped at damage: {error}")
@@ -245,7 +251,10 @@ def _spans(rows: dict[str, list[Row]], run: str, sums: RunSums) -> dict[int, Spa
     """The sums of each stretch of a run's belt, added up again; what was seen of it as intact old sums have it."""
     book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
     tubers = (tuber_from(tuber[:-1]) for tuber in rows[TUBER.name] if tuber[0] == run)
-    counted = recounted_spans(tubers, book.spans.get(run, []), histogram_step_g=sums.load.histogram_step_g)
+    bodies = (body_from(body[:-1]) for body in rows[FOREIGN.name] if body[0] == run)
+    counted = recounted_spans(
+        chain(tubers, bodies), book.spans.get(run, []), histogram_step_g=sums.load.histogram_step_g
+    )
     old = {key[1]: SpanSums.from_text(key[3]).seen for key in rows[LOAD_TOTAL.name] if key[0] == run}
     return {n: SpanSums(load, old.get(n)) for n, load in counted.items()}
 

@@ -33,6 +33,7 @@ def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
     restored = Restored(
         begun=True,
         tubers=sums.last_tuber_id,
+        bodies=sums.last_body_id,
         watermark_x_m=batch[2] if batch else math.inf,
         head_start_m=sums.head_start_m,
         sights=dict(sums.sights),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.machine import Applied, Observation
-from aggregator.ledger.schema import row
-from conveyor.messages import Mark, Tuber
+from aggregator.ledger.schema import SIZE_COLUMNS, row
+from conveyor.messages import Mark, Sizes, Tuber
 
 
 def entry_row(applied: Applied) -> tuple[Any, ...]:
@@ -39,6 +41,8 @@ def tuber_row(tuber: Tuber) -> tuple[Any, ...]:
             json.dumps(tuber.flags),
             json.dumps(tuber.cameras),
             json.dumps(tuber.tracks),
+            *sizes_columns(tuber.sizes),
+            None if tuber.log_odds is None else float(tuber.log_odds),
         )
     )
 
@@ -66,6 +70,54 @@ def tuber_from(columns: Sequence[Any]) -> Tuber:
         flags=tuple(json.loads(flags)),
         cameras=tuple(json.loads(cameras)),
         tracks=tuple(json.loads(tracks)),
+        sizes=None if columns[17] is None else Sizes(*columns[17:25]),
+        log_odds=columns[25],
+    )
+
+
+def sizes_columns(sizes: Sizes | None) -> tuple[float | None, ...]:
+    """Sizes as columns of table `tuber`, in the order of `SIZE_COLUMNS`."""
+    if sizes is None:
+        return (None,) * len(SIZE_COLUMNS)
+    return tuple(float(getattr(sizes, field.name)) for field in fields(sizes))
+
+
+def body_row(body: ForeignBody) -> tuple[Any, ...]:
+    """Row of table `foreign_body`."""
+    numbers = (body.place_x_m, body.place_y_m), (body.length_mm, body.width_mm, body.height_mm, body.volume_ml)
+    return row(
+        (
+            body.run,
+            body.body_id,
+            body.crossed_ns,
+            *(float(value) for value in numbers[0]),
+            body.kind,
+            *(float(value) for value in numbers[1]),
+            json.dumps(body.cameras),
+            json.dumps(body.tracks),
+            None if body.log_odds is None else float(body.log_odds),
+        )
+    )
+
+
+def body_from(columns: Sequence[Any]) -> ForeignBody:
+    """The body of a row (columns in the table's order, `crc` left out)."""
+    run, body_id, crossed_ns, x_m, y_m, kind, length_mm, width_mm, height_mm, volume_ml = columns[:10]
+    cameras, tracks, log_odds = columns[10:13]
+    return ForeignBody(
+        body_id=body_id,
+        run=run,
+        crossed_ns=crossed_ns,
+        place_x_m=x_m,
+        place_y_m=y_m,
+        kind=kind,
+        length_mm=length_mm,
+        width_mm=width_mm,
+        height_mm=height_mm,
+        volume_ml=volume_ml,
+        cameras=tuple(json.loads(cameras)),
+        tracks=tuple(json.loads(tracks)),
+        log_odds=log_odds,
     )
 
 

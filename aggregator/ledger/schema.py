@@ -1,7 +1,8 @@
 """The ledger's tables. Rows are written once, carry a checksum and are never changed; but for the sums of a run
 (`total`) and of a stretch of its belt (`load_total`), which move on by one with each transaction.
 
-A row's `crc` is the CRC-32 of its other columns as one MessagePack list, in the order given here.
+A row's `crc` is the CRC-32 of its other columns as one MessagePack list, in the order given here; without the columns
+at its end that hold nothing, so that a column added later changes no row that was written before.
 """
 
 from __future__ import annotations
@@ -13,21 +14,27 @@ from typing import Any
 
 import msgpack
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 OLDEST_VERSION = 1
 """Read as it is, and brought up to date when it is written to (`aggregator.ledger.migrate`)."""
 APPLICATION_ID = 0x54554252
 """'TUBR' in the file's header: this SQLite file is a ledger."""
 
+_NAMES_OF_VERSION_1 = {("batch", "watermark_x_m"): "line_x_m"}
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table: its columns (name and SQL type, without `crc`), its key, and the schema version it came with."""
+    """One table: its columns (name and SQL type, without `crc`), its key, and the schema version it came with.
+
+    `added`: columns that came later, each with its version; such columns stand last and may hold nothing.
+    """
 
     name: str
     columns: tuple[tuple[str, str], ...]
     key: str
     since: int = 1
+    added: tuple[tuple[str, int], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,10 +53,21 @@ class Table:
         marks = ", ".join("?" * (len(self.columns) + 1))
         return f"INSERT INTO {self.name} ({', '.join(self.names)}, crc) VALUES ({marks})"
 
-    @property
-    def select(self) -> str:
-        """SQL that reads all columns, `crc` last."""
-        return f"SELECT {', '.join(self.names)}, crc FROM {self.name}"
+    def select(self, version: int) -> str:
+        """SQL that reads all columns, `crc` last, from a ledger of `version`: those it lacks as NULL."""
+        names = [
+            _NAMES_OF_VERSION_1.get((self.name, name), name) if version == 1 else name
+            for name in self.names
+            if dict(self.added).get(name, 1) <= version
+        ]
+        lacking = ["NULL"] * (len(self.names) - len(names))
+        return f"SELECT {', '.join([*names, *lacking, 'crc'])} FROM {self.name}"
+
+    def additions(self, version: int) -> list[str]:
+        """SQL that adds the columns which came after `version`."""
+        kinds = dict(self.columns)
+        later = [name for name, since in self.added if self.since <= version < since]
+        return [f"ALTER TABLE {self.name} ADD COLUMN {name} {kinds[name]}" for name in later]
 
 
 def row(values: Sequence[Any]) -> tuple[Any, ...]:
@@ -59,8 +77,11 @@ def row(values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def checksum(values: Sequence[Any]) -> int:
-    """CRC-32 of a row's columns."""
-    return zlib.crc32(msgpack.packb(list(values)))
+    """CRC-32 of a row's columns; None at its end counts for nothing."""
+    said = list(values)
+    while said and said[-1] is None:
+        said.pop()
+    return zlib.crc32(msgpack.packb(said))
 
 
 RUN = Table(
@@ -87,6 +108,12 @@ ENTRY = Table(
     ),
     "run, camera, n",
 )
+SIZE_COLUMNS = tuple(
+    f"{prefix}{name}{suffix}_mm"
+    for suffix in ("", "_sd")
+    for prefix, name in (("caliper_", "length"), ("caliper_", "width"), ("caliper_", "thickness"), ("", "mesh"))
+)
+"""Of `conveyor.messages.Sizes`, in its order; NULL where nothing is said, as in ledgers before version 4."""
 TUBER = Table(
     "tuber",
     (
@@ -107,8 +134,10 @@ TUBER = Table(
         ("flags", "TEXT NOT NULL"),
         ("cameras", "TEXT NOT NULL"),
         ("tracks", "TEXT NOT NULL"),
+        *((name, "REAL") for name in (*SIZE_COLUMNS, "log_odds")),
     ),
     "run, tuber_id",
+    added=tuple((name, 4) for name in (*SIZE_COLUMNS, "log_odds")),
 )
 OBSERVATION = Table(
     "observation",
@@ -154,6 +183,27 @@ BATCH = Table(
     ),
     "seq",
 )
+FOREIGN = Table(
+    "foreign_body",
+    (
+        ("run", "TEXT NOT NULL"),
+        ("body_id", "INTEGER NOT NULL"),
+        ("crossed_ns", "INTEGER NOT NULL"),
+        ("place_x_m", "REAL NOT NULL"),
+        ("place_y_m", "REAL NOT NULL"),
+        ("kind", "TEXT NOT NULL"),
+        ("length_mm", "REAL NOT NULL"),
+        ("width_mm", "REAL NOT NULL"),
+        ("height_mm", "REAL NOT NULL"),
+        ("volume_ml", "REAL NOT NULL"),
+        ("cameras", "TEXT NOT NULL"),
+        ("tracks", "TEXT NOT NULL"),
+        ("log_odds", "REAL"),
+    ),
+    "run, body_id",
+    since=4,
+)
+"""Clods, stones and haulm that were refused."""
 SUMMARY = Table("summary", (("run", "TEXT NOT NULL"), ("payload", "TEXT NOT NULL")), "run")
 
 LOAD_EVENT = Table(
@@ -196,7 +246,7 @@ LOAD_TOTAL = Table(
 """The sums of a stretch of a run's belt, from one change of loads to the next; `span` is the event that began it, 0 for
 the run's beginning. There are none where no load was started: then the run is one load."""
 
-WRITTEN_ONCE: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY, LOAD_EVENT)
+WRITTEN_ONCE: tuple[Table, ...] = (RUN, ENTRY, TUBER, OBSERVATION, COVERAGE, BATCH, SUMMARY, LOAD_EVENT, FOREIGN)
 MOVING: tuple[Table, ...] = (TOTAL, LOAD_TOTAL)
 TABLES: tuple[Table, ...] = (*WRITTEN_ONCE, *MOVING)
 
@@ -234,14 +284,21 @@ def load_definition() -> list[str]:
     ]
 
 
+def foreign_definition() -> list[str]:
+    """SQL that version 4 adds, beside columns."""
+    return [FOREIGN.create, *(_never(FOREIGN.name, verb) for verb in ("UPDATE", "DELETE"))]
+
+
 def definition() -> list[str]:
     """All SQL statements of an empty ledger: tables, indexes, and triggers that keep rows as they were written."""
+    first = [table for table in WRITTEN_ONCE if table.since == 1]
     return [
-        *(table.create for table in WRITTEN_ONCE if table is not LOAD_EVENT),
+        *(table.create for table in first),
         *INDEXES,
-        *(_never(table.name, v) for table in WRITTEN_ONCE if table is not LOAD_EVENT for v in ("UPDATE", "DELETE")),
+        *(_never(table.name, verb) for table in first for verb in ("UPDATE", "DELETE")),
         *moving_definition(TOTAL),
         *load_definition(),
+        *foreign_definition(),
         f"PRAGMA application_id = {APPLICATION_ID}",
         f"PRAGMA user_version = {SCHEMA_VERSION}",
     ]

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.machine import Batch, Observation
 from aggregator.core.reasons import Role
@@ -45,6 +46,7 @@ class RunSums:
     set_aside: dict[str, int] = field(default_factory=dict)
     counted: int = 0
     last_tuber_id: int = 0
+    last_body_id: int = 0
     head_start_m: float | None = None
     sights: dict[str, CameraSight] = field(default_factory=dict)
 
@@ -78,6 +80,11 @@ class RunSums:
         self.load.add(tuber)
         self.last_tuber_id = max(self.last_tuber_id, tuber.tuber_id)
 
+    def add_body(self, body: ForeignBody) -> None:
+        """A clod, a stone or haulm."""
+        self.load.add(body)
+        self.last_body_id = max(self.last_body_id, body.body_id)
+
     def add_batch(self, batch: Batch) -> None:
         """Everything of a transaction but the rows' own checksums."""
         for applied in batch.entries:
@@ -87,6 +94,8 @@ class RunSums:
                 self.add_track(applied.logged.entry.camera)
         for tuber in batch.tubers:
             self.add_tuber(tuber)
+        for body in batch.bodies:
+            self.add_body(body)
         for seen in batch.observations:
             self.add_observation(seen.camera, seen.role.value)
         self.counted += _counted(batch.observations)

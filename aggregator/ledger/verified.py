@@ -26,8 +26,6 @@ from conveyor.errors import LedgerError
 
 Row = tuple[Any, ...]
 
-_NAMES_OF_VERSION_1 = {("batch", "watermark_x_m"): "line_x_m"}
-
 
 class LedgerView:
     """Reads the ledger at `path` through an open connection; `version` is that of its schema."""
@@ -66,7 +64,7 @@ class LedgerView:
         if self.version < table.since:
             return
         with explained(self.path, f"reading table {table.name}"):
-            for *columns, crc in self._db.execute(f"{self._select(table)} {where}", arguments):
+            for *columns, crc in self._db.execute(f"{table.select(self.version)} {where}", arguments):
                 yield tuple(columns), checksum(columns) == crc
 
     def tally(self, sql: str) -> list[Row]:
@@ -85,12 +83,6 @@ class LedgerView:
             return list(self._db.execute(f"PRAGMA {name}"))
         except DAMAGE as error:
             return [(str(error),)]
-
-    def _select(self, table: Table) -> str:
-        if self.version >= 2:
-            return table.select
-        names = [_NAMES_OF_VERSION_1.get((table.name, name), name) for name in table.names]
-        return f"SELECT {', '.join(names)}, crc FROM {table.name}"
 
 
 def named_key(table: Table, found: Row) -> str:

@@ -26,14 +26,15 @@ from aggregator.ledger.faults import explained
 from aggregator.ledger.load_keeper import LoadKeeper
 from aggregator.ledger.load_rows import SpanSums
 from aggregator.ledger.migrate import migrate
-from aggregator.ledger.reader import RunRow, read_last_batch, read_run, read_runs, read_sums, read_tubers
+from aggregator.ledger.reader import RunRow, read_bodies, read_last_batch, read_run, read_runs, read_sums, read_tubers
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
 from aggregator.ledger.resume import restore
-from aggregator.ledger.rows import coverage_row, entry_row, observation_row, tuber_row
+from aggregator.ledger.rows import body_row, coverage_row, entry_row, observation_row, tuber_row
 from aggregator.ledger.schema import (
     BATCH,
     COVERAGE,
     ENTRY,
+    FOREIGN,
     OBSERVATION,
     RUN,
     SCHEMA_VERSION,
@@ -194,6 +195,9 @@ class Ledger:
             for tuber in read_tubers(self.view, run):
                 sums.load.add(tuber)
                 self._loads.add_again(run, tuber)
+            for body in read_bodies(self.view, run):
+                sums.load.add(body)
+                self._loads.add_again(run, body)
         else:
             for tuber in read_tubers(self.view, run, since=max(0, sums.last_tuber_id - RATE_TUBERS)):
                 sums.load.passed(tuber.crossed_ns)
@@ -229,13 +233,14 @@ class Ledger:
             COVERAGE: [coverage_row(run, camera, n, mark) for camera, n, mark in marks if mark is not None],
             TUBER: [tuber_row(tuber) for tuber in batch.tubers],
             OBSERVATION: [observation_row(run, seen) for seen in batch.observations],
+            FOREIGN: [body_row(body) for body in batch.bodies],
         }
         for table, rows in added.items():
             self._db.executemany(table.insert, rows)
             sums.add_rows(table, rows)
             self._step(f"{table.name} written")
         sums.add_batch(batch)
-        self._loads.count(run, batch.tubers)
+        self._loads.count(run, [*batch.tubers, *batch.bodies])
         self._number(run, sums, batch.watermark_x_m)
 
     def _number(self, run: str, sums: RunSums, watermark_x_m: float) -> None:

@@ -17,6 +17,8 @@ HALF_M = (0.010, 0.042)
 HARD_NEGATIVE_HALF_M = (0.015, 0.046)
 FINE_RMS, WORN_RMS = (0.03, 0.07), (0.0, 0.03)
 """Fine roughness of a clod, as a share of its radius, and of one that was rained on or rolled about."""
+DENSITY_G_ML = {"clod": 1.6, "stone": 2.6, "haulm": 0.5, "leaf": 0.5}
+"""Of what is simulated, by kind: moist loam, rock, wilted stalks."""
 LUMP_FALL, LUMP_RMS, LUMP_FINEST = (0.5, 1.2), (0.06, 0.12), (7.0, 15.0)
 """Relief of a clod without any fine roughness: how fast it falls off, its share of the radius, its finest waves."""
 

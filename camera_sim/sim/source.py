@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from camera_sim.sim.distractors import DENSITY_G_ML
 from camera_sim.sim.faults import plan_faults
+from camera_sim.sim.meshes import volume
 from camera_sim.sim.paint import paint_jpeg
 from camera_sim.sim.raster import Canvas
 from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
@@ -22,6 +24,10 @@ from conveyor.messages import Frame
 
 EPOCH_NS = 1_760_000_000_000_000_000
 """Capture time of every simulated belt's start: recordings of one seed are equal, whenever they are made."""
+
+
+FOREIGN_KEYS = ("kind", "weight_g", "volume_ml", "place_x_m", "place_y_m")
+"""What truth.json says of each body that is no tuber, under 'foreign'."""
 
 
 class SimulatedSource:
@@ -196,6 +202,7 @@ def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
         "distractors": len(distractors),
         "distractor_kinds": {kind: distractors.count(kind) for kind in sorted(set(distractors))},
         "distractor_places": others,
+        "foreign": [{key: row[key] for key in FOREIGN_KEYS} for row in others],
         "travel_m": world.motion.travel_at(world.motion.duration_s),
     }
 
@@ -210,8 +217,11 @@ def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Bo
 
 def _distractor_row(body: Body, cameras: list[str], place: NDArray[np.float64]) -> dict[str, Any]:
     reach_m = float(np.ptp(body.vertices[:, :2], axis=0).max()) / 2
+    volume_ml = abs(volume(body.vertices, body.faces)) * 1e6
     return {
         "kind": body.kind,
+        "volume_ml": round(volume_ml, 2),
+        "weight_g": round(volume_ml * DENSITY_G_ML[body.kind], 2),
         "place_x_m": round(float(place[0]), 5),
         "place_y_m": round(float(place[1]), 5),
         "reach_mm": round(reach_m * 1000, 2),
@@ -237,6 +247,7 @@ def _truth_row(body: Body, cameras: list[str], place: NDArray[np.float64]) -> di
         "length_mm": round(length, 2),
         "width_mm": round(width, 2),
         "height_mm": round(height, 2),
+        "square_mesh_mm": round(tuber.square_mesh_mm, 2),
         "place_x_m": round(float(place[0]), 5),
         "place_y_m": round(float(place[1]), 5),
         "top_mm": round(float(body.vertices[:, 2].max()) * 1000, 2),

@@ -9,6 +9,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.cultivars import Recipe, Stock, draw_recipe
+from camera_sim.sim.mesh_size import square_mesh_m
 from camera_sim.sim.meshes import Faces, Vertices, icosphere, volume
 
 LEVEL = 4
@@ -25,6 +26,7 @@ class Tuber:
         faces: (F, 3) outward.
         axes_mm: sorted caliper axes, the sides of that box.
         volume_ml, weight_g: of the mesh, and times the density drawn for it.
+        bare: (V, 3) the tuber without its jacket of soil, where `vertices` have one; None: they have none.
     """
 
     vertices: Vertices
@@ -33,6 +35,12 @@ class Tuber:
     volume_ml: float
     weight_g: float
     stock: Stock
+    bare: Vertices | None = None
+
+    @property
+    def square_mesh_mm(self) -> float:
+        """Side of the smallest square hole that it passes without its soil (`camera_sim.sim.mesh_size`)."""
+        return 1000 * square_mesh_m(self.vertices if self.bare is None else self.bare)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +87,8 @@ def with_jacket(tuber: Tuber, rng: Generator, *, mean_m: float) -> Tuber:
     far = np.linalg.norm(tuber.vertices, axis=1, keepdims=True)
     patches = smooth_relief(rng, tuber.vertices / far, rms=0.8, finest=9.0)
     thickness = mean_m * np.maximum(1 + patches, 0.0)
-    return replace(tuber, vertices=tuber.vertices * (1 + thickness[:, None] / far))
+    soiled = tuber.vertices * (1 + thickness[:, None] / far)
+    return replace(tuber, vertices=soiled, bare=tuber.vertices)
 
 
 def smooth_relief(

@@ -1,17 +1,22 @@
 """Every message that crosses a process boundary. `conveyor.topics` says which topic carries which."""
 
 from conveyor.messages.base import Message
+from conveyor.messages.classes import ClassTotal
+from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
 from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
 from conveyor.messages.positions import Position
 from conveyor.messages.reports import Counters, Totals, Tuber
+from conveyor.messages.sizes import Sizes
 from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, WeighedView
 from conveyor.messages.views import View, Weight
 
 __all__ = [
     "CameraInfo",
+    "ClassTotal",
     "Committed",
     "Counters",
+    "ForeignTotal",
     "Frame",
     "FrameProgress",
     "LoadAnswer",
@@ -20,6 +25,7 @@ __all__ = [
     "Mark",
     "Message",
     "Position",
+    "Sizes",
     "Totals",
     "Track",
     "TrackEntry",

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from conveyor.messages.base import Message
+from conveyor.messages.classes import ClassTotal
+from conveyor.messages.foreign import ForeignTotal
 from conveyor.ranges import BeltPlace, Count, Items, Line, LoadGrams, Name, Range, Text, Word, Yes
 
 Told = Annotated[str, Text(256, r"^[^\x00-\x1f\x7f]*$")]
@@ -96,3 +98,5 @@ class LoadNow:
     belt_m: BeltPlace
     unseen_m: Annotated[dict[Word, BeltPlace], Items(64)]
     calibrated_by: Line = ""
+    classes: Annotated[tuple[ClassTotal, ...], Items(32)] = ()
+    foreign: ForeignTotal | None = None

@@ -6,7 +6,10 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from conveyor.messages.base import Message
+from conveyor.messages.classes import ClassTotal
+from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.loads import LoadNow
+from conveyor.messages.sizes import Sizes
 from conveyor.ranges import (
     BeltPlace,
     Count,
@@ -31,7 +34,9 @@ class Tuber(Message):
 
     `place_x_m`, `place_y_m` are its place on the belt (x - travel, y). `low_g`, `high_g` bound the 90 % interval of
     its fused weight. `cameras` saw it, `tracks` are their track ids. `method` is 'pointraft', or 'volume' where no
-    view could be weighed.
+    view could be weighed. `length_mm`, `width_mm`, `height_mm` are of its visible outline and its height above the
+    resting level; `sizes` are those of the whole tuber, None where no view says them.
+    `log_odds`: of tuber against clod, stone or haulm, as the classifier believes; None where it was not asked.
     """
 
     tuber_id: Count
@@ -51,6 +56,8 @@ class Tuber(Message):
     flags: Words
     cameras: Annotated[tuple[Name, ...], Items(256)]
     tracks: Annotated[tuple[Id, ...], Items(1024)]
+    sizes: Sizes | None = None
+    log_odds: Annotated[float, Range(-1000, 1000, "")] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +74,9 @@ class Totals(Message):
     why) or 'ended'. `belt_m` is the belt from the load's first metre to its last, as far as known; `unseen_m` what of
     it was not seen, by reason, metres in the mean of the cameras. On `layered_m` of it tubers lie in more than one
     layer: `hidden` of them, `hidden_g` grams, are estimated to lie under others; they are in the estimate alone.
+
+    `classes` are those of the contract, named and measured as `contract` says; none without one.
+    `foreign` is what is no tuber: clods, stones, haulm.
     """
 
     run: Name
@@ -95,6 +105,9 @@ class Totals(Message):
     hidden: Annotated[float, Range(0, 1e15, "tubers")] = 0.0
     hidden_g: LoadGrams = 0.0
     layered_m: BeltPlace = 0.0
+    contract: Line = ""
+    classes: Annotated[tuple[ClassTotal, ...], Items(32)] = ()
+    foreign: ForeignTotal | None = None
 
     @property
     def no_number(self) -> bool:

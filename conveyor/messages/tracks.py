@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from conveyor.messages.base import Message
+from conveyor.messages.sizes import Sizes
 from conveyor.ranges import (
     INT64_MAX,
     MAX_COUNT,
@@ -29,12 +30,13 @@ from conveyor.ranges import (
     Yes,
 )
 
+Kind = Literal["tuber", "lump", "haulm"]
 EntryNumber = Annotated[int, Range(1, MAX_COUNT, "entries")]
 
 
 @dataclass(frozen=True, slots=True)
 class WeighedView:
-    """One view's answer inside a finished track."""
+    """One view's answer inside a finished track; `sizes` None: by a regressor that says none."""
 
     view_id: Id
     seq: Seq
@@ -44,6 +46,7 @@ class WeighedView:
     method: Literal["pointraft", "volume"]
     model: Model
     flags: Words
+    sizes: Sizes | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,8 @@ class Track:
         views_lost: views sent to a regressor without an answer to use, by reason.
         support_mm: height of the tubers that it lies on; 0 on the belt. Its height and volume are from there up.
         flags: what was wrong with the camera meanwhile (`conveyor.camera_flags`).
+        kind: 'tuber'; or 'lump' (a clod or a stone) or 'haulm', which the segmenter refused and no one weighs.
+        log_odds: of tuber against other, as the segmenter's classifier believes; None: it was not asked.
     """
 
     track_id: Id
@@ -84,6 +89,8 @@ class Track:
     views_lost: Counts
     support_mm: Millimetres = 0.0
     flags: Words = ()
+    kind: Kind = "tuber"
+    log_odds: Annotated[float, Range(-1000, 1000, "")] | None = None
 
     @property
     def place_x_m(self) -> float:
@@ -104,7 +111,8 @@ class Mark:
         frames: published (as far as known), received, processed, gaps, and drops by reason ('dropped_<reason>'):
             received = processed + drops, published = received + gaps.
         views: sent, weighed, and 'lost_<reason>': sent = weighed + lost + outstanding.
-        tracks: opened, counted, open, and 'discarded_<reason>': opened = counted + discarded + open.
+        tracks: opened, counted, open, and 'discarded_<reason>': opened = counted + discarded + open; 'foreign' of the
+            discarded are in the log as what they are.
     """
 
     captured_ns: Nanoseconds

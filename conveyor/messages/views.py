@@ -19,6 +19,7 @@ from conveyor.geometry import (
 )
 from conveyor.messages.base import ArraySpec, Message
 from conveyor.messages.frames import POSE
+from conveyor.messages.sizes import Sizes
 from conveyor.ranges import DepthScale, Id, Model, Name, Nanoseconds, Range, Seq, ViewGrams, Word, Words
 from conveyor.resting import RestingLevel
 
@@ -117,6 +118,7 @@ class Weight(Message):
         method: 'pointraft', or 'volume' where the network could not be used.
         model: name and hash of the weights that weighed it.
         flags: what was out of the model's range, e.g. 'belt_distance', 'few_points', 'extent'.
+        sizes: how large the tuber is by this view; None where nothing is said of it.
     """
 
     view_id: Id
@@ -133,6 +135,7 @@ class Weight(Message):
     flags: Words
     regressor: Name
     reason: Word = ""
+    sizes: Sizes | None = None
 
     def __post_init__(self) -> None:
         if (self.status == "weighed") != (None not in (self.weight_g, self.low_g, self.high_g)):

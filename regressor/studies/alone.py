@@ -60,6 +60,7 @@ class PointNetScale:
             method="pointraft",
             model=self._sidecar.model_id,
             flags=cloud.flags,
+            sizes=None,
         )
 
 

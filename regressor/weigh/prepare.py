@@ -57,6 +57,7 @@ class PreparedCloud:
         surface: volume under the visible surface and outline measures.
         flags: what is unusual about this cloud.
         resting_offset_m: how far the resting level lies below the belt.
+        centre_m: where the mean of all points lies in the level frame, metres.
     """
 
     points: NDArray[np.float32]
@@ -65,6 +66,7 @@ class PreparedCloud:
     surface: SurfaceFeatures
     flags: tuple[str, ...]
     resting_offset_m: float = 0.0
+    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def clamped_height_m(self, highest_m: float = MAX_HEIGHT_M) -> float:
         """The height the network sees, metres: 0 to 80 mm as in the paper, or what its weights were trained with."""
@@ -200,7 +202,8 @@ def _finish(
 ) -> PreparedCloud:
     height_m = distance_m + resting_offset_m - float(level[:, 2].min())
     points = level.astype(np.float32)
-    points -= points.mean(axis=0, dtype=np.float64).astype(np.float32)
+    centre = points.mean(axis=0, dtype=np.float64).astype(np.float32)
+    points -= centre
     flags = []
     if len(points) <= NETWORK_POINTS:
         flags.append("few_points")
@@ -208,7 +211,8 @@ def _finish(
     box = np.array([axis.max() - axis.min() for axis in points.T])
     if float(np.linalg.norm(box)) >= MAX_EXTENT_M:
         flags.append("extent")
-    return PreparedCloud(points, height_m, distance_m, surface, tuple(flags), resting_offset_m)
+    x_m, y_m, z_m = (float(value) for value in centre)
+    return PreparedCloud(points, height_m, distance_m, surface, tuple(flags), resting_offset_m, (x_m, y_m, z_m))
 
 
 def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:

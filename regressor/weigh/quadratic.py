@@ -15,9 +15,11 @@ RIDGE = 3e-3
 CLIP_SHARE = 0.001
 
 
-def terms_of(features: NDArray[np.float64], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """(n, k) of (n, 17) features as in `NAMES`: the logarithm of a feature with a unit, the feature itself else."""
-    columns = [features[:, NAMES.index(name)] for name in names]
+def terms_of(
+    features: NDArray[np.float64], names: tuple[str, ...], *, known: tuple[str, ...] = NAMES
+) -> NDArray[np.float64]:
+    """(n, k) of (n, m) features as in `known`: the logarithm of a feature with a unit, the feature itself else."""
+    columns = [features[:, known.index(name)] for name in names]
     logs = [np.log(np.maximum(c, 1e-3)) if n.endswith(UNITS) else c for n, c in zip(names, columns, strict=True)]
     return np.column_stack(logs)
 
@@ -39,7 +41,7 @@ def ranges_of(terms: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
 class QuadraticRule:
     """intercept + sum(coefficients * terms) + sum(products * pairs of terms), over all features.
 
-    All terms are clipped to `low`..`high`, what the fit saw, and the value to `least`..`most`.
+    All terms are clipped to `low`..`high`, what the fit saw, and the value to `least`..`most`. `names`: the features.
     """
 
     intercept: float
@@ -49,30 +51,35 @@ class QuadraticRule:
     high: tuple[float, ...]
     least: float
     most: float
+    names: tuple[str, ...] = NAMES
 
     def values(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) of (n, 17) features in the order of `NAMES`."""
+        """(n,) of (n, k) features in the order of `names`."""
         low, high = np.array(self.low), np.array(self.high)
-        terms = np.clip(terms_of(features, NAMES), low, high)
+        terms = np.clip(terms_of(features, self.names, known=self.names), low, high)
         found = self.intercept + terms @ np.array(self.coefficients)
         found = found + pairs_of(terms, low, high) @ np.array(self.products)
         clipped: NDArray[np.float64] = np.clip(found, self.least, self.most)
         return clipped
 
     def to_json(self) -> dict[str, Any]:
-        """For the sidecar of a checkpoint."""
-        return asdict(self)
+        """For the sidecar of a checkpoint; names only where they are not those of every surface."""
+        return {name: value for name, value in asdict(self).items() if name != "names" or self.names != NAMES}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> QuadraticRule:
         """From the sidecar of a checkpoint."""
         lists = {name: tuple(float(v) for v in data[name]) for name in ("coefficients", "products", "low", "high")}
-        return cls(intercept=float(data["intercept"]), least=float(data["least"]), most=float(data["most"]), **lists)
+        names = tuple(str(name) for name in data.get("names", NAMES))
+        least, most = float(data["least"]), float(data["most"])
+        return cls(intercept=float(data["intercept"]), least=least, most=most, names=names, **lists)
 
 
-def fit_quadratic(features: NDArray[np.float64], target: NDArray[np.float64]) -> QuadraticRule:
-    """Ridge-regularised least squares of (n,) targets on (n, 17) features."""
-    terms = terms_of(features, NAMES)
+def fit_quadratic(
+    features: NDArray[np.float64], target: NDArray[np.float64], *, names: tuple[str, ...] = NAMES
+) -> QuadraticRule:
+    """Ridge-regularised least squares of (n,) targets on (n, k) features in the order of `names`."""
+    terms = terms_of(features, names, known=names)
     low, high = ranges_of(terms)
     terms = np.clip(terms, low, high)
     columns = np.column_stack([terms, pairs_of(terms, low, high)])
@@ -83,10 +90,11 @@ def fit_quadratic(features: NDArray[np.float64], target: NDArray[np.float64]) ->
     least, most = np.quantile(target, [CLIP_SHARE, 1 - CLIP_SHARE])
     return QuadraticRule(
         intercept=float(target.mean() - centre @ slopes),
-        coefficients=tuple(slopes[: len(NAMES)].tolist()),
-        products=tuple(slopes[len(NAMES) :].tolist()),
+        coefficients=tuple(slopes[: len(names)].tolist()),
+        products=tuple(slopes[len(names) :].tolist()),
         low=tuple(low.tolist()),
         high=tuple(high.tolist()),
         least=float(least),
         most=float(most),
+        names=names,
     )

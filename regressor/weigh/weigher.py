@@ -16,6 +16,7 @@ from conveyor.camera_range import camera_range
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
+from conveyor.messages.sizes import Sizes
 from conveyor.statistics import NORMAL_90
 from regressor.network.batched import BatchedPointRaft
 from regressor.network.checkpoint import Sidecar, load_checkpoint
@@ -23,6 +24,7 @@ from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
 from regressor.network.pointraft import PointRaft
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
+from regressor.weigh.sizes import load_rules, size_features
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
@@ -36,6 +38,7 @@ class Weighed:
     """A weight and the 90 % interval of this view alone, grams; `flags` say what was unusual.
 
     `network_g` and `volume_g` are what it is made of: the network's answer (None without one) and the volume rule's.
+    `sizes`: of the whole tuber; None by weights that are only studied.
     """
 
     weight_g: float
@@ -46,6 +49,7 @@ class Weighed:
     method: Literal["pointraft", "volume"]
     model: str
     flags: tuple[str, ...]
+    sizes: Sizes | None
 
 
 class Weigher:
@@ -132,15 +136,16 @@ class Weigher:
         return cloud.clamped_height_m(self.sidecar.input.max_height_m)
 
     def _weighed(self, cloud: PreparedCloud, network_g: float | None, level_sd_m: float) -> Weighed:
-        """The weight with its interval and flags, from the network's answer."""
+        """The weight with its interval, sizes and flags, from the network's answer."""
         by_volume_g = self._volume.weight_g(cloud.surface)
         if network_g is None:
-            return self._by_volume(by_volume_g, cloud.flags)
+            return self._by_volume(cloud, by_volume_g, cloud.flags, level_sd_m=level_sd_m)
         if not np.isfinite(network_g) or network_g <= 0:
-            return self._by_volume(by_volume_g, (*cloud.flags, "network_failed"))
+            return self._by_volume(cloud, by_volume_g, (*cloud.flags, "network_failed"), level_sd_m=level_sd_m)
         parts = np.array([network_g]), np.array([by_volume_g])
         weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
-        low, high = self._bounds(cloud, weight_g, network_g, by_volume_g, level_sd_m)
+        terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
+        low, high = self._bounds(weight_g, terms)
         form = self.form.flags if self._together is None else (BATCHED,)
         return Weighed(
             weight_g=round(weight_g, 3),
@@ -151,9 +156,12 @@ class Weigher:
             method="pointraft",
             model=self.sidecar.model_id,
             flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *form),
+            sizes=load_rules().sizes(size_features(cloud), terms),
         )
 
-    def _by_volume(self, weight_g: float, flags: tuple[str, ...]) -> Weighed:
+    def _by_volume(
+        self, cloud: PreparedCloud, weight_g: float, flags: tuple[str, ...], *, level_sd_m: float
+    ) -> Weighed:
         factor = float(np.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05)))
         return Weighed(
             weight_g=round(weight_g, 3),
@@ -164,19 +172,14 @@ class Weigher:
             method="volume",
             model=VOLUME_MODEL,
             flags=flags,
+            sizes=load_rules().sizes(size_features(cloud), _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
         )
 
-    def _bounds(
-        self, cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, level_sd_m: float
-    ) -> tuple[float, float]:
+    def _bounds(self, weight_g: float, terms: NDArray[np.float64]) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        weight, network, by_volume, height, belt_sd = (
-            np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, level_sd_m)
-        )
-        terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, belt_sd)
-        low, high = self._interval.bounds_g(np.array([weight_g]), terms)
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None])
         return float(low[0]), float(high[0])
 
     def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
@@ -189,6 +192,17 @@ class Weigher:
             "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
         }
         return tuple(name for name, fine in checks.items() if not fine)
+
+
+def _terms(
+    cloud: PreparedCloud, weight_g: float, network_g: float, by_volume_g: float, level_sd_m: float
+) -> NDArray[np.float64]:
+    """(6,) of `view_terms`."""
+    weight, network, by_volume, height, level_sd = (
+        np.array([value]) for value in (weight_g, network_g, by_volume_g, cloud.height_m, level_sd_m)
+    )
+    terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, level_sd)
+    return np.asarray(terms[0], np.float64)
 
 
 def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
@@ -241,6 +255,7 @@ def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -
         model=weighed.model,
         flags=(*weighed.flags, *_camera_flags(weigher.sidecar, view)),
         regressor=regressor,
+        sizes=weighed.sizes,
     )
     try:
         weight.check()

@@ -47,6 +47,16 @@ class Weighing:
     def __len__(self) -> int:
         return len(self._waiting)
 
+    @property
+    def tubers(self) -> int:
+        """Tubers that wait."""
+        return len(self._waiting) - self.foreign
+
+    @property
+    def foreign(self) -> int:
+        """Clods, stones and haulm that wait for their turn in the log."""
+        return sum(waiting.closed.track.kind != "tuber" for waiting in self._waiting.values())
+
     def add(self, closed: ClosedTrack, now_s: float) -> None:
         """Start to wait for the weights of a track."""
         self._waiting[closed.track.track_id] = _Waiting(closed, self._added, now_s + self._deadline_s)
@@ -72,6 +82,7 @@ class Weighing:
             method=weight.method,
             model=weight.model,
             flags=weight.flags,
+            sizes=weight.sizes,
         )
 
     def lost(self, view: LostView) -> None:

@@ -17,6 +17,7 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
+from segmenter.track.foreign import foreign_kind
 from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers, evidence
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
@@ -26,6 +27,7 @@ REJECTED_KEPT = 1000
 """Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
 EARLY_FRAMES = 3
 """Seen in fewer frames, a track is too young for its views to be weighed before it is decided."""
+MOST_ODDS = 1000.0
 MAY_IMPROVE = (TrackRefusal.FEW_FRAMES, TrackRefusal.FRAGMENT)
 """A track refused so is decided later while it is still in view: more frames may show it."""
 
@@ -50,6 +52,9 @@ class TrackDecider:
     ) -> None:
         self.counted = 0
         self.discarded: Counter[TrackRefusal] = Counter()
+        self.foreign: list[Track] = []
+        """Refused since `take_foreign`, in the order in which they were decided."""
+        self.foreign_kept = 0
         self.rejected: deque[Crossing] = deque(maxlen=REJECTED_KEPT)
         self._settings = settings
         self._perception = perception
@@ -94,6 +99,11 @@ class TrackDecider:
         view = _view(candidate, rank, track_id, now, self._belt_sd_m).resting_on(level)
         return replace(view, view_id=f"{view.view_id}-on-others") if high_m > 0 else view
 
+    def take_foreign(self) -> tuple[Track, ...]:
+        """What was refused as a clod, a stone or haulm since the last call."""
+        taken, self.foreign = tuple(self.foreign), []
+        return taken
+
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
         """What becomes of a track; None where it is not due."""
         tracker, travel_m = now.tracker, now.follower.travel_m
@@ -108,7 +118,7 @@ class TrackDecider:
         if reason is not None:
             return RefusedTrack(reason)
         decision = self._measured(track, at, now)
-        if decision == RefusedTrack(TrackRefusal.DISTRACTOR):
+        if isinstance(decision, RefusedTrack) and decision.reason is TrackRefusal.DISTRACTOR:
             self.rejected.append(at)
         return decision
 
@@ -124,7 +134,8 @@ class TrackDecider:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
             track.answer = self._perception.classify(track.patch)
             reason = class_refusal(track.answer, self._settings)
-        if reason is not None:
+        kind = foreign_kind(reason, length_m=length_m, width_m=width_m)
+        if reason is not None and kind is None:
             return RefusedTrack(reason)
         track_id = _track_id(track, now)
         high_m = self._layers.support_m(track.rims, _around(track, now.tracker))
@@ -135,16 +146,24 @@ class TrackDecider:
         message = _message(
             track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m, high_m=high_m
         )
+        if kind is not None or track.answer is not None:
+            log_odds = None if track.answer is None else min(max(track.answer.log_odds, -MOST_ODDS), MOST_ODDS)
+            message = replace(message, kind=kind or "tuber", log_odds=log_odds)
         try:
             check_part(message)
         except UnsendableError:
-            return RefusedTrack(TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
+            return RefusedTrack(reason or TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
+        if reason is not None:
+            return RefusedTrack(reason, message)
         return ClosedTrack(message, views, track.answer)
 
     def _book(self, track: TrackState, decision: Decision) -> None:
         if isinstance(decision, RefusedTrack):
             track.state, track.reason = State.DISCARDED, decision.reason
             self.discarded[decision.reason] += 1
+            if decision.foreign is not None:
+                self.foreign.append(decision.foreign)
+                self.foreign_kept += 1
         else:
             track.state = State.COUNTED
             self.counted += 1

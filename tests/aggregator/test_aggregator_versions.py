@@ -28,7 +28,7 @@ from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, undisturbed
 
 DATA = Path(__file__).parent / "data"
-MIGRATION_STEPS = {"v0_1_unfinished": 18, "v2_unfinished": 13}
+MIGRATION_STEPS = {"v0_1_unfinished": 30, "v2_unfinished": 25}
 
 
 def copied(name: str, folder: Path) -> Path:

@@ -102,6 +102,28 @@ def test_the_log_holds_every_tuber_once_with_its_weights_and_a_final_mark(frames
     assert last.looked_at_m == last.travelled_m == pytest.approx((FRAMES - 1) * STEP_M)
 
 
+def test_what_is_refused_as_no_tuber_is_logged_as_what_it_is(frames: list[Frame]) -> None:
+    """All that the classifier was asked about is refused here; no one weighs it, and each is in the log once."""
+    core = replace(SETTINGS.core, count=replace(SETTINGS.core.count, reject_below=1e6))
+    run = CameraRun("front", "r1", replace(SETTINGS, core=core), None)
+    with run.log:
+        views = play(run, frames, names={"a"})
+        views += finish(run, 2.1, {"a"})
+        log = entries(run)
+    tracks = [entry.track for entry in log if entry.track is not None]
+    last = log[-1].mark
+    assert last is not None
+    assert last.final
+    lumps = [track for track in tracks if track.kind == "lump"]
+    assert len(lumps) == last.tracks["foreign"] == last.tracks["discarded_distractor"] > 0
+    assert len(tracks) == last.tracks["foreign"] + last.tracks["counted"] == len(BODIES)
+    assert all(t.log_odds is not None and t.views == () and t.views_sent == 0 for t in lumps)
+    assert all(t.visible_volume_ml > 10 and t.length_mm >= t.width_mm > 20 for t in lumps)
+    assert len(views) == 3 * (len(tracks) - len(lumps))
+    opened = last.tracks["counted"] + last.tracks["open"] + last.tracks["discarded_distractor"]
+    assert last.tracks["opened"] >= opened
+
+
 def test_marks_never_promise_what_a_later_entry_breaks(frames: list[Frame]) -> None:
     run = CameraRun("front", "r1", SETTINGS, None)
     run.open()

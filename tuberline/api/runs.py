@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
 from aggregator.ledger.totals_by import Total, totals_by
-from conveyor.messages import LoadNow, Totals, Tuber
+from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
 
@@ -132,5 +132,14 @@ def read_totals(
 
 def _totals(values: dict[str, Any]) -> Totals:
     load = values.get("load")
-    loads = {"load": LoadNow(**load)} if load else {}
-    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads})
+    loads = {"load": LoadNow(**{**load, **_parts(load)})} if load else {}
+    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads, **_parts(values)})
+
+
+def _parts(values: dict[str, Any]) -> dict[str, Any]:
+    """Classes and foreign matter of a load as messages."""
+    foreign = values.get("foreign")
+    return {
+        "classes": tuple(ClassTotal(**each) for each in values.get("classes", ())),
+        "foreign": ForeignTotal(**foreign) if foreign else None,
+    }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cyclopts import App
 
-ledger = App(name="ledger", help="Check, repair or export a ledger; add up its loads.")
+ledger = App(name="ledger", help="Check, repair or export a ledger; add up its loads; its classes of size.")
 
 
 @ledger.command
@@ -87,3 +87,36 @@ def export(path: Path, /, *, canonical: bool = False, run: str | None = None) ->
         chosen = the_run(db, file, run)
         for line in canonical_lines(db, chosen) if canonical else full_lines(db, chosen):
             sys.stdout.write(line + "\n")
+
+
+@ledger.command
+def classes(path: Path, /, *, contract: Path, run: str | None = None, json: bool = False) -> None:
+    """A run by the classes of a contract, and each load of it.
+
+    Parameters
+    ----------
+    path
+        Folder of a run (with its ledger.db), or the ledger itself.
+    contract
+        A buyer's classes of size (TOML).
+    run
+        Which run, where the ledger holds several.
+    json
+        Print the classes as JSON on stdout.
+    """
+    from aggregator.ledger.class_list import told_classes
+    from aggregator.ledger.reader import ledger_file, reading
+    from conveyor.contract import read_contract
+
+    wanted, file = read_contract(contract), ledger_file(path)
+    with reading(file) as view:
+        told = told_classes(view, file, wanted, run=run)
+    if json:
+        sys.stdout.write(json_module.dumps(told, indent=2) + "\n")
+        return
+    from rich.console import Console
+
+    from tuberline.cli.class_table import class_table
+
+    for each in told:
+        Console().print(class_table(f"{each['name']}, {wanted.told}", each["classes"]))

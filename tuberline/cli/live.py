@@ -14,6 +14,7 @@ from rich.text import Text
 
 from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, LoadNow, Totals
+from tuberline.cli.class_table import classes_line
 
 _SHOWN = {
     "camera": ("frames_published", "frames_resent"),
@@ -107,6 +108,8 @@ def totals_panel(totals: Totals | None) -> Panel:
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
+    lit = classes_line(totals.load.classes if totals.load else totals.classes)
+    text += f"\n{lit}" if lit else ""
     if totals.load is not None:
         return Panel(Text.from_markup(f"{_so_far(totals.load)}\nrun: {text}"), title=_load_title(totals.load))
     return Panel(text, title=title)

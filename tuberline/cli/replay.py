@@ -23,6 +23,7 @@ def replay(
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
     resting_sd_mm: float | None = None,
+    contract: Path | None = None,
     resume: bool = False,
     json: bool = False,
 ) -> None:
@@ -48,6 +49,8 @@ def replay(
         How far tubers' undersides lie below the belt distance, millimetres; default: what the recording states.
     resting_sd_mm
         How well that is known, standard deviation in millimetres.
+    contract
+        A buyer's classes of size (TOML): count and weight of each come with the totals.
     resume
         Go on with a replay into the same folder that was killed or gave up. The options of its first start hold.
     json
@@ -68,6 +71,7 @@ def replay(
             ignore_masks=ignore_masks,
             resting_offset_mm=resting_offset_mm,
             resting_sd_mm=resting_sd_mm,
+            contract=contract,
             show=not json,
         )
     if json:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from conveyor.layers import layers_in_words
+from tuberline.cli.class_table import class_table, foreign_line
 from tuberline.cli.live import histogram_lines
 
 REASONS = {
@@ -18,6 +19,10 @@ REASONS = {
     "camera_never_looked": "under a camera that never looked",
 }
 """Why belt was not seen (`aggregator.core.reasons.Unseen`), in words."""
+
+
+WORTH_TELLING_PERCENT = 0.5
+"""Of foreign matter, where none was refused: less is the classifier's doubt alone."""
 
 
 def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> None:
@@ -57,6 +62,10 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     console.print(table)
     for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
         console.print(line, highlight=False)
+    if (foreign := totals.get("foreign")) and (foreign["kinds"] or foreign["percent"] >= WORTH_TELLING_PERCENT):
+        console.print(foreign_line(foreign), highlight=False)
+    if totals.get("classes"):
+        console.print(class_table(totals["contract"], totals["classes"]))
 
 
 def _calibration(totals: dict[str, Any]) -> list[tuple[str, str]]:

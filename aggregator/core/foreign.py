@@ -1,0 +1,143 @@
+"""What is no tuber: bodies made of refused tracks, counted once like tubers, and what all of a load come to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from aggregator.core.merge import Group
+from conveyor.messages import Tuber
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignBody:
+    """A clod, a stone ('lump') or haulm, merged over cameras by its place.
+
+    `volume_ml` is what lies under its visible surface; `log_odds` of tuber against other, None where only its shape
+    tells what it is.
+    """
+
+    body_id: int
+    run: str
+    crossed_ns: int
+    place_x_m: float
+    place_y_m: float
+    kind: str
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    volume_ml: float
+    cameras: tuple[str, ...]
+    tracks: tuple[str, ...]
+    log_odds: float | None = None
+
+
+def is_foreign(group: Group) -> bool:
+    """No camera took any track of the group for a tuber's."""
+    return all(member.track.kind != "tuber" for member in group.members)
+
+
+def make_body(group: Group, *, run: str, body_id: int) -> ForeignBody:
+    """The body that all tracks of `group` saw; a lump where any camera took it for one."""
+    members = sorted(group.members, key=lambda member: (member.camera, member.track.first_seq, member.track.track_id))
+    sized = [member.track for member in group.best]
+    return ForeignBody(
+        body_id=body_id,
+        run=run,
+        crossed_ns=min(member.track.crossed_ns for member in members),
+        place_x_m=group.place_x_m,
+        place_y_m=group.place_y_m,
+        kind="lump" if any(member.track.kind == "lump" for member in members) else "haulm",
+        length_mm=sum(track.length_mm for track in sized) / len(sized),
+        width_mm=sum(track.width_mm for track in sized) / len(sized),
+        height_mm=sum(track.height_mm for track in sized) / len(sized),
+        volume_ml=sum(track.visible_volume_ml for track in sized) / len(sized),
+        cameras=tuple(sorted({member.camera for member in members})),
+        tracks=tuple(member.track.track_id for member in members),
+        log_odds=mean_odds(group),
+    )
+
+
+def mean_odds(group: Group) -> float | None:
+    """What the classifiers believe of a group, in the mean of those that were asked."""
+    said = [member.track.log_odds for member in group.members if member.track.log_odds is not None]
+    return sum(said) / len(said) if said else None
+
+
+def chance_of_tuber(log_odds: float) -> float:
+    """Probability of a tuber."""
+    return 1 / (1 + math.exp(min(max(-log_odds, -60.0), 60.0)))
+
+
+@dataclass(slots=True)
+class ForeignSums:
+    """Sums over bodies and over what the classifier doubted of tubers.
+
+    Attributes:
+        bodies: by kind, their number and the sum of their visible volumes, ml.
+        squares_ml2: sum of squared volumes.
+        doubt_tubers, doubt_bodies: by what they were taken for, sums of the chance that it was the other, of
+            p (1 - p), and of grams or ml times that chance.
+    """
+
+    bodies: dict[str, list[float]] = field(default_factory=dict)
+    squares_ml2: float = 0.0
+    doubt_tubers: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    doubt_bodies: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+    def add(self, body: ForeignBody) -> None:
+        """Count one body."""
+        own = self.bodies.setdefault(body.kind, [0, 0.0])
+        own[0] += 1
+        own[1] += body.volume_ml
+        self.squares_ml2 += body.volume_ml**2
+        if body.log_odds is not None:
+            _doubt(self.doubt_bodies, chance_of_tuber(body.log_odds), body.volume_ml)
+
+    def add_tuber(self, tuber: Tuber) -> None:
+        """Take a tuber's doubt into account."""
+        if tuber.log_odds is not None:
+            _doubt(self.doubt_tubers, 1 - chance_of_tuber(tuber.log_odds), tuber.weight_g)
+
+    def take(self, other: Self) -> None:
+        """Add what `other` counted."""
+        for kind, more in other.bodies.items():
+            own = self.bodies.setdefault(kind, [0, 0.0])
+            own[0] += more[0]
+            own[1] += more[1]
+        self.squares_ml2 += other.squares_ml2
+        for mine, more in ((self.doubt_tubers, other.doubt_tubers), (self.doubt_bodies, other.doubt_bodies)):
+            mine[:] = [a + b for a, b in zip(mine, more, strict=True)]
+
+    @property
+    def count(self) -> int:
+        """Bodies of all kinds."""
+        return int(sum(own[0] for own in self.bodies.values()))
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON keeps it; empty where nothing foreign was seen and nothing doubted."""
+        told = {
+            "bodies": {kind: list(own) for kind, own in sorted(self.bodies.items())},
+            "squares_ml2": self.squares_ml2,
+            "doubt_tubers": self.doubt_tubers,
+            "doubt_bodies": self.doubt_bodies,
+        }
+        return told if self.bodies or any(self.doubt_tubers) else {}
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
+        """Back from `plain`."""
+        found = cls()
+        found.bodies = {kind: list(own) for kind, own in plain.get("bodies", {}).items()}
+        found.squares_ml2 = plain.get("squares_ml2", 0.0)
+        found.doubt_tubers = list(plain.get("doubt_tubers", found.doubt_tubers))
+        found.doubt_bodies = list(plain.get("doubt_bodies", found.doubt_bodies))
+        return found
+
+
+def _doubt(sums: list[float], chance: float, size: float) -> None:
+    sums[0] += chance
+    sums[1] += chance * (1 - chance)
+    sums[2] += chance * size

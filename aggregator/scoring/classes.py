@@ -1,0 +1,55 @@
+"""A run's classes of size against the truth: shares of weight, as the contract cuts them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from aggregator.core.class_totals import class_totals
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
+from conveyor.contract import Contract
+from conveyor.errors import InputError
+from conveyor.messages.base import plain
+
+TRUE_KEYS = {"mesh": "square_mesh_mm", "length": "length_mm"}
+
+
+def true_percents(truth: Path, contract: Contract) -> list[float]:
+    """The true share of weight of each class, percent.
+
+    Raises:
+        InputError: the truth does not say how large its tubers are by that measure.
+    """
+    key = TRUE_KEYS[contract.measure]
+    try:
+        rows = json.loads(truth.read_text(encoding="utf-8"))["tubers"]
+        tubers = [(float(row[key]), float(row["weight_g"])) for row in rows]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"truth {truth} says no '{key}' of each tuber ({error!r}), so its classes are not known; record it again "
+            "with `tuberline simulate`"
+        ) from error
+    total_g = sum(weight_g for _, weight_g in tubers)
+    return [
+        100 * sum(g for mm, g in tubers if each.low_mm <= mm < each.high_mm) / total_g if total_g else 0.0
+        for each in contract.classes
+    ]
+
+
+def score_classes(path: Path, *, truth: Path, contract: Contract, run: str | None = None) -> list[dict[str, Any]]:
+    """Each class as plain `ClassTotal` with its `true_percent`.
+
+    Raises:
+        LedgerError: no ledger, or not that run. InputError: the truth does not say sizes.
+    """
+    expected = true_percents(truth, contract)
+    ledger = ledger_file(path)
+    sums = LoadSums(50.0)
+    with reading(ledger) as view:
+        for tuber in read_tubers(view, the_run(view, ledger, run).run):
+            sums.add(tuber)
+    found = class_totals(LoadTotals(sums), contract)
+    return [{**plain(each), "true_percent": percent} for each, percent in zip(found, expected, strict=False)]

@@ -1,0 +1,115 @@
+"""Share of foreign matter by count and weight on simulated belts whose clods, stones and haulm are known.
+
+    python -m benchmarks foreign --out runs/foreign --docs docs/sizes.md
+
+The segmenter's core runs over belts with none to many others among the tubers; each is kept as OUT/<belt>.json. Of the
+others those count that are of a tuber's size: so large that a smallest tuber could be as large.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from aggregator.core.foreign import ForeignBody
+from aggregator.core.foreign_totals import foreign_total
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.totals import LoadTotals
+from benchmarks.figures_in_docs import put_table
+from benchmarks.foreign_belts import PLANS, kept
+from conveyor.config import ForeignConfig
+from conveyor.messages import Tuber
+
+LEAST_TOP_MM, LEAST_VOLUME_ML = 18.0, 12.0
+"""Of a body of a tuber's size: as `CountSettings` has them for tubers."""
+SIMULATED = ForeignConfig(stone_share=0.29)
+"""Densities of the simulator, and its share of stones among clods and stones."""
+VOLUME_G_PER_ML = 0.94
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Make what is not kept yet, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks foreign", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/foreign"))
+    parser.add_argument("--belts", choices=sorted(PLANS), default="judge")
+    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for plan in PLANS[given.belts]:
+        groups.setdefault(f"{plan.preset}, {plan.others:g} others a tuber", []).append(kept(given.out, plan))
+    text = table(groups)
+    print(text)
+    if given.docs:
+        put_table(given.docs, "foreign", text)
+
+
+def large(row: dict[str, Any]) -> bool:
+    """A true body of a tuber's size."""
+    return row["top_mm"] >= LEAST_TOP_MM and row["volume_ml"] >= LEAST_VOLUME_ML and row["kind"] in ("clod", "stone")
+
+
+def table(groups: dict[str, list[dict[str, Any]]]) -> str:
+    """Markdown: share by count and by weight, estimated with its interval, and true."""
+    lines = [
+        "| belts | tubers | others | % by count | true | off | % by weight | true | off |",
+        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for name, belts in groups.items():
+        sums = LoadSums(50.0)
+        for belt in belts:
+            add(sums, belt)
+        found = foreign_total(LoadTotals(sums), SIMULATED)
+        tubers = [row for belt in belts for row in belt["tubers"]]
+        others = [row for belt in belts for row in belt["foreign"] if large(row)]
+        count = 100 * len(others) / (len(others) + len(tubers))
+        grams = [sum(row["weight_g"] for row in rows) for rows in (others, tubers)]
+        weight = 100 * grams[0] / sum(grams)
+        if found is None:
+            continue
+        lines.append(
+            f"| {name} | {len(tubers)} | {len(others)} "
+            f"| {found.percent:.1f} ({found.percent_low:.1f} to {found.percent_high:.1f}) | {count:.1f} "
+            f"| {found.percent - count:+.1f} "
+            f"| {found.weight_percent:.1f} ({found.weight_percent_low:.1f} to {found.weight_percent_high:.1f}) "
+            f"| {weight:.1f} | {found.weight_percent - weight:+.1f} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def add(sums: LoadSums, belt: dict[str, Any]) -> None:
+    """The tracks of a belt as an aggregator counts them; tubers weigh by their visible volume."""
+    for n, track in enumerate(belt["tracks"]):
+        place = track["crossed_x_m"] - track["travel_m"], track["y_m"]
+        size = (track["length_mm"], track["width_mm"], track["height_mm"])
+        common = ("front",), (track["track_id"],)
+        if track["kind"] == "tuber":
+            grams = VOLUME_G_PER_ML * track["visible_volume_ml"]
+            sums.add(
+                Tuber(
+                    n + 1, "foreign", track["crossed_ns"], *place, grams, 0.8 * grams, 1.2 * grams, *size,
+                    0, "volume", "", (), *common, log_odds=track["log_odds"],
+                )
+            )  # fmt: skip
+        else:
+            sums.add(
+                ForeignBody(
+                    n + 1, "foreign", track["crossed_ns"], *place, track["kind"], *size,
+                    track["visible_volume_ml"], *common, track["log_odds"],
+                )
+            )  # fmt: skip
+
+
+def filling(belts: Sequence[dict[str, Any]]) -> float:
+    """Median of true volume over visible volume, of lumps that were refused: what `FILLED` was set by."""
+    ratios = [
+        track["true_volume_ml"] / track["visible_volume_ml"]
+        for belt in belts
+        for track in belt["tracks"]
+        if track["kind"] == "lump" and track["truly"] in ("clod", "stone")
+    ]
+    return float(np.median(ratios))
