@@ -57,8 +57,8 @@ def row(values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def checksum(values: Sequence[Any]) -> int:
-    """CRC-32 of a row's columns."""
-    return zlib.crc32(msgpack.packb(list(values)))
+    """CRC-32 of a row's columns; -0.0 counts as the 0.0 that SQLite gives back for it."""
+    return zlib.crc32(msgpack.packb([value + 0.0 if isinstance(value, float) else value for value in values]))
 
 
 RUN = Table(
