@@ -213,8 +213,8 @@ class CameraRun:
             for n, view in enumerate(track.views):
                 if (answer := early.answers.get(view.view_id)) is not None:
                     self.weighing.weighed(answer, now_s)
-                elif (loss := early.losses.get(view.view_id)) is not None:
-                    self.weighing.lost(loss)
+                elif (before := early.losses.get(view.view_id)) is not None:
+                    self.weighing.lost(before)
                 else:
                     spare = n >= self.budget.views
                     self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=bool(early.answers))

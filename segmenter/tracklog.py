@@ -138,7 +138,7 @@ class TrackLog:
         if self._entries:
             self._unsent_from = self._entries[0].n
 
-    def _restore(self, store: LogStore) -> None:
+    def _restore(self, store: LogStore | LogWriter) -> None:
         stored = store.load()
         self.committed = stored.committed
         self._next = stored.newest + 1

@@ -119,7 +119,8 @@ def flood(
                 if nodes[near, RELIEF] > highest:
                     highest = nodes[near, RELIEF]
                     home = near
-                meet = meet or (first >= 0 and parent != first)
+                if first >= 0 and parent != first:
+                    meet = True
                 first = parent
         if home < 0:
             nodes[cell, PARENT] = cell
