@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from types import TracebackType
 from typing import Self
@@ -13,6 +14,8 @@ from conveyor.direct import DirectLink, direct_endpoint
 from conveyor.messages import Frame
 from conveyor.node import Node
 
+ALONE_S = 10.0
+
 
 class FrameOutlet:
     """Publishes frames, each encoded once. A context manager.
@@ -23,10 +26,12 @@ class FrameOutlet:
 
     def __init__(self, node: Node, config: LineConfig, *, codec: str) -> None:
         self._counters = node.counters
+        self._log = node.log
         self._codec = codec
+        self._alone_since_s, self._told = time.monotonic(), False
         self._stack = ExitStack()
         self._by_router = LatestPublisher(node, topics.FRAME, camera=node.name)
-        endpoint = direct_endpoint(config.camera(node.name), node.name)
+        endpoint = self._endpoint = direct_endpoint(config.camera(node.name), node.name)
         self._direct: LatestPublisher | None = None
         if endpoint is not None:
             link = self._stack.enter_context(DirectLink.open(node, endpoint, link=config.link, listens=False))
@@ -42,6 +47,19 @@ class FrameOutlet:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
+    def _watch(self, to_direct: bool) -> None:
+        """Frames that no segmenter gets are told once, and again when it was there."""
+        now_s = time.monotonic()
+        if self._direct is None or to_direct:
+            self._alone_since_s, self._told = now_s, False
+        elif not self._told and now_s - self._alone_since_s >= ALONE_S:
+            self._told = True
+            self._log.warning(
+                "no segmenter at %s for %.0f s: is it told the same (cameras.NAME.direct)?",
+                self._endpoint,
+                ALONE_S,
+            )
+
     @property
     def has_segmenter(self) -> bool:
         """The segmenter listens; without a direct link, somebody does."""
@@ -51,6 +69,7 @@ class FrameOutlet:
         """Send `frame` to everyone who listens now. Returns at once; a loss shows at the receiver as a gap."""
         to_router = self._by_router.has_listener
         to_direct = self._direct is not None and self._direct.has_listener
+        self._watch(to_direct)
         if not (to_router or to_direct):
             return
         data = frame.encode(codec=self._codec)

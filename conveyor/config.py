@@ -161,7 +161,7 @@ class SegmenterConfig(Section):
     min_frames: int = Field(3, ge=1, le=30, description="a track seen in fewer frames is not counted")
     views_per_tuber: int = Field(3, ge=1, le=16, description="views weighed per tuber")
     max_age_ms: float = Field(500.0, ge=50, le=60000, description="live: frames older than this are dropped, counted")
-    ring: int = Field(3, ge=1, le=64, description="live: newest frames kept while busy")
+    ring: int = Field(6, ge=1, le=64, description="live: newest frames kept while busy, until max_age_ms")
     credits: int = Field(2, ge=1, le=16, description="views in flight per regressor, more for a quick one, 16 at most")
     job_deadline_s: float = Field(
         5.0, ge=0.2, le=120, description="a view not answered by then goes to another one; live: sooner"
@@ -200,7 +200,7 @@ class RegressorConfig(Section):
     weights: Path | None = Field(None, description="safetensors or upstream .pth; default: the shipped ones")
     threads: int = Field(1, ge=1, le=64, description="threads inside one worker; one worker per core beats threads")
     nice: int = Field(
-        10, ge=0, le=19, description="how far weighing stands back for looking on one machine: a frame cannot wait"
+        5, ge=0, le=19, description="how far weighing stands back for looking on one machine: a frame cannot wait"
     )
     device: Literal["cpu", "cuda"] = Field(
         "cpu", description="what the network runs on; cuda weighs many views at once"

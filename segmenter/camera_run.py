@@ -276,7 +276,7 @@ class CameraRun:
             travel_m=self.core.travel_m,
             travel_estimated=self.core.estimated,
             complete_ns=complete_ns,
-            complete_place_x_m=place_m,
+            complete_place_x_m=place_m + 0.0,  # never -0.0, which SQLite gives back as 0.0
             final=final,
             looked_at_m=self.core.looked_at_m,
             travelled_m=self.core.travelled_m,

@@ -219,13 +219,19 @@ class Supervisor:
             child.heartbeat.close()
         child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
         environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
-        environment |= {**child.heartbeat.environment, DIRECT: self._direct}
+        environment |= {**child.heartbeat.environment, DIRECT: self._direct if self._has_both_ends(child.spec) else ""}
         command = [sys.executable, "-m", "tuberline", *child.spec.args]
         with contextlib.ExitStack() as stack:
             path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
             stderr = stack.enter_context(path.open("ab")) if path else None
             child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
         child.started = time.monotonic()
+
+    def _has_both_ends(self, spec: ProcessSpec) -> bool:
+        """The camera and its segmenter are both ours: only then they meet in our folder."""
+        ends = {"camera": "segmenter", "segmenter": "camera"}
+        other = (ends.get(spec.args[0], ""), *spec.args[1:])
+        return any(child.spec.args == other for child in self._children)
 
     def _exited(self, child: _Child, code: int, now: float) -> None:
         child.process = None

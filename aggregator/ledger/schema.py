@@ -77,8 +77,8 @@ def row(values: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def checksum(values: Sequence[Any]) -> int:
-    """CRC-32 of a row's columns; None at its end counts for nothing."""
-    said = list(values)
+    """CRC-32 of a row's columns; None at its end counts for nothing, and -0.0 as the 0.0 that SQLite gives back."""
+    said = [value + 0.0 if isinstance(value, float) else value for value in values]
     while said and said[-1] is None:
         said.pop()
     return zlib.crc32(msgpack.packb(said))

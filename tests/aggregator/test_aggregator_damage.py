@@ -17,7 +17,7 @@ from aggregator.ledger.check import check_file
 from aggregator.ledger.reader import reading, the_run
 from aggregator.ledger.receipt import read_receipt, receipt_path
 from aggregator.ledger.repair import repair
-from aggregator.ledger.schema import SCHEMA_VERSION
+from aggregator.ledger.schema import SCHEMA_VERSION, checksum
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import LedgerError
 from tests.aggregator.belt_story import tell
@@ -264,3 +264,15 @@ def test_the_receipt_survives_a_torn_write(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(LedgerError, match="damaged"):
         read_receipt(path)
+
+
+def test_a_minus_zero_is_no_damage() -> None:
+    """The last mark of a camera that never saw a frame lies at place -0.0: the aggregator could not read it back, and
+    ended the line.
+    """
+    with sqlite3.connect(":memory:") as db:
+        db.execute("CREATE TABLE t (x REAL NOT NULL) STRICT")
+        db.execute("INSERT INTO t VALUES (-0.0)")
+        (back,) = db.execute("SELECT x FROM t").fetchone()
+    assert checksum((back,)) == checksum((-0.0,))
+    assert checksum((1.5, -2.0, "a", None, 3)) != checksum((1.5, 2.0, "a", None, 3))

@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 from conveyor import topics
-from conveyor.config import CameraConfig, LinkConfig, parse_config
+from conveyor.config import CameraConfig, LineConfig, LinkConfig, parse_config
 from conveyor.delivery import LatestSubscriber
 from conveyor.direct import ENVIRONMENT, LONGEST_PATH, direct_endpoint
 from conveyor.errors import ConfigError
 from conveyor.formats import describe_recording
 from conveyor.messages import Frame
-from tests.camera_sim.camera_process import OtherSide, line, other_side, process
+from tests.camera_sim.camera_process import RUN, OtherSide, line, other_side, process
 from tests.conftest import start_router, wait_until
+from tuberline.processes import line_processes
+from tuberline.supervisor import Supervisor
 
 pytestmark = pytest.mark.graph
 
@@ -109,3 +111,16 @@ def test_where_frames_go_is_the_configs_or_the_supervisors_choice(monkeypatch: p
 def test_the_direct_link_is_of_this_host(endpoint: str) -> None:
     with pytest.raises(ConfigError, match=r"cameras\.front\.direct"):
         parse_config({"cameras": {"front": {"direct": endpoint}}}, where="test")
+
+
+def test_a_supervisor_gives_its_folder_to_cameras_whose_segmenter_it_runs_too(tmp_path: Path) -> None:
+    """Else the two would wait for each other in different folders, and the segmenter would see nothing."""
+    config = LineConfig(cameras={"front": CameraConfig(), "rear": CameraConfig()})
+    specs = {spec.name: spec for spec in line_processes(config, config_path=tmp_path / "line.toml", run=RUN)}
+    whole = Supervisor(list(specs.values()))
+    assert {name for name, spec in specs.items() if whole._has_both_ends(spec)} == {
+        "camera-front", "camera-rear", "segmenter-front", "segmenter-rear",
+    }  # fmt: skip
+    apart = Supervisor([specs["camera-front"], specs["segmenter-rear"]])
+    assert not apart._has_both_ends(specs["camera-front"])
+    assert not apart._has_both_ends(specs["segmenter-rear"])

@@ -26,7 +26,7 @@ def test_every_key_is_there_with_its_meaning() -> None:
 
 def test_a_row_says_what_is_checked() -> None:
     ring = explained("segmenter.ring")
-    assert (ring.type, ring.default, ring.range, ring.unit) == ("whole number", "`3`", "from 1 to 64", "frames")
+    assert (ring.type, ring.default, ring.range, ring.unit) == ("whole number", "`6`", "from 1 to 64", "frames")
     for value, fine in ((0, False), (1, True), (64, True), (65, False)):
         if fine:
             parse_config({"segmenter": {"ring": value}}, where="test")
