@@ -195,7 +195,7 @@ def table(cause_rows: list[CauseRow], load_rows: list[LoadRow]) -> str:
         corrected = [row.with_percent for row in of_loads]
         lines.append(
             f"| {kind} | {len(rows)} | {right} | {shift:.2f} | {drift:.3f} | {len(of_loads)} "
-            f"| {_spread(without)} | {np.mean(corrected or [0.0]):+.2f}, {_spread(corrected)} |"
+            f"| {_spread(without)} | {f'{np.mean(corrected):+.2f}, ' if corrected else ''}{_spread(corrected)} |"
         )
     return "\n".join(lines)
 
@@ -206,6 +206,12 @@ def _spread(percents: list[float]) -> str:
 
 def _rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _save(path: Path | None, cause_rows: list[CauseRow], load_rows: list[LoadRow]) -> None:
+    if path is not None:
+        report = {"causes": [asdict(row) for row in cause_rows], "loads": [asdict(row) for row in load_rows]}
+        path.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def main(arguments: list[str]) -> None:
@@ -230,12 +236,11 @@ def main(arguments: list[str]) -> None:
         for row in causes(kind, range(options.seed, options.seed + options.worlds)):
             cause_rows.append(row)
             print("right" if row.right else "WRONG", row, flush=True)
+        _save(options.out, cause_rows, load_rows)
         for load in loads(kind, range(options.seed + 500, options.seed + 500 + options.loads)):
             load_rows.append(load)
             print(load, flush=True)
-        if options.out:
-            report = {"causes": [asdict(r) for r in cause_rows], "loads": [asdict(r) for r in load_rows]}
-            options.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        _save(options.out, cause_rows, load_rows)
     text = table(cause_rows, load_rows)
     print(text)
     if options.page:
