@@ -1,6 +1,6 @@
 """Takes out of an installed environment what no program of it reads: `slim.py ENVIRONMENT`, while an image is built.
 
-The libraries' own tests and headers, the installers, debugging symbols of compiled modules (where `strip` is
+The libraries' own tests, headers and stubs, the installers, debugging symbols of compiled modules (where `strip` is
 there), and the bytecode of those parts of large libraries that nothing of ours imports.
 """
 
@@ -19,6 +19,8 @@ UNUSED = tuple(f"scipy/{part}" for part in ("cluster", "datasets", "io", "odr", 
 """Parts of scipy that nothing here imports; every import of scipy in our sources is tried after they are gone."""
 STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh", "zstandard")
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""
+SOURCES = (".pyi", ".pyx", ".pxd", ".h", ".hpp", ".c", ".a")
+"""Endings of what only compilers and type checkers read."""
 OURS = ("conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer", "tuberline")
 LARGE = ("scipy", "numpy", "torch", "sympy", "networkx", "rerun")
 
@@ -32,6 +34,8 @@ def slim(site: Path) -> None:
     for folder in [*list(site.rglob("tests")), *(site / name for name in FOR_DEVELOPERS + UNUSED)]:
         if folder.is_dir():
             shutil.rmtree(folder)
+    for file in [file for file in site.rglob("*") if file.suffix in SOURCES]:
+        file.unlink()
     for name in INSTALLERS:
         for found in [site / name, *site.glob(f"{name}-*.dist-info")]:
             if found.is_dir():

@@ -138,8 +138,8 @@ def main() -> None:
     finally:
         engine.close()
         if not given.keep:
-            for name in ("storage", "run", "base", "networks"):
-                shutil.rmtree(folder / name, ignore_errors=True)
+            engine.remove()
+            shutil.rmtree(folder / "base", ignore_errors=True)
             (folder / "base.ready").unlink(missing_ok=True)
 
 

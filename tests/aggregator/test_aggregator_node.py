@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from conveyor import topics
+from conveyor import __version__, topics
 from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
 from conveyor.geometry import Intrinsics
-from conveyor.messages import CameraInfo, Committed, TrackEntry, Tuber
+from conveyor.messages import CameraInfo, Committed, Counters, TrackEntry, Tuber
 from conveyor.node import Node
 from conveyor.observer import Observer
 from conveyor.wire import pack, unpack
@@ -178,6 +178,27 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
     )
     assert audited.returncode == 0, audited.stdout
     assert json.loads(audited.stdout)["finished"] is False
+
+
+def test_a_node_of_another_version_is_told_and_stands_in_the_summary(
+    line: tuple[LineConfig, Path], process: Process
+) -> None:
+    config, _ = line
+    old = Counters("regressor", "barn", "story", 7, "barn-pc", "0.0.9", 1.0, {}, {})
+    with Node("observer", "watch", config=config, run="story") as node, Observer(config.link, line="t") as observer:
+        reports = KeptPublisher(node, topics.COUNTERS, role="regressor", name="barn")
+        wait_until(lambda: "aggregator/aggregator" in observer.alive(), what="the aggregator", timeout_s=40)
+        summary = config.aggregator.out / "summary.json"
+
+        assert process.popen.stderr is not None
+        reports.put(old)
+        words = next(text for text in process.popen.stderr if "0.0.9" in text)
+        assert f"regressor/barn on barn-pc runs tuberline 0.0.9, the ledger is kept by {__version__}" in words
+    process.popen.terminate()
+    assert process.end()[0] == 0
+    found = json.loads(summary.read_text())
+    assert found["software"] == __version__
+    assert found["other_versions"]["regressor/barn"] == "0.0.9"
 
 
 class Spoilt(TrackEntry):
