@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,7 +93,7 @@ def _look(realsense_only: bool) -> tuple[list[Found], str]:
     )
 
 
-def _choose(found: list[Found], where_none: str) -> Sequence[Found]:
+def _choose(found: list[Found], where_none: str) -> list[Found]:
     """All cameras of one kind that is live, or the one that is chosen."""
     if not found:
         raise InputError(where_none)
