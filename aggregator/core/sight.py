@@ -21,7 +21,9 @@ mark before the next one does."""
 SAMPLES = 96
 """Of (time, s) per camera, for the speed and for laying cameras side by side; beyond it older ones thin out."""
 
-SPEED_OVER_NS = 1_000_000_000
+FIRST_SPEED_NS, LAST_SPEED_NS = 5_000_000_000, 2_000_000_000
+"""Over so much of the marks the belt's first and last speed are taken. Without an encoder, and with few frames on a
+busy machine, the first second of a belt is known to a quarter."""
 WHOLE = 1e-6
 """Metres: less than this is rounding."""
 
@@ -164,15 +166,15 @@ class CameraSight:
         return sa + (sb - sa) * (t_ns - ta) / (tb - ta)
 
     def speed_mps(self, *, first: bool) -> float:
-        """Belt speed over the first or the last second and more of marks; 0 where there is but one."""
+        """Belt speed over the first 5 or the last 2 seconds and more of marks; 0 where there is but one."""
         if len(self.curve) < 2:
             return 0.0
         if first:
             (t0, s0), later = self.curve[0], self.curve[1:]
-            t1, s1 = next((c for c in later if c[0] - t0 >= SPEED_OVER_NS), later[-1])
+            t1, s1 = next((c for c in later if c[0] - t0 >= FIRST_SPEED_NS), later[-1])
         else:
             (t1, s1), earlier = self.curve[-1], self.curve[-2::-1]
-            t0, s0 = next((c for c in earlier if t1 - c[0] >= SPEED_OVER_NS), earlier[-1])
+            t0, s0 = next((c for c in earlier if t1 - c[0] >= LAST_SPEED_NS), earlier[-1])
         return max(0.0, (s1 - s0) / (t1 - t0) * 1e9)
 
     def missed_before_m(self) -> float:
