@@ -75,8 +75,8 @@ class CameraSight:
         """Take the next mark of the camera's log."""
         self.final, self.frames = mark.final, dict(mark.frames)
         self.processed = mark.frames.get("processed", 0)
-        if mark.captured_ns == 0 and mark.travelled_m == 0:
-            return  # the end of a camera that never processed a frame
+        if mark.captured_ns == 0:
+            return  # the end, by a process that never processed a frame
         s, looked = max(0.0, mark.travelled_m), max(0.0, mark.looked_at_m)
         if self.first_ns is None:
             self.first_ns, self.first_s = mark.captured_ns, s
