@@ -14,6 +14,7 @@ from conveyor.messages import Frame
 BEHIND_S = 0.5
 """A device keeps this much of its newest frames; what is older when it is asked for is gone."""
 LOOK_EVERY_S = 0.02
+AT_ONCE_S = 0.002
 
 
 class ClockedSource:
@@ -55,7 +56,7 @@ class ClockedSource:
                 late_s = time.monotonic() - due_s[at]
                 if at < len(keys) - 1 and late_s > BEHIND_S:
                     break  # go on where the recording has come to
-                yield item if isinstance(item, Refused) else replace(item, captured_ns=_ago_ns(late_s))
+                yield item if isinstance(item, Refused) else replace(item, captured_ns=_day_time_ns(due_s[at]))
                 at += 1
             else:
                 return
@@ -69,6 +70,9 @@ class ClockedSource:
         return self._poll(0.0)
 
 
-def _ago_ns(seconds: float) -> int:
-    """The time of the day so long ago."""
-    return time.time_ns() - round(seconds * 1e9)
+def _day_time_ns(at_s: float) -> int:
+    """The time of the day at a moment of the monotonic clock; both are read at once, or again."""
+    while True:
+        before_s, now_ns = time.monotonic(), time.time_ns()
+        if time.monotonic() - before_s < AT_ONCE_S:
+            return now_ns - round((before_s - at_s) * 1e9)

@@ -267,14 +267,17 @@ class CameraRun:
             complete_ns = min(complete_ns, waiting[0] - 1)
             complete_m = min(complete_m, math.nextafter(waiting[1], -math.inf))
         before = self.log.last_mark
+        captured_ns, estimated = self._newest_ns, self.core.estimated
+        if before is not None and not captured_ns:  # started again after the camera had ended: it saw no frame
+            captured_ns, estimated = before.captured_ns, before.travel_estimated
         place_m = self.core.row_place_m(complete_m)
         if before is not None:
             complete_ns, place_m = max(complete_ns, before.complete_ns), min(place_m, before.complete_place_x_m)
         counts = self.counts()
         return Mark(
-            captured_ns=self._newest_ns,
+            captured_ns=captured_ns,
             travel_m=self.core.travel_m,
-            travel_estimated=self.core.estimated,
+            travel_estimated=estimated,
             complete_ns=complete_ns,
             complete_place_x_m=place_m + 0.0,  # never -0.0, which SQLite gives back as 0.0
             final=final,

@@ -25,7 +25,9 @@ NEWEST_PIECES = 192
 SAMPLES = 96
 """Of (time, s) per camera, for the speed and for laying cameras side by side; beyond it older ones thin out."""
 
-SPEED_OVER_NS = 1_000_000_000
+FIRST_SPEED_NS, LAST_SPEED_NS = 5_000_000_000, 2_000_000_000
+"""Over so much of the marks the belt's first and last speed are taken. Without an encoder, and with few frames on a
+busy machine, the first second of a belt is known to a quarter."""
 WHOLE = 1e-6
 """Metres: less than this is rounding."""
 
@@ -84,8 +86,8 @@ class CameraSight:
         """Take the next mark of the camera's log."""
         self.final, self.frames = mark.final, dict(mark.frames)
         self.processed = mark.frames.get("processed", 0)
-        if mark.captured_ns == 0 and mark.travelled_m == 0:
-            return  # the end of a camera that never processed a frame
+        if mark.captured_ns == 0:
+            return  # the end, by a process that never processed a frame
         s, looked = max(0.0, mark.travelled_m), max(0.0, mark.looked_at_m)
         if self.first_ns is None:
             self.first_ns, self.first_s = mark.captured_ns, s
@@ -176,15 +178,15 @@ class CameraSight:
         return sa + (sb - sa) * (t_ns - ta) / (tb - ta)
 
     def speed_mps(self, *, first: bool) -> float:
-        """Belt speed over the first or the last second and more of marks; 0 where there is but one."""
+        """Belt speed over the first 5 or the last 2 seconds and more of marks; 0 where there is but one."""
         if len(self.curve) < 2:
             return 0.0
         if first:
             (t0, s0), later = self.curve[0], self.curve[1:]
-            t1, s1 = next((c for c in later if c[0] - t0 >= SPEED_OVER_NS), later[-1])
+            t1, s1 = next((c for c in later if c[0] - t0 >= FIRST_SPEED_NS), later[-1])
         else:
             (t1, s1), earlier = self.curve[-1], self.curve[-2::-1]
-            t0, s0 = next((c for c in earlier if t1 - c[0] >= SPEED_OVER_NS), earlier[-1])
+            t0, s0 = next((c for c in earlier if t1 - c[0] >= LAST_SPEED_NS), earlier[-1])
         return max(0.0, (s1 - s0) / (t1 - t0) * 1e9)
 
     def missed_before_m(self) -> float:

@@ -9,6 +9,7 @@ import pytest
 from aggregator.core.cameras import Cameras
 from aggregator.core.coverage import coverage
 from aggregator.core.reasons import Unseen
+from aggregator.core.sight import CameraSight
 from aggregator.ledger.check import check_file
 from aggregator.ledger.writer import Ledger
 from conveyor.geometry import Intrinsics
@@ -63,6 +64,18 @@ def test_belt_that_ran_while_every_camera_was_down_is_told_by_an_encoder(encoder
     found = coverage(cameras.sights, seen_by={}, moment=cameras.moment(60.0, over=True))
     ran_m = 0.5 if encoder else 50 * 0.2
     assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(ran_m, abs=0.02)
+
+
+def test_the_end_by_a_process_that_saw_nothing_forgets_no_speed() -> None:
+    sight = CameraSight()
+    for second in range(1, 11):
+        s = 0.2 * second
+        sight.marked(Mark(second * SECOND_NS, s, True, second * SECOND_NS, -s, False, s, s, {}, {}, {}))
+    sight.marked(Mark(0, 2.0, False, 0, -2.0, True, 2.0, 2.0, {}, {}, {}))
+    assert sight.final
+    assert sight.estimated
+    assert sight.speed_mps(first=True) == pytest.approx(0.2)
+    assert sight.length_m == pytest.approx(2.0)
 
 
 def test_a_mark_that_holds_a_negative_zero_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -72,6 +72,26 @@ def test_belt_that_passes_a_segmenter_that_stood_still_is_told(
     assert mark.looked_at_m / mark.travelled_m == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
 
 
+def test_a_segmenter_that_comes_back_after_its_camera_had_ended_keeps_what_was_known(
+    frames: list[Frame], tmp_path: Path
+) -> None:
+    """Its final mark had the time 0 and no estimated travel: the belt's speed was forgotten (83 % for 55 % counted)."""
+    first = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
+    first.open()
+    play(first, frames[:90], names={"a"})
+    left = first.log.last_mark
+    assert left is not None
+    second = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
+    second.open()
+    second.end(9.0)
+    second.tick(9.1, {"a"})
+    mark = second.log.last_mark
+    assert mark is not None
+    assert mark.final
+    assert (mark.captured_ns, mark.travel_estimated) == (left.captured_ns, True)
+    assert (mark.travel_m, mark.travelled_m) == (left.travel_m, left.travelled_m)
+
+
 def test_a_belt_that_stood_while_nobody_looked_has_not_moved(frames: list[Frame], tmp_path: Path) -> None:
     late = [replace(f, captured_ns=f.captured_ns + (30 * 10**9 if f.seq >= 60 else 0)) for f in frames]
     it = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.belts import simulate, tuberline
+from tests.chaos.test_chaos_resume import child
+from tests.conftest import wait_until
 from tuberline.replayer import free_port
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
@@ -43,6 +49,20 @@ def test_a_line_ends_with_its_load_where_that_is_set(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["final"], summary["state"]) == (True, "ended")
     assert summary["totals"]["count"] == 4
+
+
+def test_a_line_stopped_while_its_aggregator_is_down_says_that_there_is_no_summary(tmp_path: Path) -> None:
+    config = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="4"))
+    command = [sys.executable, "-m", "tuberline", "run", str(config), "--run", "monday"]
+    line = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_until(lambda: (tmp_path / "run" / "ledger.db").is_file(), what="a ledger", timeout_s=60)
+    aggregator = child(line.pid, "aggregator")
+    assert aggregator is not None
+    os.kill(aggregator, signal.SIGKILL)
+    line.terminate()
+    _, said = line.communicate(timeout=60)
+    assert line.returncode == 0
+    assert "tuberline: run monday has no summary" in said
 
 
 def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_path: Path) -> None:

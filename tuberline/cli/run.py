@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 LOOK_EVERY_S = 0.2
+CLOCK_SLACK_S = 1.0
+"""Of a disk's clock against this machine's."""
 
 
 def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: Path | None = None) -> None:
@@ -55,6 +58,19 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
             _show(supervisor, line, stop)
         while not (stop.wait(LOOK_EVERY_S) or supervisor.finished("aggregator")):
             raise_if_pointless(supervisor)
+        stopped_s, complete = time.time(), supervisor.finished("aggregator")
+    if not complete:
+        _tell_without_summary(line.aggregator.out, run_id, stopped_s)
+
+
+def _tell_without_summary(out: Path, run: str, stopped_s: float) -> None:
+    """An aggregator that was down when the line was stopped left no summary, or an old one: never without a word."""
+    summary = out / "summary.json"
+    if not summary.is_file() or summary.stat().st_mtime < stopped_s - CLOCK_SLACK_S:
+        sys.stderr.write(
+            f"tuberline: run {run} has no summary: its aggregator was down when the line was stopped. The ledger has "
+            f"what was counted (`tuberline audit {out}`); `tuberline run --run {run}` goes on with it\n"
+        )
 
 
 def raise_if_pointless(supervisor: Supervisor) -> None:
