@@ -56,7 +56,7 @@ def init(
     if file.suffix != ".toml":
         raise InputError(f"{file}: the name of a line's file ends in .toml")
     line = check_name(name or file.stem, what="line")
-    chosen: Sequence[Found]
+    chosen: list[Found]
     if recording:
         chosen = [found_recording(path) for path in recording]
     elif ros_router is not None:
