@@ -127,5 +127,11 @@ def _prior(view: LedgerView, run: str) -> Prior:
 
 def _total(label: str, loads: Sequence[Labelled]) -> Total:
     tickets_g = [load.net_g for load in loads if load.net_g is not None]
+    sums, raw_g = together_of(loads)
+    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, sums)
+
+
+def together_of(loads: Sequence[Labelled]) -> tuple[Together, float]:
+    """Some loads together, and the estimate of all of them before any calibration, grams."""
     raw_g = sum(load.one.whole * load.one.totals.sums.as_weighed_g for load in loads)
-    return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, together([load.one for load in loads]))
+    return together([load.one for load in loads]), raw_g

@@ -21,6 +21,7 @@ GROUPS: dict[str, Commands] = {
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
         "export": ("tuberline.cli.export:export", "Tubers, loads and maps for other programs: CSV, Parquet, ISOXML."),
+        "sync": ("tuberline.cli.sync:sync", "Ledgers of many lines into one PostgreSQL."),
         "map": ("tuberline.cli.map:map_field", "The field's yield in t/ha, from runs and positions."),
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),
     },

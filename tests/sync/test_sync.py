@@ -1,0 +1,186 @@
+"""Ledgers into a real PostgreSQL that is killed and cut in the middle: nothing lost, nothing double."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.ledger.reader import read_tubers, reading
+from benchmarks.written_run import write_run
+from conveyor.errors import InputError, LinkError
+from tests.sync.postgres import Postgres
+from tuberline.sync import push as push_module
+from tuberline.sync.push import connect, push
+
+psycopg = pytest.importorskip("psycopg")
+
+SEED, TUBERS = 7401, 900
+START_NS = 1_789_400_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
+    server = Postgres(tmp_path_factory.mktemp("postgres"))
+    server.start()
+    yield server
+    server.kill()
+
+
+@pytest.fixture(scope="module")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run."""
+    sys.stdout.write(f"seed {SEED}\n")
+    rng = np.random.default_rng(SEED)
+    folder = tmp_path_factory.mktemp("runs") / "monday"
+    crossed_ns = START_NS + np.sort(rng.integers(0, 10**11, TUBERS))
+    write_run(folder, run="monday", crossed_ns=crossed_ns, weight_g=rng.normal(120, 30, TUBERS).clip(20))
+    return folder
+
+
+@pytest.fixture
+def empty(server: Postgres) -> Postgres:
+    """The server without anything of ours."""
+    with psycopg.connect(server.url, autocommit=True) as connection:
+        connection.execute("DROP SCHEMA IF EXISTS tuberline CASCADE")
+    return server
+
+
+def tubers_there(server: Postgres) -> list[tuple[int, float]]:
+    with psycopg.connect(server.url) as connection:
+        return connection.execute("SELECT tuber, weight_g FROM tuberline.tuber ORDER BY run_id, tuber").fetchall()
+
+
+def tubers_of(ledger: Path) -> list[tuple[int, float]]:
+    with reading(ledger / "ledger.db") as view:
+        return [(tuber.tuber_id, tuber.weight_g) for tuber in read_tubers(view, "monday")]
+
+
+def test_a_sync_brings_all_and_a_second_one_nothing(empty: Postgres, ledger: Path) -> None:
+    for new in (TUBERS, 0):
+        done = subprocess.run(
+            [sys.executable, "-m", "tuberline", "sync", empty.url, ledger], capture_output=True, text=True, check=True
+        )
+        assert f"{new} new tubers of 1 runs, 1 loads" in done.stdout
+    assert tubers_there(empty) == tubers_of(ledger)
+    with psycopg.connect(empty.url) as connection:
+        (total,) = connection.execute("SELECT loads, tubers, weight_kg, low_kg, high_kg FROM tuberline.totals_by_line")
+        (told,) = connection.execute("SELECT summary->'totals'->>'estimated_weight_g' FROM tuberline.run").fetchone()
+    assert total[:2] == (1, TUBERS)
+    assert total[2] == pytest.approx(float(told) / 1000)
+    assert total[3] < total[2] < total[4]
+
+
+def test_the_server_is_killed_in_the_middle(empty: Postgres, ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Killed while the third batch is copied: what was committed stays, the next sync goes on after it."""
+    monkeypatch.setattr(push_module, "BATCH", 100)
+    seen = 0
+    plain = push_module._row
+
+    def killing(run_id: int, tuber: object) -> object:
+        nonlocal seen
+        seen += 1
+        if seen == 250:
+            empty.kill()
+        return plain(run_id, tuber)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(push_module, "_row", killing)
+    with pytest.raises(LinkError, match="went away"), connect(empty.url) as connection:
+        push(connection, ledger)
+    with pytest.raises(LinkError, match="cannot be reached"):
+        connect(empty.url)
+    empty.start()
+    assert len(tubers_there(empty)) == 200
+    monkeypatch.undo()
+    with connect(empty.url) as connection:
+        assert push(connection, ledger).tubers == TUBERS - 200
+    assert tubers_there(empty) == tubers_of(ledger)
+
+
+def test_the_link_is_cut_again_and_again(empty: Postgres, ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through a relay that hangs up after so many bytes, more each time, until all is there."""
+    monkeypatch.setattr(push_module, "BATCH", 50)
+    cuts = 0
+    for most in range(4_000, 400_000, 24_000):
+        with Relay(empty.port, most=most) as relay:
+            url = empty.url.replace(str(empty.port), str(relay.port))
+            try:
+                with connect(url) as connection:
+                    push(connection, ledger)
+            except LinkError:
+                cuts += 1
+            else:
+                break
+    assert cuts >= 3
+    assert tubers_there(empty) == tubers_of(ledger)
+
+
+def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
+    with connect(empty.url) as connection:
+        push(connection, ledger)
+        connection.execute("UPDATE tuberline.tuber SET crc = crc + 1 WHERE tuber = %s", (TUBERS,))
+        with pytest.raises(InputError, match=f"holds another tuber {TUBERS} of run monday"):
+            push(connection, ledger)
+        connection.execute("UPDATE tuberline.version SET version = 2")
+    with pytest.raises(InputError, match="tables of version 2"):
+        connect(empty.url)
+    with pytest.raises(InputError, match=re.escape("takes postgresql://")):
+        connect("mysql://x")
+
+
+def test_a_damaged_ledger_brings_nothing_wrong(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
+    from conveyor.errors import LedgerError
+
+    copy = tmp_path / "copy"
+    shutil.copytree(ledger, copy)
+    data = bytearray((copy / "ledger.db").read_bytes())
+    at = data.rfind(b"written@0")
+    data[at] ^= 1
+    (copy / "ledger.db").write_bytes(data)
+    with connect(empty.url) as connection, suppress(LedgerError):
+        push(connection, copy)
+    assert tubers_there(empty) == tubers_of(ledger)[: len(tubers_there(empty))]
+
+
+class Relay:
+    """A TCP relay to the server that hangs up after `most` bytes from the client."""
+
+    def __init__(self, port: int, *, most: int) -> None:
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port = self._server.getsockname()[1]
+        self._to, self._left = port, most
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def __enter__(self) -> Relay:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.close()
+
+    def _serve(self) -> None:
+        with suppress(OSError):
+            client, _ = self._server.accept()
+            with client, socket.create_connection(("127.0.0.1", self._to)) as behind:
+                threading.Thread(target=_pump, args=(behind, client), daemon=True).start()
+                while data := client.recv(2048):
+                    self._left -= len(data)
+                    if self._left < 0:
+                        break
+                    behind.sendall(data)
+                for end in (client, behind):
+                    end.shutdown(socket.SHUT_RDWR)
+
+
+def _pump(source: socket.socket, target: socket.socket) -> None:
+    with suppress(OSError):
+        while data := source.recv(65536):
+            target.sendall(data)

@@ -1,0 +1,1 @@
+"""A fleet's ledgers in one PostgreSQL: committed tubers and loads of any number of lines."""

@@ -1,0 +1,230 @@
+"""From a ledger into the database: what is committed there is there once, whatever is cut in the middle.
+
+Tubers go by their number, a batch in a transaction; the newest number in the database is where the next sync goes on.
+Each tuber carries a checksum of its ledger row, by which a database that holds another ledger's tubers is noticed.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgpack
+
+from aggregator.ledger.load_totals import ReadLoads, tickets_of
+from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
+from aggregator.ledger.totals_by import labelled, together_of
+from conveyor.errors import InputError, LinkError
+from conveyor.extras import install_hint
+from conveyor.messages import Tuber
+from conveyor.messages.base import plain
+from tuberline.sync.schema import LOCK, SCHEMA, STATEMENTS, VERSION
+
+BATCH = 2000
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+CONNECT_WITHIN_S = 10
+SILENT_S = 20
+"""A link that was cut without a word is given up after this, by us and by the server: else its open transaction would
+hold the tables until TCP gives up, hours later."""
+_LINK = {"keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 2, "tcp_user_timeout": SILENT_S * 1000}
+_SERVER = {
+    "idle_in_transaction_session_timeout": f"{SILENT_S}s",
+    "lock_timeout": f"{2 * SILENT_S}s",
+    "tcp_keepalives_idle": "10",
+    "tcp_keepalives_interval": "5",
+    "tcp_keepalives_count": "2",
+}
+COLUMNS = (
+    "run_id, tuber, crossed_at, weight_g, low_g, high_g, length_mm, width_mm, height_mm, place_x_m, place_y_m, views, "
+    "method, model, flags, crc"
+)
+
+
+@dataclass(slots=True)
+class Pushed:
+    """What one sync brought: new tubers, runs and loads of a ledger."""
+
+    tubers: int = 0
+    runs: int = 0
+    loads: int = 0
+
+
+def connect(url: str) -> Any:
+    """A connection to the database, with the tables made.
+
+    Raises:
+        InputError: psycopg is not installed, `url` is none, or the tables are of another version.
+        LinkError: the server cannot be reached now.
+    """
+    try:
+        import psycopg
+    except ImportError as error:
+        raise InputError(f"sync needs psycopg, which is not installed; {install_hint('sync')}") from error
+    if not url.startswith(("postgresql://", "postgres://")):
+        raise InputError("sync takes postgresql://user@host/database; a password comes from PGPASSWORD or ~/.pgpass")
+    try:
+        options = " ".join(f"-c {name}={value}" for name, value in _SERVER.items())
+        connection = psycopg.connect(url, connect_timeout=CONNECT_WITHIN_S, autocommit=True, options=options, **_LINK)
+        if connection.execute(f"SELECT to_regclass('{SCHEMA}.totals_by_line')").fetchone() == (None,):
+            with connection.transaction():
+                connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
+                for statement in STATEMENTS:
+                    connection.execute(statement)
+        row = connection.execute(f"SELECT version FROM {SCHEMA}.version").fetchone()
+    except psycopg.OperationalError as error:
+        raise LinkError(f"the database cannot be reached: {_first_line(error)}") from error
+    except psycopg.Error as error:
+        raise InputError(f"the database refuses the tables of Tuberline: {_first_line(error)}") from error
+    if row is None or row[0] != VERSION:
+        connection.close()
+        raise InputError(
+            f"the database has tables of version {row and row[0]}, this program knows {VERSION}: update it"
+        )
+    return connection
+
+
+def push(connection: Any, path: Path) -> Pushed:
+    """Bring what a ledger holds and the database does not.
+
+    Raises:
+        LinkError: the connection was cut; what was committed is there, and the next sync goes on.
+        InputError: the database holds other tubers under this line's and run's name.
+        LedgerError: the ledger cannot be trusted.
+    """
+    import psycopg
+
+    file = ledger_file(path)
+    pushed = Pushed()
+    try:
+        with reading(file) as view:
+            first_id = None
+            for run in read_runs(view):
+                run_id = _run(connection, view, run)
+                first_id = run_id if first_id is None else first_id
+                pushed.runs += 1
+                pushed.tubers += _tubers(connection, view, run, run_id)
+            if first_id is not None:
+                pushed.loads = _loads(connection, view, run.line, first_id)
+    except psycopg.OperationalError as error:
+        raise LinkError(f"the database went away: {_first_line(error)}; what was committed is there") from error
+    except psycopg.Error as error:
+        raise InputError(f"the database refused what ledger {file} holds: {_first_line(error)}") from error
+    return pushed
+
+
+def _run(connection: Any, view: LedgerView, run: RunRow) -> int:
+    row = connection.execute(
+        f"""INSERT INTO {SCHEMA}.run (line, run, started_ns, started_at, cameras, version, summary)
+        VALUES (%s, %s, %s, %s, %s, %s, %s)
+        ON CONFLICT (line, run, started_ns) DO UPDATE SET summary = excluded.summary RETURNING id""",
+        (
+            run.line,
+            run.run,
+            run.started_ns,
+            _at(run.started_ns),
+            list(run.cameras),
+            run.version,
+            read_summary(view, run.run),
+        ),
+    ).fetchone()
+    return int(row[0])
+
+
+def _tubers(connection: Any, view: LedgerView, run: RunRow, run_id: int) -> int:
+    newest = connection.execute(
+        f"SELECT tuber, crc FROM {SCHEMA}.tuber WHERE run_id = %s ORDER BY tuber DESC LIMIT 1", (run_id,)
+    ).fetchone()
+    since = 0
+    if newest is not None:
+        same = next(read_tubers(view, run.run, since=newest[0] - 1, limit=1), None)
+        if same is None or same.tuber_id != newest[0] or _crc(same) != newest[1]:
+            raise InputError(
+                f"the database holds another tuber {newest[0]} of run {run.run} of line {run.line}: it was synced from "
+                f"another ledger; delete that run there (DELETE FROM {SCHEMA}.run WHERE id = {run_id}) and sync again"
+            )
+        since = newest[0]
+    count = 0
+    for batch in batched_tubers(view, run, since):
+        copying = f"COPY {SCHEMA}.tuber ({COLUMNS}) FROM STDIN"
+        with connection.transaction(), connection.cursor() as cursor, cursor.copy(copying) as copy:
+            for tuber in batch:
+                copy.write_row(_row(run_id, tuber))
+        count += len(batch)
+    return count
+
+
+def batched_tubers(view: LedgerView, run: RunRow, since: int) -> Iterator[tuple[Tuber, ...]]:
+    """Tubers of a run after number `since`, a transaction's worth at a time."""
+    tubers = read_tubers(view, run.run, since=since)
+    while batch := tuple(islice(tubers, BATCH)):
+        yield batch
+
+
+def _loads(connection: Any, view: LedgerView, line: str, ledger_id: int) -> int:
+    """All loads of a ledger in place of those the database had: a note or a ticket may have changed any of them."""
+    ledger = ReadLoads(view)
+    tickets, _ = tickets_of(ledger, ledger.seen())
+    rows = []
+    for place, load in enumerate(labelled(view, ledger, tickets)):
+        sums, raw_g = together_of([load])
+        labels = load.labels
+        rows.append(
+            (
+                line,
+                ledger_id,
+                place,
+                labels["load"],
+                labels["field"],
+                labels["variety"],
+                labels["day"],
+                sums.tubers,
+                raw_g / 1000,
+                sums.estimated_g / 1000,
+                sums.low_g / 1000,
+                sums.high_g / 1000,
+                sums.coverage,
+                None if load.net_g is None else load.net_g / 1000,
+            )
+        )
+    with connection.transaction(), connection.cursor() as cursor:
+        cursor.execute(f"DELETE FROM {SCHEMA}.load WHERE ledger = %s", (ledger_id,))
+        cursor.executemany(f"INSERT INTO {SCHEMA}.load VALUES ({', '.join(['%s'] * 14)})", rows)
+    return len(rows)
+
+
+def _row(run_id: int, tuber: Tuber) -> tuple[Any, ...]:
+    return (
+        run_id,
+        tuber.tuber_id,
+        _at(tuber.crossed_ns),
+        tuber.weight_g,
+        tuber.low_g,
+        tuber.high_g,
+        tuber.length_mm,
+        tuber.width_mm,
+        tuber.height_mm,
+        tuber.place_x_m,
+        tuber.place_y_m,
+        tuber.views,
+        tuber.method,
+        tuber.model,
+        list(tuber.flags),
+        _crc(tuber),
+    )
+
+
+def _crc(tuber: Tuber) -> int:
+    return zlib.crc32(msgpack.packb(plain(tuber)))
+
+
+def _at(unix_ns: int) -> datetime:
+    return EPOCH + timedelta(microseconds=unix_ns // 1000)
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

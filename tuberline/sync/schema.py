@@ -1,0 +1,68 @@
+"""The tables that lines are synced into, in a schema of their own, and the views to read them by."""
+
+from __future__ import annotations
+
+SCHEMA = "tuberline"
+VERSION = 1
+LOCK = 0x54554252
+"""'TUBR': two machines that sync for the first time at once make the tables one after the other."""
+
+STATEMENTS: tuple[str, ...] = (
+    f"CREATE SCHEMA IF NOT EXISTS {SCHEMA}",
+    f"CREATE TABLE IF NOT EXISTS {SCHEMA}.version (one boolean PRIMARY KEY DEFAULT true CHECK (one), version integer)",
+    f"INSERT INTO {SCHEMA}.version (version) VALUES ({VERSION}) ON CONFLICT DO NOTHING",
+    f"""CREATE TABLE IF NOT EXISTS {SCHEMA}.run (
+        id bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+        line text NOT NULL,
+        run text NOT NULL,
+        started_ns bigint NOT NULL,
+        started_at timestamptz NOT NULL,
+        cameras text[] NOT NULL,
+        version text NOT NULL,
+        summary jsonb,
+        UNIQUE (line, run, started_ns))""",
+    f"""CREATE TABLE IF NOT EXISTS {SCHEMA}.tuber (
+        run_id bigint NOT NULL REFERENCES {SCHEMA}.run (id) ON DELETE CASCADE,
+        tuber integer NOT NULL,
+        crossed_at timestamptz NOT NULL,
+        weight_g double precision NOT NULL,
+        low_g double precision NOT NULL,
+        high_g double precision NOT NULL,
+        length_mm real NOT NULL,
+        width_mm real NOT NULL,
+        height_mm real NOT NULL,
+        place_x_m double precision NOT NULL,
+        place_y_m real NOT NULL,
+        views smallint NOT NULL,
+        method text NOT NULL,
+        model text NOT NULL,
+        flags text[] NOT NULL,
+        crc bigint NOT NULL,
+        PRIMARY KEY (run_id, tuber))""",
+    f"CREATE INDEX IF NOT EXISTS tuber_crossed_at ON {SCHEMA}.tuber (crossed_at)",
+    f"""CREATE TABLE IF NOT EXISTS {SCHEMA}.load (
+        line text NOT NULL,
+        ledger bigint NOT NULL REFERENCES {SCHEMA}.run (id) ON DELETE CASCADE,
+        place integer NOT NULL,
+        load text NOT NULL,
+        field text NOT NULL,
+        variety text NOT NULL,
+        day date NOT NULL,
+        tubers integer NOT NULL,
+        raw_kg double precision NOT NULL,
+        weight_kg double precision NOT NULL,
+        low_kg double precision NOT NULL,
+        high_kg double precision NOT NULL,
+        coverage double precision,
+        ticket_kg double precision,
+        PRIMARY KEY (ledger, place))""",
+    *(
+        f"""CREATE OR REPLACE VIEW {SCHEMA}.totals_by_{by} AS
+        SELECT {column}, count(*) AS loads, sum(tubers) AS tubers, sum(raw_kg) AS raw_kg, sum(weight_kg) AS weight_kg,
+            sum(low_kg) AS low_kg, sum(high_kg) AS high_kg, sum(ticket_kg) AS ticket_kg
+        FROM {SCHEMA}.load GROUP BY {column}"""
+        for by, column in (("field", "field"), ("variety", "variety"), ("day", "day"), ("line", "line"))
+    ),
+)
+"""What makes the tables and views; each may be run again. The bounds of a sum are the sums of the bounds, as if all
+loads erred together: what they share does, so the interval is too wide rather than too narrow."""
