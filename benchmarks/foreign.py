@@ -21,7 +21,7 @@ from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from benchmarks.figures_in_docs import put_table
 from benchmarks.foreign_belts import PLANS, kept
-from conveyor.config import ForeignConfig
+from conveyor.config_yield import ForeignConfig
 from conveyor.messages import Tuber
 
 LEAST_TOP_MM, LEAST_VOLUME_ML = 18.0, 12.0

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.calibration.correction import prior_told
+from aggregator.core.committed import CommittedTuber
 from aggregator.core.coverage import Moment, coverage
 from aggregator.core.load_sums import LoadSums
-from aggregator.core.machine import Aggregation, CommittedTuber
+from aggregator.core.machine import Aggregation
 from aggregator.core.totals import LoadTotals
 from aggregator.report import told_belt
 from aggregator.scoring.score import Score, score_tubers

@@ -154,6 +154,8 @@ def _keys(
 
 def _parts(topic: Topic, identity: Identity, *, sending: bool) -> dict[str, str]:
     own = {"source": identity.name, "role": identity.role, "name": identity.name} if sending else {}
+    if identity.role == "gnss" and sending:
+        own["receiver"] = identity.name
     if identity.role in _CAMERA_ROLES:
         own["camera"] = identity.name
     if identity.role == "regressor" and (sending or topic.delivery is not Delivery.QUERY):

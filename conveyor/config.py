@@ -13,13 +13,15 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from conveyor.config_base import Metres, Section
+from conveyor.config_access import AccessConfig
+from conveyor.config_alarms import AlarmsConfig
+from conveyor.config_base import Metres, Section, checked_name
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
-from conveyor.errors import ConfigError, TuberlineError
+from conveyor.config_yield import ForeignConfig, GnssConfig
+from conveyor.errors import ConfigError
 from conveyor.gauge import Gauge
 from conveyor.resting import RestingLevel
-from conveyor.topics import check_name
 
 
 class LinkConfig(Section):
@@ -229,17 +231,6 @@ class AggregatorConfig(Section):
     cultivar: str = Field("", description="named as with the tickets: its own factor is learned beside the line's")
 
 
-class ForeignConfig(Section):
-    """What clods, stones and haulm weigh: their volume is measured, their density is not."""
-
-    clod_density: float = Field(1.6, gt=0, le=4, description="of a clod, g/ml: 1.3 dry and loose to 1.9 wet and dense")
-    stone_density: float = Field(2.6, gt=0, le=4, description="of a stone, g/ml")
-    haulm_density: float = Field(0.3, ge=0, le=2, description="of what lies under the surface of haulm, g/ml, with air")
-    stone_share: float = Field(
-        0.3, ge=0, le=1, description="stones among clods and stones, by volume: depth does not tell them apart"
-    )
-
-
 class ViewerConfig(Section):
     """What goes to Rerun. Never in the hot path."""
 
@@ -248,88 +239,6 @@ class ViewerConfig(Section):
     profile: Literal["light", "remote", "full"] = Field(
         "remote", description="how much is shown: numbers; few and small pictures; every frame and view"
     )
-
-
-class AccessConfig(Section):
-    """Who may connect to this line's router besides its own cameras, segmenters, r1..rN and aggregator.
-
-    Names are those in the certificates; '*' is the certificate that all of a role share. A name taken off the list is
-    locked out when the router starts again.
-    """
-
-    enabled: bool = Field(False, description="each node may do what the topic table says, and nothing else; needs TLS")
-    regressors: tuple[str, ...] = Field((), description="regressors on other machines")
-    viewers: tuple[str, ...] = Field(("*",), description="who may see frames, views, weights, totals and health")
-    recorders: tuple[str, ...] = Field(("*",), description="who may record the frames of all cameras")
-    operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
-    keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
-    loaders: tuple[str, ...] = Field(("*",), description="who may start and end loads: `tuberline load`, page, sensor")
-    encoders: tuple[str, ...] = Field((), description="who may tell the belt's travel")
-    gnss: tuple[str, ...] = Field((), description="receivers beside the line's own: who may tell where the machine is")
-
-    @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "loaders", "encoders", "gnss")
-    @classmethod
-    def _names(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            if name != "*":
-                _checked_name(name, "node")
-        return names
-
-
-class GnssConfig(Section):
-    """The machine's GNSS receiver, and how the machine harvests: what a map of the field needs."""
-
-    source: str = Field(description="serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host or file:recorded.nmea")
-    name: str = Field("gnss", description="the receiver's name on the line")
-    width_m: float = Field(1.5, ge=0.2, le=50, description="working width of the share")
-    overlap_m: float = Field(0.0, ge=0, le=5, description="by how much a pass is meant to overlap the one before")
-    delay_s: float | None = Field(
-        None, ge=-60, le=600, description="from ground to camera; not given: found from the yields themselves"
-    )
-    antenna_ahead_m: float = Field(0.0, ge=-20, le=20, description="antenna in front of the share")
-
-    @field_validator("name")
-    @classmethod
-    def _name(cls, name: str) -> str:
-        return _checked_name(name, "receiver")
-
-
-class AlarmsConfig(Section):
-    """Alarms that leave the page: where they go, and from when on something is one.
-
-    An address is http(s)://... (a JSON POST), mqtt(s)://broker[:port]/topic, or any that apprise knows.
-    """
-
-    channels: tuple[str, ...] = Field((), max_length=16, description="addresses that hold no secret, http or mqtt")
-    channels_file: Path | None = Field(
-        None, description="file with one address a line, for those with passwords or tokens (mailto://, tgram://, ...)"
-    )
-    root_ca: Path | None = Field(None, description="certificate authority of this site's https and mqtts servers")
-    least: Literal["note", "warning", "trouble"] = Field("warning", description="milder ones stay on the page")
-    coverage_below: float = Field(0.95, ge=0, le=1, description="an alarm where less of the belt was looked at")
-    after_s: float = Field(5.0, ge=0, le=3600, description="what passes sooner is no alarm")
-    clear_s: float = Field(10.0, ge=0, le=3600, description="an alarm has ended when it was away for so long")
-    again_after_s: float = Field(30.0, ge=0, le=86400, description="least time between two beginnings of one alarm")
-    keep: int = Field(1000, ge=10, le=100000, description="messages kept per channel while it cannot be reached")
-    state_dir: Path | None = Field(None, description="where they are kept; default: alarms/ in aggregator.out")
-
-    @field_validator("channels")
-    @classmethod
-    def _no_secrets(cls, channels: tuple[str, ...]) -> tuple[str, ...]:
-        for channel in channels:
-            scheme, _, rest = channel.partition("://")
-            if scheme not in ("http", "https", "mqtt", "mqtts") or "@" in rest.partition("/")[0]:
-                raise ValueError(
-                    "only http(s):// and mqtt(s):// addresses without a password stand here, since this file is copied "
-                    "to results and bundles; put all others into the file that alarms.channels_file names, one a line"
-                )
-        return channels
-
-    @model_validator(mode="after")
-    def _somewhere(self) -> AlarmsConfig:
-        if not self.channels and self.channels_file is None:
-            raise ValueError('name where alarms go: channels = ["https://..."] or channels_file = "alarms.txt"')
-        return self
 
 
 class LineConfig(Section):
@@ -351,13 +260,13 @@ class LineConfig(Section):
     @field_validator("name")
     @classmethod
     def _name(cls, name: str) -> str:
-        return _checked_name(name, "line")
+        return checked_name(name, "line")
 
     @field_validator("cameras")
     @classmethod
     def _camera_names(cls, cameras: dict[str, CameraConfig]) -> dict[str, CameraConfig]:
         for name in cameras:
-            _checked_name(name, "camera")
+            checked_name(name, "camera")
         return cameras
 
     @property
@@ -372,13 +281,6 @@ class LineConfig(Section):
                 f"camera '{name}' is not in the config; known: {', '.join(sorted(self.cameras)) or 'none'}"
             )
         return self.cameras[name]
-
-
-def _checked_name(name: str, what: str) -> str:
-    try:
-        return check_name(name, what=what)
-    except TuberlineError as error:
-        raise ValueError(str(error)) from error
 
 
 def load_config(path: Path) -> LineConfig:

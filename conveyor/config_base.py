@@ -6,6 +6,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from conveyor.errors import TuberlineError
+from conveyor.topics import check_name
+
 Metres = Annotated[float, Field(gt=0, le=10)]
 
 
@@ -13,3 +16,11 @@ class Section(BaseModel):
     """Base of all sections: frozen, no unknown keys, every default checked."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+
+def checked_name(name: str, what: str) -> str:
+    """`name` where it may be part of keys and file names; pydantic tells what is wrong else."""
+    try:
+        return check_name(name, what=what)
+    except TuberlineError as error:
+        raise ValueError(str(error)) from error

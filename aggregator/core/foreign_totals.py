@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from aggregator.core.totals import LoadTotals
-from conveyor.config import ForeignConfig
+from conveyor.config_yield import ForeignConfig
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.statistics import NORMAL_90
 

@@ -15,7 +15,7 @@ from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Load, Span
 from aggregator.core.sight import CameraSight
 from aggregator.core.totals import LoadTotals
-from conveyor.config import ForeignConfig
+from conveyor.config_yield import ForeignConfig
 from conveyor.contract import Contract
 from conveyor.messages import LoadNow
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
 from aggregator.core.camera_log import CameraLog, LoggedEntry, Taken
 from aggregator.core.cameras import Cameras
+from aggregator.core.committed import CommittedTuber, CommittedTubers
 from aggregator.core.foreign import ForeignBody, is_foreign, make_body
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
@@ -27,32 +27,6 @@ from conveyor.messages import Mark, Track, TrackEntry, Tuber
 
 MAX_PENDING = 100_000
 """Tracks (about 250 MB) that may wait for another camera's marks; beyond it no one is waited for."""
-
-
-@dataclass(frozen=True, slots=True)
-class CommittedTuber:
-    """What is needed of a committed tuber to recognise a late track of it: place, and (camera, first, last seq)."""
-
-    tuber_id: int
-    place_x_m: float
-    place_y_m: float
-    members: tuple[tuple[str, int, int], ...]
-
-
-class CommittedTubers(Protocol):
-    """What the ledger knows; asked only about late and repeated tracks."""
-
-    def near(self, low_x_m: float, high_x_m: float) -> Sequence[CommittedTuber]:
-        """Committed tubers of this run whose place lies between the two."""
-        ...
-
-    def knows_track(self, track_id: str) -> bool:
-        """A track of that id is in the ledger."""
-        ...
-
-    def entry_checksum(self, camera: str, n: int) -> int | None:
-        """CRC-32 of entry n of a camera's log, as it was received; None where the ledger does not hold it."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from aggregator.core.machine import CommittedTuber
+from aggregator.core.committed import CommittedTuber
 from aggregator.core.reasons import Role
 from aggregator.ledger.reader import entry_checksum, knows_track, read_entry, read_observations, read_tubers_near
 from aggregator.ledger.verified import LedgerView
 
 
 class RunTubers:
-    """The ledger of one run, as `aggregator.core.machine.CommittedTubers`."""
+    """The ledger of one run, as `aggregator.core.committed.CommittedTubers`."""
 
     def __init__(self, view: LedgerView, run: str) -> None:
         self._view = view

@@ -6,7 +6,8 @@ import time
 
 from camera_sim.gnss.receivers import Receiver, open_receiver
 from conveyor import topics
-from conveyor.config import GnssConfig, LineConfig
+from conveyor.config import LineConfig
+from conveyor.config_yield import GnssConfig
 from conveyor.delivery import ReliablePublisher
 from conveyor.errors import ConfigError, DeviceError
 from conveyor.formats.nmea import Fix, NmeaFixes

@@ -81,13 +81,23 @@ def find_comb(
 
 
 def _clearly_best(found: list[Comb]) -> Comb | None:
-    """The comb that matches best; None where another one, with other teeth, does nearly as well."""
+    """The comb that matches best; None where another one, with other teeth, does nearly as well.
+
+    A finer one of the same camera has all of the best one's teeth and more: that it matches, too, is no doubt.
+    """
     best = max(found, key=lambda comb: comb.match, default=None)
     if best is None or best.match < LEAST_MATCH:
         return None
     teeth = best.focal_baseline * best.steps_per_px
-    rivals = [c.match for c in found if abs(c.focal_baseline * c.steps_per_px / teeth - 1) > SAME_TEETH]
+    others = [c for c in found if abs(c.focal_baseline * c.steps_per_px / teeth - 1) > SAME_TEETH]
+    rivals = [c.match for c in others if not _finer(c, best)]
     return best if max(rivals, default=0.0) < CLEARLY * best.match else None
+
+
+def _finer(comb: Comb, than: Comb) -> bool:
+    """The same camera's comb with more steps to a pixel."""
+    same = abs(comb.focal_baseline / than.focal_baseline - 1) <= SAME_TEETH
+    return same and comb.steps_per_px > than.steps_per_px
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

@@ -19,7 +19,7 @@ from aggregator.ledger.repair import repair
 from aggregator.ledger.rows import body_from, body_row
 from aggregator.ledger.schema import FOREIGN
 from aggregator.ledger.writer import Ledger
-from conveyor.config import ForeignConfig
+from conveyor.config_yield import ForeignConfig
 from conveyor.messages import Totals, TrackEntry
 from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.test_aggregator_classes import tuber

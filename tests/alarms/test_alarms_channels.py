@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from conveyor.config import AlarmsConfig, parse_config
+from conveyor.config import parse_config
+from conveyor.config_alarms import AlarmsConfig
 from conveyor.errors import ConfigError
 from tests.alarms.alarm_words import message, receiving
 from tests.conftest import wait_until

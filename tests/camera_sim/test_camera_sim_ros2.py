@@ -92,7 +92,8 @@ def test_a_camera_process_hears_ros_2_and_counts_what_is_lost(link: LinkConfig, 
             assert not skips
             for frame in got.values():
                 n = round((frame.captured_ns - stamp_ns(0)) / (stamp_ns(1) - stamp_ns(0)))
-                assert np.array_equal(frame.depth, depth_mm(n))
+                # The stamps go back to the first after 50 images; a camera steadies a clock that steps back.
+                assert np.array_equal(frame.depth, depth_mm(n % 50))
                 assert (frame.depth_scale_m, frame.belt_distance_m, frame.intrinsics.height) == (0.001, 0.46, HEIGHT)
             wait_until(lambda: (c := side.counters()) and c.gauges["source_silent_s"] > 1, what="the silence to show")
             running.send_signal(signal.SIGTERM)

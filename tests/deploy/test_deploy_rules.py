@@ -10,13 +10,14 @@ import zenoh
 from conveyor import topics
 from conveyor.access import IN, OUT, access_control, grants, line_identities, router_access
 from conveyor.config import LineConfig, parse_config
+from conveyor.config_yield import GnssConfig
 from conveyor.errors import ConfigError
 from conveyor.identity import Identity, own_files
 from conveyor.topics import Delivery
 from tests.deploy.deploy_site import site_config
 
-CONFIG = site_config(1, Path("/nowhere"))
-PARTS = {"camera": "front", "regressor": "r1", "source": "front", "role": "camera", "name": "front"}
+CONFIG = site_config(1, Path("/nowhere")).model_copy(update={"gnss": GnssConfig(source="file:positions.nmea")})
+PARTS = {"camera": "front", "regressor": "r1", "source": "front", "receiver": "gnss", "role": "camera", "name": "front"}
 
 
 def may(identity: Identity, flow: str, message: str, key: str) -> bool:

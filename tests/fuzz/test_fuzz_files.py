@@ -102,7 +102,7 @@ def test_a_damaged_mcap(tmp_path: Path) -> None:
         for seq in range(3):
             writer.write(frame(seq))
     good = path.read_bytes()
-    seen: set[str] = set()
+    seen = {outcome(lambda: read_all(path))}
 
     @quick(250)
     @given(damaged(good))

@@ -50,6 +50,7 @@ EXAMPLES: list[m.Message] = [
     m.Counters("segmenter", "c", "r", 1, "host", "0", 1.0, {"a": 1}, {"b": 1.0}),
     TUBER,
     TOTALS,
+    m.Position("gnss", "r", 3, 10**18, 10**18, 52.7, 5.75, 4, 0.7, 14),
     m.LoadOrder("r1", "start", "gate", 0.5, fields={"name": "A", "variety": "Agria"}, note="wet", place_x_m=-1.5),
     m.LoadAnswer("r1", True, text="load 1 (A) has begun", load=1, name="A", event=1, place_x_m=-1.5, later=False),
 ]

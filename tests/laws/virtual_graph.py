@@ -92,6 +92,10 @@ class RememberedCore:
     def finish(self) -> list[Any]:
         return list(self._memory.at_end) if self._done else []
 
+    def take_foreign(self) -> tuple[()]:
+        """Nothing that was refused at the end is remembered."""
+        return ()
+
     def track_counts(self) -> dict[str, int]:
         return dict(self._memory.last_counts if self._done == FRAMES else self._now.counts)
 

@@ -26,6 +26,9 @@ class ScriptedBelt(MadeUpBelt):
     def complete_travel_m(self) -> float:
         return 0.0
 
+    def take_foreign(self) -> tuple[()]:
+        return ()
+
 
 class Line:
     """A live camera's run whose core is scripted, and one regressor that answers when it is told to."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from conveyor.config import AlarmsConfig
+from conveyor.config_alarms import AlarmsConfig
 from conveyor.errors import ConfigError
 from tuberline.alarms.message import AlarmMessage
 

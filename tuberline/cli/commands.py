@@ -29,7 +29,6 @@ GROUPS: dict[str, Commands] = {
         "init": ("tuberline.cli.init:init", "Write the file of a new line, for what it finds here."),
         "run": ("tuberline.cli.run:run", "Run all processes of a line on this machine, supervised."),
         "config": ("tuberline.cli.config:config", "Check, show or explain a line's configuration."),
-        "camera": ("tuberline.cli.camera:camera", "`camera profile`: how good is a camera's depth?"),
         "calibrate": ("tuberline.cli.calibrate:calibrate", "Measure the belt, calibrate totals by load tickets."),
         "load": ("tuberline.cli.load:load", "Start, end, note, weigh and undo loads while a line runs."),
         "weights": ("tuberline.cli.weights:weights", "The weights of a running line: list, change, go back."),
@@ -42,8 +41,6 @@ GROUPS: dict[str, Commands] = {
         "top": ("tuberline.cli.top:top", "The same, live."),
         "watch": ("tuberline.cli.viewer:watch", "Rerun's window on a running line, or a web page."),
         "page": ("tuberline.cli.page:page", "The operator's page: load, belt, cameras, alarms, in a browser."),
-        "graph": ("tuberline.cli.graph:graph", "Who runs where and sends what to whom, live."),
-        "health": ("tuberline.cli.health:health", "Is the router, or one node, well? For probes."),
     },
     "Recordings": {
         "simulate": ("tuberline.cli.simulate:simulate", "Make a recording of a belt with known truth."),
@@ -51,14 +48,13 @@ GROUPS: dict[str, Commands] = {
         "import": ("tuberline.cli.import_frames:import_frames", "Make one of plain depth frames of any camera."),
         "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless."),
         "recover": ("tuberline.cli.recordings:recover", "Repair an MCAP file whose writer was killed."),
-        "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),
     },
 }
 """What a user needs: one screen."""
 
 PARTS: Commands = {
     "router": ("tuberline.cli.router:router", "The Zenoh router of a line."),
-    "camera": ("tuberline.cli.camera:camera", "Publish the frames of one camera."),
+    "camera": ("tuberline.cli.camera:camera", "Publish the frames of one camera; `camera profile` judges one."),
     "segmenter": ("tuberline.cli.segmentation:segmenter", "Find and follow tubers in one camera's frames."),
     "regressor": ("tuberline.cli.nodes:regressor", "Weigh views; any number, anywhere."),
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
@@ -69,10 +65,12 @@ PARTS: Commands = {
     "metrics": ("tuberline.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),
     "access": ("tuberline.cli.access:access", "Who may do what: the router's rules, from the topics."),
     "topics": ("tuberline.cli.topics:topics", "The table of topics."),
+    "graph": ("tuberline.cli.graph:graph", "Who runs where and sends what to whom, live."),
+    "health": ("tuberline.cli.health:health", "Is the router, or one node, well? For probes."),
 }
 """The parts that `run` starts by itself, and what an integrator needs of them."""
 
-LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics"}
+LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics", "graph", "health"}
 """Commands that work unattended: a thread of theirs that fails ends them."""
 
 LAB: Commands = {
@@ -98,6 +96,7 @@ LAB: Commands = {
         "tuberline.cli.train_classifier:train_classifier",
         "Train the network that tells clods from tubers.",
     ),
+    "segment": ("tuberline.cli.segmentation:segment", "Segment a recording and draw what was found."),
     "evaluate-segmentation": (
         "tuberline.cli.segmentation:evaluate_segmentation",
         "Score masks against a recording's own.",

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.reader import ledger_file
-from conveyor.config import GnssConfig, load_config
+from conveyor.config import load_config
+from conveyor.config_yield import GnssConfig
 from conveyor.errors import InputError
 from tuberline.maps.field import Settings
 

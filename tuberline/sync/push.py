@@ -31,7 +31,12 @@ CONNECT_WITHIN_S = 10
 SILENT_S = 20
 """A link that was cut without a word is given up after this, by us and by the server: else its open transaction would
 hold the tables until TCP gives up, hours later."""
-_LINK: dict[str, Any] = {"keepalives_idle": 10, "keepalives_interval": 5, "keepalives_count": 2, "tcp_user_timeout": SILENT_S * 1000}
+_LINK: dict[str, Any] = {
+    "keepalives_idle": 10,
+    "keepalives_interval": 5,
+    "keepalives_count": 2,
+    "tcp_user_timeout": SILENT_S * 1000,
+}
 _SERVER = {
     "idle_in_transaction_session_timeout": f"{SILENT_S}s",
     "lock_timeout": f"{2 * SILENT_S}s",

@@ -202,7 +202,7 @@ def being_written(path: Path) -> str:
         return ""
     return (
         f"{path} is being written: {path.stat().st_size / 1e6:.1f} MB, the last of them {ago_s:.0f} s ago, and no end "
-        "yet. Look again when its recorder has stopped"
+        f"yet. Look again when its recorder has stopped; where it was killed, {recover_it(path)}"
     )
 
 

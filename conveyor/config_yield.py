@@ -1,0 +1,36 @@
+"""What turns tubers into yield: the sections [gnss] and [foreign] of a line's file."""
+
+from __future__ import annotations
+
+from pydantic import Field, field_validator
+
+from conveyor.config_base import Section, checked_name
+
+
+class GnssConfig(Section):
+    """The machine's GNSS receiver, and how the machine harvests: what a map of the field needs."""
+
+    source: str = Field(description="serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host or file:recorded.nmea")
+    name: str = Field("gnss", description="the receiver's name on the line")
+    width_m: float = Field(1.5, ge=0.2, le=50, description="working width of the share")
+    overlap_m: float = Field(0.0, ge=0, le=5, description="by how much a pass is meant to overlap the one before")
+    delay_s: float | None = Field(
+        None, ge=-60, le=600, description="from ground to camera; not given: found from the yields themselves"
+    )
+    antenna_ahead_m: float = Field(0.0, ge=-20, le=20, description="antenna in front of the share")
+
+    @field_validator("name")
+    @classmethod
+    def _name(cls, name: str) -> str:
+        return checked_name(name, "receiver")
+
+
+class ForeignConfig(Section):
+    """What clods, stones and haulm weigh: their volume is measured, their density is not."""
+
+    clod_density: float = Field(1.6, gt=0, le=4, description="of a clod, g/ml: 1.3 dry and loose to 1.9 wet and dense")
+    stone_density: float = Field(2.6, gt=0, le=4, description="of a stone, g/ml")
+    haulm_density: float = Field(0.3, ge=0, le=2, description="of what lies under the surface of haulm, g/ml, with air")
+    stone_share: float = Field(
+        0.3, ge=0, le=1, description="stones among clods and stones, by volume: depth does not tell them apart"
+    )
