@@ -64,11 +64,15 @@ def test_views_of_the_old_presets_are_what_they_were(preset: str) -> None:
 
 
 def test_the_demo_recording_is_what_it_was() -> None:
-    """Its truth, its cameras and every 15th frame."""
+    """Its truth but for what came later (mesh sizes, foreign bodies), its cameras and every 15th frame."""
     settings = in_its_world(DEMO_SETTINGS, DEMO_LAYOUT)
     world = build_world(settings, DEMO_LAYOUT)
     sources = simulated_sources(world, settings, DEMO_LAYOUT)
-    digest = hashlib.sha256(json.dumps({**truth_of(world, sources), **world_truth(settings, DEMO_LAYOUT)}).encode())
+    truth = {**truth_of(world, sources), **world_truth(settings, DEMO_LAYOUT)}
+    del truth["foreign"]
+    for tuber in truth["tubers"]:
+        del tuber["square_mesh_mm"]
+    digest = hashlib.sha256(json.dumps(truth).encode())
     for source in sources:
         digest.update(f"{source.description.belt_distance_m} {source.description.frames}".encode())
         for seq in range(0, source.description.frames or 0, 15):
