@@ -12,6 +12,8 @@ LOW, HIGH = 0.6, 1.25
 """The median depth of a full belt lies up to 90 mm above the belt, so below its distance more than beyond it."""
 ENOUGH_SHARE = 0.25
 """Beside a narrow belt the floor is seen: a scale that fits so much of the image is right."""
+RODS_LOW, RODS_HIGH, RODS_SHARE = 0.92, 1.03, 0.05
+"""Between the rods of a web the ground is seen: rods that lie where the belt is said to be are enough."""
 
 
 def expected_distance_m(frame: Frame) -> float | None:
@@ -53,11 +55,14 @@ def check_depth_scale(frame: Frame, *, where: str) -> None:
     if expected is None or seen is None:
         return
     fault = scale_fault(seen, expected, frame.depth_scale_m)
-    if fault and _share_at(frame, expected) < ENOUGH_SHARE:
+    fits = _share_at(frame, expected) >= ENOUGH_SHARE or (
+        _share_at(frame, expected, low=RODS_LOW, high=RODS_HIGH) >= RODS_SHARE
+    )
+    if fault and not fits:
         raise InputError(f"{where}, camera '{frame.camera}', frame {frame.seq}: {fault}")
 
 
-def _share_at(frame: Frame, expected_m: float) -> float:
-    """Share of the measured pixels whose depth fits a belt at `expected_m`."""
+def _share_at(frame: Frame, expected_m: float, *, low: float = LOW, high: float = HIGH) -> float:
+    """Share of the measured pixels whose depth is `low` to `high` times that of a belt at `expected_m`."""
     ratio = frame.depth[frame.depth > 0] * frame.depth_scale_m / expected_m
-    return float(np.mean((ratio >= LOW) & (ratio <= HIGH)))
+    return float(np.mean((ratio >= low) & (ratio <= high)))
