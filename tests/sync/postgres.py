@@ -7,6 +7,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -25,19 +26,16 @@ def binaries() -> Path:
 
 
 class Postgres:
-    """One server that can be killed and started again."""
+    """One server that can be killed and started again, in a folder of its own: pytest's are closed to other users."""
 
-    def __init__(self, folder: Path) -> None:
-        self._bin, self._folder = binaries(), folder / "data"
+    def __init__(self) -> None:
+        self._bin = binaries()
+        self._root = Path(tempfile.mkdtemp(prefix="tuberline-postgres-"))
+        self._folder = self._root / "data"
         # The server refuses to run as root: then it runs as the user that Debian's package made.
         self._as = ["setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups"] if os.geteuid() == 0 else []
-        folder.chmod(0o777)
         if os.geteuid() == 0:
-            self._folder.mkdir()
-            shutil.chown(self._folder, "postgres", "postgres")
-            for parent in folder.parents:
-                if parent.stat().st_uid == 0 and parent != Path("/"):
-                    parent.chmod(parent.stat().st_mode | 0o011)
+            shutil.chown(self._root, "postgres", "postgres")
         self._run("initdb", "--auth=trust", "--username=tuberline", "--no-sync", "-D", str(self._folder))
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
@@ -74,3 +72,8 @@ class Postgres:
             self._process.wait(30)
             (self._folder / "postmaster.pid").unlink(missing_ok=True)
             self._process = None
+
+    def remove(self) -> None:
+        """Kill it and remove its folder."""
+        self.kill()
+        shutil.rmtree(self._root, ignore_errors=True)

@@ -29,11 +29,11 @@ START_NS = 1_789_400_000_000_000_000
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
-    server = Postgres(tmp_path_factory.mktemp("postgres"))
+def server() -> Iterator[Postgres]:
+    server = Postgres()
     server.start()
     yield server
-    server.kill()
+    server.remove()
 
 
 @pytest.fixture(scope="module")
