@@ -34,7 +34,6 @@ GROUPS: dict[str, Commands] = {
         "weights": ("tuberline.cli.weights:weights", "The weights of a running line: list, change, go back."),
         "certs": ("tuberline.cli.certs:certs", "A site's own certificates, one per node."),
         "doctor": ("tuberline.cli.doctor:doctor", "What is wrong with a line or this machine, how to fix it."),
-        "bundle": ("tuberline.cli.doctor:bundle", "Pack what a helper needs to see; no private keys."),
     },
     "Watch a line": {
         "status": ("tuberline.cli.status:status", "Totals and nodes of a running line, once."),
@@ -67,10 +66,11 @@ PARTS: Commands = {
     "topics": ("tuberline.cli.topics:topics", "The table of topics."),
     "graph": ("tuberline.cli.graph:graph", "Who runs where and sends what to whom, live."),
     "health": ("tuberline.cli.health:health", "Is the router, or one node, well? For probes."),
+    "bundle": ("tuberline.cli.doctor:bundle", "Pack what a helper needs to see; no private keys."),
 }
 """The parts that `run` starts by itself, and what an integrator needs of them."""
 
-LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics", "graph", "health"}
+LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics", "graph", "health", "bundle"}
 """Commands that work unattended: a thread of theirs that fails ends them."""
 
 LAB: Commands = {
