@@ -60,7 +60,7 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
             assert "Running" in _text(browser)
             for name, size in SIZES.items():
                 _picture(browser, name, size)
-            _until(lambda: "Load complete" in _text(browser), line, lambda: "the load's end in the page")
+            _until(lambda: "Run complete" in _text(browser), line, lambda: "the load's end in the page")
             assert f"Tubers {proxy_count(proxy.ask('/page/snapshot.json')[2])}" in _text(browser)
         watch.stop()
 

@@ -7,7 +7,10 @@ from typing import Any
 
 from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, Counters, Totals
-from viewer.page.state import Flow, LineState, NodeState, PastLoad
+from conveyor.messages.classes import ClassTotal
+from conveyor.messages.foreign import ForeignTotal
+from conveyor.messages.loads import LoadNow
+from viewer.page.state import Flow, LineState, NodeState, PastLoad, ToldLoad
 
 LENS = Intrinsics(848, 480, 430.0, 430.0, 423.5, 239.5)
 HISTOGRAM = (310, 2105, 3420, 2890, 1660, 720, 300, 120, 44, 15, 4, 2)
@@ -107,6 +110,41 @@ def good_state(line: str = "north", **changes: Any) -> LineState:
         ),
     )
     return replace(made, **changes)
+
+
+def loaded_state(line: str = "north", **changes: Any) -> LineState:
+    """The same line with its third load open: a contract's classes, clods among the tubers, a ticket."""
+    edges = ((0.0, 28.0), (28.0, 55.0), (55.0, None))
+    classes = tuple(
+        ClassTotal(name, low, high, 400, 380, 420, 80e3, 76e3, 84e3, share, share - 1.5, share + 1.5, state)
+        for name, (low, high), share, state in zip(
+            ("under 28", "28 to 55", "over 55"), edges, (3.0, 61.0, 36.0), ("kept", "open", "broken"), strict=True
+        )
+    )
+    foreign = ForeignTotal(12, 9, 16, 1.0, 0.7, 1.3, 2600, 2000, 3400, 1.1, 0.8, 1.4, {"lump": 10.0, "haulm": 2.0})
+    figures = (1200, 206.4e3, 199e3, 214e3, 0.993, 207.9e3, 200e3, 216e3, 206.4e3, 180.0, {})
+    now = LoadNow(
+        3,
+        "trailer 7",
+        "7",
+        "North 4",
+        "Agria",
+        "Coop",
+        "Anna",
+        1790000000.0,
+        *figures,
+        classes=classes,
+        foreign=foreign,
+    )
+    told = tuple(
+        ToldLoad(
+            n, f"trailer {n + 4}", "North 4", "Agria", 1790000000.0 + 3600 * n, n == 3, 1200, 206.4e3, 199e3, 214e3,
+            0.993, 207.1e3 if n == 1 else None, None, (),
+        )
+        for n in (3, 2, 1)
+    )  # fmt: skip
+    said = totals(load=now, contract="packer 2026", classes=classes, foreign=foreign)
+    return replace(good_state(line), totals=said, told=told, changed_s=12.0, **changes)
 
 
 def with_node(state: LineState, name: str, changed: NodeState | None) -> LineState:

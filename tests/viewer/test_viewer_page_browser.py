@@ -13,12 +13,17 @@ import pytest
 
 import viewer.page.app as app_module
 from tests.deploy.remote_browser import Browser, chromium
-from tests.viewer.page_states import good_state, segmenter, with_node
+from tests.viewer.page_states import good_state, loaded_state, segmenter, with_node
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
 
 CSS = Path(app_module.__file__).parent / "static" / "page.css"
+STICKS_OUT = """[...document.querySelectorAll('.line *, .bar *')].filter((e) => !e.closest('[hidden], svg, thead'))
+    .filter((e) => e.getBoundingClientRect().right > innerWidth + 1
+        || (e.clientWidth && e.scrollWidth > e.clientWidth + 1))
+    .map((e) => e.outerHTML.slice(0, 80))"""
+"""Elements that are wider than the screen, or hold more than they show."""
 SIZES = {"phone": (390, 844), "panel": (1280, 800)}
 
 
@@ -99,18 +104,47 @@ def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -
 @pytest.mark.parametrize("size", SIZES)
 def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size: str) -> None:
     board = Board(["north", "south"])
-    for name in ("north", "south"):
-        board.put(snapshot(good_state(name)))
+    board.put({**snapshot(loaded_state("north")), "looks_only": ""})
+    board.put({**snapshot(good_state("south")), "looks_only": "no certificate"})
     width, height = SIZES[size]
     browser.page(
         "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
     )
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
-        until(lambda: text(browser).count("1 993 kg") == 2, what="both lines")
+        until(lambda: "1 993 kg" in text(browser) and "206.4 kg" in text(browser), what="both lines")
         assert js(browser, "document.documentElement.scrollWidth") <= width
+        assert js(browser, STICKS_OUT) == []
         assert js(browser, "document.querySelector('#light').getBoundingClientRect().height") >= 44
         assert js(browser, "parseFloat(getComputedStyle(document.querySelector('.seen b')).fontSize)") >= 40
+
+
+def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -> None:
+    board = Board(["north"])
+    board.put({**snapshot(loaded_state()), "looks_only": ""})
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: "Load 3 · trailer 7" in text(browser), what="the open load")
+        shown = text(browser)
+        for told in (
+            "206.4 kg",
+            "90 % sure: 199.0 to 214.0 kg",
+            "Tubers 1 200",
+            "1.1 % 0.8 to 1.4 % of the weight",
+            "Classes of the contract: packer 2026",
+            "✕ broken",
+            "The whole run: 1 993 kg (90 % sure: 1 894 to 2 093 kg), 11 590 tubers",
+            "207.1 kg",
+            "Undo …",
+        ):
+            assert told in shown, told
+        assert shown.index("Load 3") < shown.index("No alarms.") < shown.index("Cameras")
+        board.put({**snapshot(loaded_state(heard_s=14.0, totals_age_s=14.0)), "looks_only": ""})
+        until(lambda: "No contact with north" in text(browser), what="no contact")
+        shown = text(browser)
+        for contradicted in ("Page connected", "Running", "No alarms", "Working"):
+            assert contradicted not in shown, contradicted
+        assert js(browser, "document.querySelector('[data-act=start]').disabled")
 
 
 def test_day_and_night_by_the_keyboard(browser: Browser) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import signal
+import sys
 import threading
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +16,7 @@ from conveyor.errors import ConfigError
 from tuberline.cli.address import LineAddress
 
 TICK_S = 1.0
+NO_TOKEN = "it was started without a token (tuberline page --token-file FILE)"
 
 
 def page(
@@ -22,8 +25,9 @@ def page(
     connect: str | None = None,
     line: Annotated[tuple[str, ...], Parameter(negative_iterable="")] = (),
     listen: str = "127.0.0.1:9180",
+    token_file: Path | None = None,
 ) -> None:
-    """Serve the operator's page: the load, the belt, cameras, alarms in plain words. Changes nothing of a line.
+    """Serve the operator's page: the load, the belt, cameras, alarms in plain words. Who has its token changes loads.
 
     Parameters
     ----------
@@ -36,10 +40,15 @@ def page(
     listen
         HOST:PORT to serve the page on. Beyond this machine only where everybody in the network may look; else put
         deploy/proxy before it.
+    token_file
+        A file with the token, at least 16 characters, that a browser needs to start and end loads and to enter
+        tickets. Without one a terminal gets a new token at each start; elsewhere the page only looks.
     """
     from conveyor.access import known_nodes
     from conveyor.notify import notify
+    from viewer.page.acting import Acting
     from viewer.page.board import Board
+    from viewer.page.orders import Orders, why_not
     from viewer.page.server import PageServer
     from viewer.page.snapshot import snapshot
     from viewer.page.watch import LineWatch
@@ -59,20 +68,29 @@ def page(
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
     board = Board(names)
+    links = {name: address.link()[0] for address, name in zip(addresses, names, strict=True)}
+    token = _token(token_file)
+    reasons = {name: why_not(link) if token else NO_TOKEN for name, link in links.items()}
     watches = [
         LineWatch(
             address.link()[0],
             line=name,
-            tell=lambda look: board.put(snapshot(look)),
+            tell=lambda look: board.put({**snapshot(look), "looks_only": reasons[look.line]}),
             known=known_nodes(address.loaded()) if address.config else (),
         )
         for address, name in zip(addresses, names, strict=True)
     ]
-    with PageServer(board, host=host, port=port) as server:
+    asks = {watch.line: watch.ask_soon for watch in watches}
+    orders = Orders(links, asked=lambda line: asks[line]())
+    acting = Acting(orders.carry, lines=tuple(names), token=token) if token else None
+    with PageServer(board, host=host, port=port, acting=acting) as server:
         for watch in watches:
             watch.start()
         shown = f"[{host}]" if ":" in host else host
         logging.getLogger("page").info("%s at http://%s:%d/", ", ".join(names), shown, server.port)
+        if token and token_file is None:
+            sys.stdout.write(f"To change loads, the page asks for this token: {token}\n")
+            sys.stdout.flush()
         notify("READY=1")
         while not stop.wait(TICK_S):
             if not server.serves:
@@ -80,6 +98,19 @@ def page(
             notify("WATCHDOG=1")
         for watch in watches:
             watch.stop()
+
+
+def _token(file: Path | None) -> str:
+    """The token of `file`, or a new one where a person sees it: a journal keeps no secrets. '' elsewhere."""
+    if file is None:
+        return secrets.token_urlsafe(12) if sys.stdout.isatty() else ""
+    try:
+        token = file.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"--token-file {file} cannot be read: {error}; give a text file with the token") from error
+    if not 16 <= len(token) <= 256 or not token.isascii():
+        raise ConfigError(f"--token-file {file} holds {len(token)} characters; give 16 to 256 ASCII ones")
+    return token
 
 
 def _address(listen: str) -> tuple[str, int]:

@@ -52,7 +52,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
 
 def _no_contact(state: LineState) -> tuple[Alarm, ...]:
     if state.final and state.heard_s is not None:
-        text = f"The load is complete. The line switched off {span(state.heard_s)} ago."
+        text = f"The run is complete. The line switched off {span(state.heard_s)} ago."
         return (Alarm("off", "note", text, "Nothing needs to be done."),)
     since = "" if state.heard_s is None else f" for {span(state.heard_s)}"
     text = f"No contact with line {state.line}{since}." + (f" {state.trouble}." if state.trouble else "")

@@ -1,4 +1,4 @@
-"""What the page answers: its files, the newest snapshot, and one stream of events. Reads only."""
+"""What the page answers: its files, the newest snapshot, one stream of events, and orders where it may give them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from viewer.page.acting import Acting
 from viewer.page.board import Board
 from viewer.page.connections import abort
 from viewer.page.files import File
@@ -37,8 +38,8 @@ HEADERS = {
 LOCAL_NAMES = frozenset({"localhost", socket.gethostname().lower(), f"{socket.gethostname().lower()}.local"})
 
 
-def page_app(board: Board, files: Mapping[str, File], streams: Streams) -> ASGIApp:
-    """The page as an ASGI app: every file at its path, /snapshot.json and /events."""
+def page_app(board: Board, files: Mapping[str, File], streams: Streams, *, acting: Acting | None = None) -> ASGIApp:
+    """The page as an ASGI app: every file at its path, /snapshot.json and /events; /order where there is `acting`."""
 
     async def file(request: Request) -> Response:
         found = files[request.url.path]
@@ -49,6 +50,8 @@ def page_app(board: Board, files: Mapping[str, File], streams: Streams) -> ASGIA
 
     routes = [Route(path, file, methods=["GET"]) for path in files]
     routes += [Route("/snapshot.json", newest, methods=["GET"]), Route("/events", streams, methods=["GET"])]
+    if acting is not None:
+        routes.append(Route("/order", acting.__call__, methods=["POST"]))
     app = Starlette(routes=routes)
     app.router.redirect_slashes = False
     return OwnNamesOnly(app)

@@ -10,6 +10,7 @@ import threading
 import uvicorn
 
 from conveyor.errors import LinkError
+from viewer.page.acting import Acting
 from viewer.page.app import Streams, page_app
 from viewer.page.board import Board
 from viewer.page.connections import BoundedConnection
@@ -24,16 +25,19 @@ STOP_WITHIN_S = 2
 class PageServer:
     """Serves the page and the board's snapshots on its own thread. Use as a context manager.
 
+    Args:
+        acting: takes orders; None: the page only looks.
+
     Raises:
         LinkError: the port is taken, or the address is not this machine's.
     """
 
-    def __init__(self, board: Board, *, host: str, port: int) -> None:
+    def __init__(self, board: Board, *, host: str, port: int, acting: Acting | None = None) -> None:
         self.streams = Streams(board)
         self._socket = _listening(host, port)
         self._server = uvicorn.Server(
             uvicorn.Config(
-                page_app(board, read_files(), self.streams),
+                page_app(board, read_files(), self.streams, acting=acting),
                 http=BoundedConnection,
                 ws="none",
                 lifespan="off",

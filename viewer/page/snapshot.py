@@ -8,6 +8,7 @@ from typing import Any
 
 from conveyor.layers import layers_in_words
 from conveyor.messages import CameraInfo, Totals
+from conveyor.messages.loads import LoadNow
 from viewer.page.alarms import Alarm, alarms
 from viewer.page.state import STALE_S, LineState, NodeState
 from viewer.page.words import dropped, lost
@@ -26,6 +27,10 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "heard_s": None if state.heard_s is None else round(state.heard_s, 1),
         "alarms": [asdict(alarm) for alarm in found],
         "load": None if state.totals is None or state.totals.no_number else _load(state.totals, state),
+        "now": None if state.totals is None or state.totals.load is None else _now(state.totals.load),
+        "contract": "" if state.totals is None else state.totals.contract,
+        "changed_s": None if state.changed_s is None else round(state.changed_s, 1),
+        "told": [asdict(load) for load in state.told],
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
@@ -50,12 +55,36 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "estimated_g": [totals.estimated_low_g, totals.estimated_weight_g, totals.estimated_high_g],
         "coverage": totals.coverage,
         "layers": layers_in_words(totals.hidden, totals.layered_m, totals.belt_m),
+        **_matter(totals),
         "step_g": totals.histogram_step_g,
         "histogram": list(totals.histogram),
         "final": totals.final,
         "age_s": round(state.totals_age_s, 1),
         "old": state.totals_age_s > STALE_S and not totals.final,
     }
+
+
+def _now(load: LoadNow) -> dict[str, Any]:
+    return {
+        "number": load.number,
+        "name": load.name,
+        "known": [text for text in (load.trailer, load.field, load.variety, load.customer, load.operator) if text],
+        "since_unix_s": load.since_unix_s,
+        "count": load.count,
+        "seen_g": [load.low_g, load.weight_g, load.high_g],
+        "estimated_g": [load.estimated_low_g, load.estimated_weight_g, load.estimated_high_g],
+        "coverage": load.coverage,
+        **_matter(load),
+    }
+
+
+def _matter(told: Totals | LoadNow) -> dict[str, Any]:
+    """Classes of the contract, and what is no tuber, as shares of the weight."""
+    foreign = told.foreign
+    shares = (
+        None if foreign is None else (foreign.weight_percent_low, foreign.weight_percent, foreign.weight_percent_high)
+    )
+    return {"classes": [asdict(each) for each in told.classes], "foreign_percent": shares}
 
 
 def _shown_cameras(state: LineState) -> list[str]:

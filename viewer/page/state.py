@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 from conveyor.messages import CameraInfo, Counters, Totals
 
@@ -67,8 +68,33 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
+class ToldLoad:
+    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said."""
+
+    number: int
+    name: str
+    field: str
+    variety: str
+    began_unix_s: float
+    open: bool
+    count: int
+    weight_g: float | None
+    low_g: float | None
+    high_g: float | None
+    coverage: float | None
+    net_g: float | None
+    gross_g: float | None
+    refused: tuple[str, ...]
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> ToldLoad:
+        """What the page shows of it; raises KeyError where an aggregator tells something else."""
+        return cls(**{each.name: told[each.name] for each in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True)
 class PastLoad:
-    """One load of the ledger, as the aggregator tells it."""
+    """One run of the ledger, as the aggregator tells it."""
 
     run: str
     started_unix_s: float
@@ -82,7 +108,11 @@ class PastLoad:
 
 @dataclass(frozen=True, slots=True)
 class LineState:
-    """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link."""
+    """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link.
+
+    `loads` are the ledger's last runs, `told` the loads that were started, both newest first; `changed_s` is how long
+    ago another load was open, or none; None where the page saw no change.
+    """
 
     line: str
     trouble: str = ""
@@ -93,6 +123,8 @@ class LineState:
     cameras: Mapping[str, CameraInfo] = field(default_factory=dict)
     flow: Flow = field(default_factory=Flow)
     loads: tuple[PastLoad, ...] = ()
+    told: tuple[ToldLoad, ...] = ()
+    changed_s: float | None = None
 
     @property
     def in_contact(self) -> bool:
@@ -101,7 +133,7 @@ class LineState:
 
     @property
     def final(self) -> bool:
-        """The load is complete: its figures do not grow old."""
+        """The run is complete: its figures do not grow old."""
         return self.totals is not None and self.totals.final
 
     def role(self, role: str) -> dict[str, NodeState]:

@@ -18,7 +18,7 @@ from conveyor.messages import CameraInfo, Counters, Totals, Travel
 from conveyor.observer import Observer
 from viewer.page.flow import BeltSpeed, LoadFlow, flow
 from viewer.page.growth import Growth
-from viewer.page.state import LineState, NodeState, PastLoad
+from viewer.page.state import LineState, NodeState, PastLoad, ToldLoad
 
 LOOK_EVERY_S = 0.25
 TELL_EVERY_S = 1.0
@@ -28,6 +28,7 @@ TRAVEL_INBOX = 64
 LOADS_EVERY_S = 20.0
 LOADS_WITHIN_S = 1.0
 LOADS = 12
+TOLD = 24
 MAX_NODES = 256
 """Processes that are remembered. Those of the config first, then those alive, then those heard of last."""
 MAX_CAMERAS = 64
@@ -64,6 +65,8 @@ class LineWatch:
         self._totals_s: float | None = None
         self._load, self._belt = LoadFlow(), BeltSpeed()
         self._loads: tuple[PastLoad, ...] = ()
+        self._told: tuple[ToldLoad, ...] = ()
+        self._changed_s: float | None = None
         self._asked_s: float | None = None
         self._thread = threading.Thread(target=self._watch, name=f"watch-{line}", daemon=True)
 
@@ -75,6 +78,10 @@ class LineWatch:
         """End it; a session that does not close in time is left to the end of the process."""
         self._stop.set()
         self._thread.join(within_s)
+
+    def ask_soon(self) -> None:
+        """Something of the loads was changed: ask for them at the next look. From any thread."""
+        self._asked_s = None
 
     def _watch(self) -> None:
         while not self._stop.is_set():
@@ -114,6 +121,9 @@ class LineWatch:
         """Note what is new. A message is a new object, also where it says the same as the one before."""
         totals = observer.totals()
         if totals is not None and totals is not self._totals:
+            if self._totals is not None and open_load(totals) != open_load(self._totals):
+                self._changed_s = now_s
+                self.ask_soon()
             self._totals, self._totals_s = totals, now_s
             self._load.add(totals, now_s)
         alive = observer.alive()
@@ -143,7 +153,9 @@ class LineWatch:
         try:
             found = observer.query(topics.QUERY_LOADS, parameters=f"limit={LOADS}", timeout_s=LOADS_WITHIN_S)
             self._loads = tuple(PastLoad(**load) for load in found)
-        except (LinkError, TypeError) as error:
+            told = observer.query(topics.QUERY_LOADS, parameters=f"limit={TOLD};what=loads", timeout_s=LOADS_WITHIN_S)
+            self._told = tuple(ToldLoad.of(load) for load in told)
+        except (LinkError, TypeError, KeyError) as error:
             self._log.debug("the ledger's loads: %s", error)
 
     def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, trouble: str = "") -> LineState:
@@ -159,7 +171,14 @@ class LineWatch:
             cameras=cameras,
             flow=flow(self._load, self._belt, now_s),
             loads=self._loads,
+            told=self._told,
+            changed_s=None if self._changed_s is None else now_s - self._changed_s,
         )
+
+
+def open_load(totals: Totals) -> tuple[str, int | None]:
+    """Run and number of the load that is open."""
+    return totals.run, None if totals.load is None else totals.load.number
 
 
 def _by_camera(infos: Mapping[str, CameraInfo]) -> dict[str, CameraInfo]:

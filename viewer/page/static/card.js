@@ -1,13 +1,14 @@
 // One line: its figures, alarms and tables. Texts are set, never parsed as HTML, and only where they changed.
 import { cameraCards } from "./cameras.js";
 import { histogram } from "./histogram.js";
+import { Loads } from "./loads.js";
 import { fill } from "./table.js";
 import { ago, load, loadUnit, number, when } from "./words.js";
 
 const STALE_S = 3.5;
 const STATES = {
   running: ["good", "Running"],
-  complete: ["good", "Load complete"],
+  complete: ["good", "Run complete"],
   waiting: ["wait", "Waiting for the first figures"],
   starting: ["wait", "Looking for the line"],
   trouble: ["trouble", "Running, with trouble"],
@@ -23,13 +24,15 @@ export class LineCard {
     title.id = `line-${Math.random().toString(36).slice(2)}`;
     this.element.setAttribute("aria-labelledby", title.id);
     this.found = null;
+    this.loads = new Loads(this);
   }
 
   take(found) {
     this.found = found;
     this.put("line", found.line);
     this.alarms(found.alarms ?? []);
-    this.load(found.load);
+    this.load(found.load, found.now);
+    this.loads.take(found);
     this.flow(found.flow);
     cameraCards(this.places.cameras, found.cameras ?? []);
     this.tables(found);
@@ -41,9 +44,14 @@ export class LineCard {
     if (found === null) return;
     const heardS = found.heard_s === null || found.heard_s === undefined ? null : found.heard_s + (found.told_s ?? 0) + (sinceS ?? 0);
     const final = found.load?.final ?? false;
-    const old = !final && (lost || (heardS !== null && heardS > STALE_S) || (found.load?.old ?? false));
-    const [state, text] = STATES[old && found.state === "running" ? "no contact" : found.state] ?? ["wait", found.state];
+    const gone = lost || found.state === "no contact" || (!final && heardS !== null && heardS > STALE_S);
+    const old = !final && (gone || (found.load?.old ?? false));
+    const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
+    const [state, text] = STATES[now] ?? ["wait", found.state];
+    this.gone = now === "no contact";
+    this.loads.contact(!this.gone);
     this.places.state.dataset.state = state;
+    this.element.dataset.gone = this.gone ? "yes" : "no";
     this.put("state", text, this.places.state.querySelector(".text"));
     this.element.dataset.old = old && found.load ? "yes" : "no";
     this.places.old.hidden = !(old && found.load);
@@ -74,18 +82,19 @@ export class LineCard {
     });
   }
 
-  load(found) {
+  load(found, now) {
     this.element.dataset.load = found ? "yes" : "no";
     if (!found) return;
     this.put("run", `run ${found.run}`);
-    this.range("seen", found.seen_g);
-    this.range("estimated", found.estimated_g);
-    const missed = found.coverage === null ? null : 100 * (1 - found.coverage);
+    const { seen_g, estimated_g, coverage, count } = now ?? found;
+    this.range("seen", seen_g);
+    this.range("estimated", estimated_g);
+    const missed = coverage === null ? null : 100 * (1 - coverage);
     const layers = found.layers ? ` And ${found.layers}.` : "";
     this.put("estimated-note", missed === null ? "" : (missed < 0.05 ? "All of the belt was looked at." : `Makes up for the ${number(missed, 1)} % of the belt that no camera saw.`) + layers);
-    this.put("count", number(found.count));
-    this.put("coverage", found.coverage === null ? "–" : `${number(100 * found.coverage, 1)} %`);
-    this.put("mean", found.count ? `${number(found.seen_g[1] / found.count)} g` : "–");
+    this.put("count", number(count));
+    this.put("coverage", coverage === null ? "–" : `${number(100 * coverage, 1)} %`);
+    this.put("mean", count ? `${number(seen_g[1] / count)} g` : "–");
     histogram(this.places.histogram, this.places.classes, found);
   }
 
@@ -112,7 +121,7 @@ export class LineCard {
     fill(this.places.others, ["Process", "State", "On", "Version", "Up"], (found.others ?? []).map((node) => [
       node.name, node.state, node.host, node.version, node.up_s === null ? "–" : ago(node.up_s),
     ]), "None seen.");
-    fill(this.places.loads, ["Begun", "Load as seen", "90 % sure", "Tubers", "Belt looked at", "Run", ""], (found.loads ?? []).map((past) => this.past(past)), "The ledger holds no earlier load.");
+    fill(this.places.loads, ["Begun", "Weight as seen", "90 % sure", "Tubers", "Belt looked at", "Run", ""], (found.loads ?? []).map((past) => this.past(past)), "The ledger holds no earlier run.");
   }
 
   past(past) {

@@ -40,10 +40,11 @@ function tick() {
   const sinceS = heardAt === null ? null : (performance.now() - heardAt) / 1000;
   const lost = sinceS !== null && sinceS > LOST_S;
   for (const card of cards.values()) card.age(sinceS, lost);
-  const state = sinceS === null ? "wait" : lost ? "trouble" : "good";
+  const gone = [...cards].filter(([, card]) => card.gone).map(([line]) => line);
+  const state = sinceS === null ? "wait" : lost || gone.length ? "trouble" : "good";
   contact.dataset.state = state;
   contact.querySelector(".text").textContent =
-    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : "Page connected";
+    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : gone.length ? `No contact with ${gone.join(", ")}` : "Page connected";
   document.body.dataset.contact = lost ? "lost" : "live";
   say(lost);
 }

@@ -15,6 +15,7 @@ export function fill(table, heads, rows, empty) {
     cells.forEach((text, at) => {
       const cell = row.cells[at] ?? row.insertCell();
       if (cell.textContent !== String(text)) cell.textContent = text;
+      cell.dataset.head = rows.length ? heads[at] : "";
       if (heads[at] === "State") cell.dataset.state = text;
     });
   });

@@ -1,0 +1,125 @@
+"""Loads changed by hand: a real browser, the page and an aggregator as processes, and tubers that come meanwhile."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from aggregator.ledger.load_list import told_loads
+from aggregator.ledger.reader import reading
+from conveyor.config import LineConfig
+from conveyor.node import Node
+from tests.aggregator.belt_story import tell
+from tests.aggregator.test_aggregator_load_orders import Belt
+from tests.aggregator.test_aggregator_node import Process, Segmenters, line, process
+from tests.conftest import ROOT
+from tests.deploy.remote_browser import Browser
+from tests.viewer.test_viewer_page_browser import browser, js, text, until
+from tests.viewer.viewer_line import free_port
+
+__all__ = ["browser", "line", "process"]
+pytestmark = [pytest.mark.graph, pytest.mark.timeout(180)]
+TOKEN = "a-token-of-this-test"
+
+
+@contextmanager
+def page(path: Path, *words: str) -> Iterator[str]:
+    """The address of `tuberline page` of a line."""
+    port = free_port()
+    command = [sys.executable, "-m", "tuberline", "page", "--config", str(path), "--listen", f"127.0.0.1:{port}"]
+    running = subprocess.Popen([*command, *words], cwd=ROOT)
+    try:
+        yield f"http://127.0.0.1:{port}/"
+    finally:
+        running.terminate()
+        running.wait(30)
+
+
+def look(browser: Browser, url: str, wanted: str) -> None:
+    """Open the page, again while its server is still starting."""
+
+    def there() -> bool:
+        if js(browser, "location.href") != url:
+            browser.page("Page.navigate", url=url)
+        return wanted in text(browser)
+
+    until(there, what=wanted)
+
+
+def press(browser: Browser, action: str) -> None:
+    """The button of the card, as soon as it can be pressed."""
+    button = f"document.querySelector('[data-act={action}]')"
+    until(lambda: js(browser, f"!{button}.hidden && !{button}.disabled"), what=f"button {action}")
+    js(browser, f"{button}.click()")
+    assert js(browser, "document.getElementById('order').open")
+
+
+def confirm(browser: Browser, **typed: str) -> None:
+    """Fill the dialog and press its first button."""
+    for name, value in typed.items():
+        js(browser, f"document.querySelector('#order form').elements.{name}.value = {json.dumps(value)}")
+    js(browser, "document.querySelector('#order .yes').click()")
+
+
+def closed(browser: Browser) -> bool:
+    return not js(browser, "document.getElementById('order').open")
+
+
+def figure(browser: Browser, name: str) -> str:
+    return str(js(browser, f"document.querySelector('[data-put={name}]').textContent"))
+
+
+def test_a_load_is_started_ended_and_weighed_while_tubers_come(
+    browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
+) -> None:
+    config, path = line
+    token = tmp_path / "token"
+    token.write_text(TOKEN + "\n")
+    told = tell(21, cameras=2, n=40, length_m=3.6, noise_mm=0.0)
+    with Node("segmenter", "cam0", config=config, run="story") as node, page(path, "--token-file", str(token)) as url:
+        segmenters = Segmenters(node, told)
+        until(lambda: segmenters.all_acknowledged(0), what="the aggregator")
+        look(browser, url, "Start load")
+        with Belt(segmenters):
+            press(browser, "start")
+            confirm(browser, name="trailer 7", variety="Agria", operator="Anna", token="not-the-right-one")
+            until(lambda: "This token is wrong" in text(browser), what="the refusal")
+            confirm(browser, token=TOKEN)
+            until(lambda: closed(browser), what="the load is started")
+            until(lambda: figure(browser, "which") == "Load 1 · trailer 7", what="the open load")
+            until(lambda: int(figure(browser, "count")) > 3, what="tubers of the load")
+            press(browser, "end")
+            confirm(browser)
+            until(lambda: figure(browser, "which") == "No load is open", what="the load has ended")
+            press(browser, "undo")
+            confirm(browser)
+            until(lambda: figure(browser, "which") == "Load 1 · trailer 7", what="the load is open again")
+            press(browser, "ticket")
+            confirm(browser, kg="much")
+            until(lambda: "Type the weight in kg as a number" in text(browser), what="what a ticket is")
+            confirm(browser, kg="8123,5")
+            until(lambda: "8 123.5 kg" in text(browser), what="the ticket in the table of loads")
+            press(browser, "end")
+            confirm(browser)
+            until(lambda: closed(browser), what="the end")
+        segmenters.deliver()
+    code, said = process.end()
+    assert code == 0, said
+    with reading(config.aggregator.out / "ledger.db") as view:
+        (load,) = told_loads(view, limit=9)
+    assert (load["name"], load["variety"], load["open"], load["net_g"]) == ("trailer 7", "Agria", False, 8123500.0)
+    assert {each["by"] for each in load["said"]} == {"page: Anna"}
+
+
+def test_a_page_without_a_token_says_that_it_only_looks(
+    browser: Browser, line: tuple[LineConfig, Path], process: Process
+) -> None:
+    with page(line[1]) as url:
+        look(browser, url, "Loads cannot be changed from this page: it was started without a token")
+        assert js(browser, "document.querySelector('[data-put=acts]').hidden")
