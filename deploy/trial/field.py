@@ -73,7 +73,7 @@ def replayed(recordings: Path, out: Path) -> list[str]:
 def copy_at_rest(ledger: Path, target: Path, tries: int = 50) -> None:
     """Copy the database and its log as they are at one moment: again where the aggregator wrote meanwhile.
 
-    The index of the log (-shm) is left out; SQLite makes it anew, and that of a moment before would not fit.
+    The index of the log (-shm) is left out; SQLite makes it again, and an older one would not fit.
     """
 
     def state() -> list[tuple[str, int, int]]:
