@@ -82,6 +82,8 @@ class CameraNode:
             self._note(after)  # it was there: a segmenter that starts again must not take "ended" for "empty"
         while not self._node.stop.is_set():
             self._publish_after(after)
+            if self._node.stop.is_set() and not self._source.description.live:
+                return  # stopped in the middle, by a reboot say: the recording goes on when the camera starts again
             if self._back_to is None:
                 self._tell("ended")
                 self._node.log.info("ended after frame %s: %d published", self._last, self._published)

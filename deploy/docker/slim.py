@@ -15,7 +15,7 @@ from pathlib import Path
 
 INSTALLERS = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
 FOR_DEVELOPERS = ("torch/test", "torch/include", "torch/share", "numpy/_core/include")
-UNUSED = tuple(f"scipy/{part}" for part in ("cluster", "datasets", "io", "odr", "signal", "stats"))
+UNUSED = tuple(f"scipy/{part}" for part in ("cluster", "datasets", "odr", "signal", "stats"))
 """Parts of scipy that nothing here imports; every import of scipy in our sources is tried after they are gone."""
 STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh", "zstandard")
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""

@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+from itertools import zip_longest
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -161,7 +162,11 @@ def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0)
     until(lambda: field.Seen(machine.disk).finished, "the line counted", timeout_s=timeout_s, every_s=3.0)
     seen = field.Seen(machine.disk)
     if seen.lines != reference:
-        raise TrialError(f"the ledger differs from the replay's: {len(seen.tubers)} tubers")
+        differ = [pair for pair in zip_longest(seen.lines, reference) if pair[0] != pair[1]]
+        raise TrialError(
+            f"the ledger differs from the replay's: {len(seen.tubers)} tubers, {len(differ)} lines, {seen.fault}\n"
+            f"{differ[0][0]}\ninstead of\n{differ[0][1]}"
+        )
     return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"
 
 

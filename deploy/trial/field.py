@@ -12,7 +12,7 @@ from pathlib import Path
 from aggregator.ledger.export import canonical_lines
 from aggregator.ledger.reader import read_marks, read_runs, reading, the_run
 from conveyor.errors import TuberlineError
-from deploy.trial.tools import run
+from deploy.trial.tools import TrialError, run
 
 LEDGER = "var/lib/tuberline/field/ledger"
 UNITS = (
@@ -70,6 +70,28 @@ def replayed(recordings: Path, out: Path) -> list[str]:
         return list(canonical_lines(view, the_run(view, out / "ledger.db", None)))
 
 
+def copy_at_rest(ledger: Path, target: Path, tries: int = 50) -> None:
+    """Copy the database and its log as they are at one moment: again where the aggregator wrote meanwhile.
+
+    The index of the log (-shm) is left out; SQLite makes it again, and an older one would not fit.
+    """
+
+    def state() -> list[tuple[str, int, int]]:
+        files = sorted(file for file in ledger.glob("ledger.*") if not file.name.endswith("-shm"))
+        return [(file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files]
+
+    for _ in range(tries):
+        with suppress(FileNotFoundError):  # SQLite takes its own away
+            before = state()
+            for name, _, _ in before:
+                shutil.copy(ledger / name, target)
+            if state() == before:
+                return
+        for file in target.iterdir():
+            file.unlink()
+    raise TrialError(f"{ledger} was written to during each of {tries} copies")
+
+
 class Seen:
     """A ledger of a machine as it is on its disk now, read from a copy so that the machine's own stays untouched."""
 
@@ -79,9 +101,7 @@ class Seen:
         self.travelled_m = 0.0
         self.fault = ""
         with tempfile.TemporaryDirectory() as folder:
-            for file in (disk / LEDGER).glob("ledger.*"):
-                with suppress(FileNotFoundError):  # SQLite takes its own away
-                    shutil.copy(file, folder)
+            copy_at_rest(disk / LEDGER, Path(folder))
             path = Path(folder) / "ledger.db"
             if not path.exists():
                 return

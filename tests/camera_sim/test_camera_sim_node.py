@@ -73,6 +73,24 @@ def test_unacknowledged_frames_come_again_and_a_killed_camera_goes_on_where_it_w
         assert sorted(set(side.seen)) == list(range(3, frames))  # frame 2 was done, frame 3 not
 
 
+def test_a_replay_that_is_stopped_in_the_middle_has_not_ended_and_goes_on(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    config, frames = line(link, path=small_recording, speed=0, window=2), _count(small_recording)
+    with other_side(config) as side:
+        side.done(-1)
+        with process(config, tmp_path, "camera", "--camera", "front") as camera:
+            wait_until(lambda: side.take(0.1) is not None and 1 in side.seen, what="frame 1")
+            camera.send_signal(signal.SIGTERM)
+            _, said = camera.communicate(timeout=30)
+            assert camera.returncode == 0
+        assert "ended after" not in said  # a segmenter would take it for the end of the run
+        side.done(0)
+        with process(config, tmp_path, "camera", "--camera", "front"):
+            side.follow(frames - 1, done_seq=0)
+            side.wait_for_state("ended")
+
+
 def test_without_waiting_nobody_holds_it_up_and_late_joiners_learn_that_it_ended(
     link: LinkConfig, small_recording: Path, tmp_path: Path
 ) -> None:
