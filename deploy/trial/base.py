@@ -8,7 +8,6 @@ from pathlib import Path
 from deploy.trial.tools import TrialError, run, say
 
 SUITE = "bookworm"
-MIRROR = "http://deb.debian.org/debian"
 FOR_IMAGES = ("python3", "python3-venv", "ca-certificates")
 FOR_MACHINES = (*FOR_IMAGES, "systemd", "systemd-sysv", "dbus", "iproute2", "procps")
 NOT_NEEDED = (
@@ -30,7 +29,7 @@ def debian_root(folder: Path, packages: tuple[str, ...]) -> Path:
     shutil.rmtree(folder, ignore_errors=True)
     say(f"debootstrap {SUITE} into {folder}")
     try:
-        run(["debootstrap", "--variant=minbase", f"--include={','.join(packages)}", SUITE, folder, MIRROR])
+        run(["debootstrap", "--variant=minbase", f"--include={','.join(packages)}", SUITE, folder])
     except TrialError:
         shutil.rmtree(folder, ignore_errors=True)
         raise
