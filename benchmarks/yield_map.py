@@ -81,7 +81,7 @@ def judge(name: str, world: FieldWorld, seed: int) -> Row:
         clean.append(cleaned(points))
     factors = factors_to_one_scale(clean, width_m=world.width_m)
     true_ratio = world.scales[0] / world.scales[-1]
-    scaled = [_scaled(points, factor) for points, factor in zip(clean, factors, strict=True)]
+    scaled = [points.scaled(factor) for points, factor in zip(clean, factors, strict=True)]
     maps = {"raw": cells_of(raw, cell_m=10), "cleaned": cells_of(scaled, cell_m=10)}
     maps["smooth"] = smoothed(maps["cleaned"])
     assert plane is not None
@@ -97,12 +97,6 @@ def judge(name: str, world: FieldWorld, seed: int) -> Row:
         error_t_ha={way: values[1] for way, values in found.items()},
         held_percent={way: values[2] for way, values in found.items()},
     )
-
-
-def _scaled(points: Points, factor: float) -> Points:
-    from dataclasses import replace
-
-    return replace(points, kg=points.kg * factor, var_kg2=points.var_kg2 * factor**2)
 
 
 def _against(cells: YieldMap, field: SimulatedField, corner: np.ndarray) -> tuple[float, float, float, float]:

@@ -72,7 +72,7 @@ def _by_seconds(path: Path, crop: Crop) -> _Seconds:
     kg = np.histogram(crop.time_s, bins=edges, weights=crop.kg)[0]
     kernel = np.ones(SMOOTH_S) / SMOOTH_S
     known = path.known(middle)
-    heading = path.heading_rad[np.clip(np.searchsorted(path.time_s, middle, "right") - 1, 0, None)]
+    heading = path.heading_at(middle)
     speed = np.where(known, np.interp(middle, path.time_s, path.speed_m_s), 0.0)
     return _Seconds(middle, path.at(middle), heading, speed, known, np.convolve(kg, kernel, mode="same") / STEP_S)
 

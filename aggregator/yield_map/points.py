@@ -126,6 +126,10 @@ class Points:
         used: NDArray[np.bool_] = self.unused == Unused.NO
         return used
 
+    def scaled(self, factor: float) -> Points:
+        """The same points with `factor` times the kilograms."""
+        return replace(self, kg=self.kg * factor, var_kg2=self.var_kg2 * factor**2)
+
     def reasons(self) -> dict[str, int]:
         """How many points are unused, by reason."""
         return dict(Counter(str(reason) for reason in self.unused if reason != Unused.NO))
@@ -146,7 +150,7 @@ def yield_points(path: Path, crop: Crop, machine: Machine) -> tuple[Points, floa
     shares = _shares(path, edges_s, machine)
     known = path.known(middle_s) & np.isfinite(shares).all(axis=(1, 2))
     speed = np.interp(middle_s, path.time_s, path.speed_m_s)
-    heading = _heading(path, middle_s)
+    heading = path.heading_at(middle_s)
     passes = pass_numbers(middle_s, heading, speed, known)
     index[inside] = _nearest_lifting(known, passes)[index[inside]]
     sums: list[NDArray[np.float64]] = [
@@ -244,14 +248,9 @@ def _area(ground: Harvested, machine: Machine) -> NDArray[np.float64]:
 def _shares(path: Path, edges_s: NDArray[np.float64], machine: Machine) -> NDArray[np.float64]:
     """(N, 2, 2): where the share was at the start and the end of each second."""
     ends = path.at(np.clip(edges_s, path.time_s[0], path.time_s[-1]))
-    heading = _heading(path, edges_s)
+    heading = path.heading_at(edges_s)
     ends = ends - machine.antenna_ahead_m * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     return np.stack([ends[:-1], ends[1:]], axis=1)
-
-
-def _heading(path: Path, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) heading at `time_s`, of the nearest earlier position."""
-    return path.heading_rad[np.clip(np.searchsorted(path.time_s, time_s, "right") - 1, 0, None)]
 
 
 def _ramps(points: Points) -> NDArray[np.bool_]:

@@ -73,6 +73,10 @@ class Path:
         x, y = (np.interp(time_s, self.time_s, self.xy_m[:, axis]) for axis in (0, 1))
         return np.where(self.known(time_s)[:, None], np.stack([x, y], axis=1), np.nan)
 
+    def heading_at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(M,) heading at `time_s`, of the nearest earlier position."""
+        return self.heading_rad[np.clip(np.searchsorted(self.time_s, time_s, "right") - 1, 0, None)]
+
     def known(self, time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
         """(M,) whether the machine's place is known then."""
         after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1)

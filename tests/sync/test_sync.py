@@ -17,7 +17,7 @@ import pytest
 
 from aggregator.ledger.reader import read_tubers, reading
 from benchmarks.written_run import write_run
-from conveyor.errors import InputError, LinkError
+from conveyor.errors import InputError, LedgerError, LinkError
 from tests.sync.postgres import Postgres
 from tuberline.sync import push as push_module
 from tuberline.sync.push import connect, push
@@ -138,8 +138,6 @@ def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, t
 
 
 def test_a_damaged_ledger_brings_nothing_wrong(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
-    from conveyor.errors import LedgerError
-
     copy = tmp_path / "copy"
     shutil.copytree(ledger, copy)
     data = bytearray((copy / "ledger.db").read_bytes())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -139,7 +139,7 @@ def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) 
             run=machine.run,
             delay=delay,
             way=way,
-            points=_scaled(points, factor),
+            points=points.scaled(factor),
             factor=factor,
             faults=way.faults,
             lost_kg=lost_kg,
@@ -242,10 +242,6 @@ def _found_delay(run: str, found: list[Delay]) -> Delay:
             "opposite passes beside each other, or some stops; give it with --delay-s (a stopwatch will do)"
         )
     return sure[0]
-
-
-def _scaled(points: Points, factor: float) -> Points:
-    return replace(points, kg=points.kg * factor, var_kg2=points.var_kg2 * factor**2)
 
 
 def _clock(time_s: float) -> str:
