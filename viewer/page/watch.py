@@ -19,6 +19,7 @@ from conveyor.observer import Observer
 from viewer.page.camera_alarms import DEAD_S
 from viewer.page.flow import BeltSpeed, LoadFlow, flow
 from viewer.page.growth import Growth
+from viewer.page.pictures import Pictures, PictureWatch
 from viewer.page.state import LineState, NodeState, PastLoad, ToldLoad
 
 LOOK_EVERY_S = 0.25
@@ -50,12 +51,20 @@ class LineWatch:
 
     Args:
         known: nodes ('role/name') of the line's config: they have a place, whatever others announce themselves.
+        pictures: gets those of the cameras that somebody looks at.
     """
 
     def __init__(
-        self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None], known: Collection[str] = ()
+        self,
+        link: LinkConfig,
+        *,
+        line: str,
+        tell: Callable[[LineState], None],
+        known: Collection[str] = (),
+        pictures: Pictures | None = None,
     ) -> None:
         self._known = frozenset(known)
+        self._pictures = pictures or Pictures()
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -89,7 +98,8 @@ class LineWatch:
             try:
                 with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
-                    self._observe(observer)
+                    with PictureWatch(observer, self._pictures):
+                        self._observe(observer)
             except TuberlineError as error:
                 self._log.warning("%s", error)
                 self._tell(self._state_of({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))

@@ -1,4 +1,5 @@
 // A card for each camera with what it does now; in a table of its own everything that ever went wrong, by reason.
+import { beltPicture, pictureNote } from "./belt.js";
 import { number } from "./words.js";
 
 const STATES = {
@@ -14,26 +15,30 @@ const STATES = {
   trouble: ["trouble", "Trouble"],
 };
 
-export function cameraCards(place, cameras) {
+export function cameraCards(place, line, cameras) {
   while (place.children.length > cameras.length) place.lastElementChild.remove();
   cameras.forEach((camera, n) => {
     if (!place.children[n]) place.append(blank());
-    draw(place.children[n], camera);
+    draw(place.children[n], line, camera);
   });
 }
 
 function blank() {
   const card = document.createElement("div");
   card.className = "camera";
-  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><p class='now'></p>";
+  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><canvas width='16' height='9'></canvas><p class='note'></p><p class='now'></p>";
   return card;
 }
 
-function draw(card, camera) {
+function draw(card, line, camera) {
   const [state, text] = STATES[camera.state] ?? ["trouble", camera.state];
   put(card.querySelector("h4"), camera.name);
   card.querySelector(".pill").dataset.state = state;
   put(card.querySelector(".pill .text"), text);
+  const over = camera.state === "ended";
+  card.querySelector("canvas").hidden = card.querySelector(".note").hidden = over;
+  if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
+  if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
   put(card.querySelector(".now"), `${number(camera.tubers)} tubers${camera.state === "ok" ? `, ${number(camera.per_s, 1)} frames a second` : ""}`);
 }
 

@@ -34,7 +34,7 @@ export class LineCard {
     this.load(found.load, found.now);
     this.loads.take(found);
     this.flow(found.flow);
-    cameraCards(this.places.cameras, found.cameras ?? []);
+    cameraCards(this.places.cameras, found.line, found.cameras ?? []);
     this.tables(found);
   }
 
