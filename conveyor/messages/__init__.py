@@ -5,6 +5,7 @@ from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
 from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
+from conveyor.messages.pictures import Outline, Picture
 from conveyor.messages.positions import Position
 from conveyor.messages.reports import Counters, Totals, Tuber
 from conveyor.messages.sizes import Sizes
@@ -24,6 +25,8 @@ __all__ = [
     "LoadOrder",
     "Mark",
     "Message",
+    "Outline",
+    "Picture",
     "Position",
     "Sizes",
     "Totals",

@@ -29,7 +29,7 @@ from regressor.serve.messages import WeightsParcel, WeightsReport, WeightsState
 
 CLASSES: tuple[type[Message], ...] = (
     m.Frame, m.CameraInfo, m.FrameProgress, m.Travel, m.View, m.Weight, m.TrackEntry, m.Committed, m.Tuber, m.Totals,
-    m.Counters, WeightsParcel, WeightsReport, WeightsState,
+    m.Counters, m.Picture, WeightsParcel, WeightsReport, WeightsState,
 )  # fmt: skip
 """Every message that crosses a process boundary."""
 Pick = Callable[[Sequence[Any]], Any]

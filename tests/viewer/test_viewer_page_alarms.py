@@ -108,6 +108,34 @@ def test_a_camera_without_frames() -> None:
     assert texts(state, "trouble") == ["No frames have come from camera left for 8 s."]
 
 
+def test_a_dead_camera_is_told_by_the_belt_that_its_segmenter_no_longer_sees_move() -> None:
+    heard = good_state(frame_s={"left": 1.9, "right": 0.1})
+    assert texts(heard, "trouble") == ["No frames have come from camera left for 1 s."]
+    assert snapshot(heard)["cameras"][0]["state"] == "trouble"
+    assert alarms(good_state(frame_s={"left": 1.7})) == ()
+    waits = {"left": camera_info("left", waits=True), "right": camera_info("right")}
+    assert alarms(replace(heard, cameras=waits)) == (), "a replay may wait"
+    silent = with_node(heard, "segmenter/left", segmenter("left", age_s=2.1))
+    assert alarms(silent) == (), "nothing is heard of its segmenter either: that is the link, and told as such"
+    dropping = segmenter("left", growing_s={"frames_dropped_too_old": 1.0})
+    assert alarms(with_node(heard, "segmenter/left", dropping)) == (), "frames come, too late"
+
+
+def test_a_recorder_that_ended_on_purpose_is_no_trouble() -> None:
+    ended = node("recorder/rec", alive=False, gone_s=20.0)
+    assert ended.report is not None
+    ended = replace(ended, report=replace(ended.report, status="ended"))
+    state = with_node(good_state(), "recorder/rec", ended)
+    shown = snapshot(state)
+    assert (shown["state"], [alarm["level"] for alarm in shown["alarms"]]) == ("running", [])
+    assert shown["health"] == {"processes": 8, "well": 7, "ended": ["recorder/rec"], "ill": {}}
+    killed = with_node(state, "recorder/rec", node("recorder/rec", alive=False, gone_s=20.0))
+    assert snapshot(killed)["health"]["ill"] == {"recorder/rec": "gone"}
+    camera = replace(ended, report=replace(ended.report, role="camera", name="left"))
+    stopped = with_node(good_state(), "camera/left", camera)
+    assert texts(stopped, "trouble") == ["Camera left stopped 20 s ago."], "the load misses its belt, on purpose or not"
+
+
 def test_processes_that_are_gone_hang_or_start() -> None:
     state = good_state()
     gone = replace(state.nodes["camera/left"], alive=False, gone_s=31.0)

@@ -62,9 +62,11 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
         port = page.port
         browser.page("Page.navigate", url=f"http://127.0.0.1:{port}/")
         until(lambda: "Page connected" in text(browser) and "1 993 kg" in text(browser), what="the figures in the page")
+        js(browser, "document.querySelector('.health').open = document.querySelector('.runs').open = true")
         shown = text(browser)
         for told in (
             "Camera left is dark, for 12 s.",
+            "Health: 7 of 7 processes work",
             "90 % sure: 1 894 to 2 093 kg",
             "Makes up for the 1.5 % of the belt that no camera saw.",
             "Tubers 11 590",
@@ -113,6 +115,7 @@ def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size:
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
         until(lambda: "1 993 kg" in text(browser) and "206.4 kg" in text(browser), what="both lines")
+        js(browser, "document.querySelectorAll('details').forEach((fold) => { fold.open = true; })")
         assert js(browser, "document.documentElement.scrollWidth") <= width
         assert js(browser, STICKS_OUT) == []
         assert js(browser, "document.querySelector('#light').getBoundingClientRect().height") >= 44

@@ -16,13 +16,15 @@ import pytest
 
 import viewer.page.app as app_module
 import viewer.page.connections as connections_module
+import viewer.page.streams as streams_module
 from conveyor.errors import LinkError
 from tests.viewer.page_states import good_state
-from viewer.page.app import MAX_STREAMS, own_name
+from viewer.page.app import own_name
 from viewer.page.board import Board
 from viewer.page.files import read_files
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
+from viewer.page.streams import MAX_STREAMS
 
 STATIC = Path(app_module.__file__).parent / "static"
 
@@ -198,7 +200,7 @@ def closed(channel: socket.socket) -> bool:
 
 
 def test_a_frozen_browser_is_let_go(page: PageServer, board: Board, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app_module, "SEND_WITHIN_S", 0.3)
+    monkeypatch.setattr(streams_module, "SEND_WITHIN_S", 0.3)
     big = {**snapshot(good_state()), "line": "north", "padding": "x" * 2_000_000}
     with stream(page) as frozen:
         read_until(frozen, b"data: ")

@@ -49,6 +49,7 @@ def page(
     from viewer.page.acting import Acting
     from viewer.page.board import Board
     from viewer.page.orders import Orders, why_not
+    from viewer.page.pictures import Pictures
     from viewer.page.server import PageServer
     from viewer.page.snapshot import snapshot
     from viewer.page.watch import LineWatch
@@ -67,7 +68,7 @@ def page(
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    board = Board(names)
+    board, pictures = Board(names), Pictures()
     links = {name: address.link()[0] for address, name in zip(addresses, names, strict=True)}
     token = _token(token_file)
     reasons = {name: why_not(link) if token else NO_TOKEN for name, link in links.items()}
@@ -77,13 +78,14 @@ def page(
             line=name,
             tell=lambda look: board.put({**snapshot(look), "looks_only": reasons[look.line]}),
             known=known_nodes(address.loaded()) if address.config else (),
+            pictures=pictures,
         )
         for address, name in zip(addresses, names, strict=True)
     ]
     asks = {watch.line: watch.ask_soon for watch in watches}
     orders = Orders(links, asked=lambda line: asks[line]())
     acting = Acting(orders.carry, lines=tuple(names), token=token) if token else None
-    with PageServer(board, host=host, port=port, acting=acting) as server:
+    with PageServer(board, host=host, port=port, acting=acting, pictures=pictures) as server:
         for watch in watches:
             watch.start()
         shown = f"[{host}]" if ":" in host else host

@@ -63,7 +63,7 @@ def _no_contact(state: LineState) -> tuple[Alarm, ...]:
 def _aggregator(state: LineState) -> Iterator[Alarm]:
     node = state.role("aggregator").get("aggregator")
     if state.totals is None:
-        if node is None or node.state == "gone":
+        if node is None or node.left:
             yield Alarm(
                 "no-aggregator",
                 "trouble",
@@ -102,7 +102,7 @@ def _regressors(state: LineState) -> Iterator[Alarm]:
             "Start a regressor on any computer of the line. Tubers are counted; their weights follow when it runs.",
         )
     for name, node in nodes.items():
-        if node.state == "gone" and node.away_s < LEFT_NOTED_S and not state.final:
+        if node.left and node.away_s < LEFT_NOTED_S and not state.final:
             yield Alarm(
                 f"regressor-{name}-left",
                 "note",

@@ -10,7 +10,9 @@ from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, plain, span
 
 Found = tuple[str, bool, str, str]
 SILENT_S = 5.0
-"""A camera that sends nothing for so long; the slowest ones send several frames a second."""
+"""A camera that waits for its segmenter may rest for so long."""
+DEAD_S = 1.8
+"""A camera that waits for no one and sends nothing for so long; the slowest ones send several frames a second."""
 BRIEF_S = 2.0
 """Drops that last no longer than this are a hiccup: they stand in the table, not among the alarms."""
 
@@ -33,7 +35,9 @@ def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
     if segmenter is not None and segmenter.alive:
         yield from _belt(camera, segmenter)
         yield from _gauge(camera, segmenter)
-        yield from _frames(camera, source, segmenter, waits=info is not None and info.waits)
+        yield from _frames(
+            camera, source, segmenter, waits=info is not None and info.waits, frame_s=_frame_s(camera, state)
+        )
         yield from _views(camera, segmenter)
     if state.totals is not None and state.totals.cameras.get(camera) == "silent":
         yield (
@@ -49,7 +53,7 @@ def _gone(camera: str, source: NodeState | None, segmenter: NodeState | None) ->
         ("Camera", source, "Look at its cable and its computer."),
         ("The segmenter of camera", segmenter, "Start it again; a live camera's frames are lost meanwhile."),
     ):
-        if node is not None and node.state == "gone":
+        if node is not None and node.left:
             yield f"{role[:3]}-gone", True, f"{role} {camera} stopped {span(node.away_s)} ago.", fix
         elif node is not None and node.state == "silent":
             yield f"{role[:3]}-quiet", True, f"{role} {camera} has said nothing for {span(node.age_s)}.", fix
@@ -81,7 +85,16 @@ def _gauge(camera: str, segmenter: NodeState) -> Iterator[Found]:
         yield "gauge-drift", beyond, text, "Calibrate the camera when the line stands."
 
 
-def _frames(camera: str, source: NodeState | None, segmenter: NodeState, *, waits: bool) -> Iterator[Found]:
+def _frame_s(camera: str, state: LineState) -> float:
+    """Since the camera's last frame, where its segmenter has reported since; 0 where nothing is known of it."""
+    since_s = state.frame_s.get(camera, 0.0)
+    segmenter = state.role("segmenter").get(camera)
+    return since_s if segmenter is not None and segmenter.age_s < since_s else 0.0
+
+
+def _frames(
+    camera: str, source: NodeState | None, segmenter: NodeState, *, waits: bool, frame_s: float
+) -> Iterator[Found]:
     dropping = False
     for counter, seconds in sorted(segmenter.growing_s.items()):
         reason = counter.removeprefix("frames_dropped_")
@@ -103,13 +116,15 @@ def _frames(camera: str, source: NodeState | None, segmenter: NodeState, *, wait
             "Look at its cable, and at the network between camera and segmenter.",
         )
     rests_s = segmenter.resting_s.get("frames_processed", 0.0)
-    if not dropping and rests_s > SILENT_S and source is not None and source.alive:
+    dropping = dropping or any(counter.startswith("frames_dropped_") for counter in segmenter.growing_s)
+    dead = not waits and frame_s > DEAD_S
+    if not dropping and (dead or rests_s > SILENT_S) and source is not None and source.alive:
         still_s = source.level("waiting_for_segmenter_s")
         if still_s is not None and still_s > SILENT_S:
             text = f"Camera {camera} has waited for its segmenter for {span(still_s)}; no frame is lost."
             yield "waits", False, text, "Look at the regressors: the segmenter goes on when tubers are weighed."
         else:
-            text = f"No frames have come from camera {camera} for {span(rests_s)}."
+            text = f"No frames have come from camera {camera} for {span(frame_s if dead else rests_s)}."
             yield "no-frames", True, text, "Look at its cable; unplug it and plug it in again."
 
 

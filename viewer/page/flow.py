@@ -71,6 +71,10 @@ class BeltSpeed:
             points.popleft()
         self._heard_s[travel.source] = now_s
 
+    def since_s(self, now_s: float) -> dict[str, float]:
+        """Since each source last told, seconds."""
+        return {source: now_s - heard_s for source, heard_s in self._heard_s.items()}
+
     def m_per_s(self, now_s: float) -> float | None:
         """The belt's speed; None where no one has told of it for some seconds."""
         told = [

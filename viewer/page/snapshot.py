@@ -34,6 +34,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
+        "health": _health(state),
         "others": [_other(name, node) for name, node in _kept(state, "").items() if not _has_own_table(name)],
         "loads": [asdict(load) for load in state.loads if state.totals is None or load.run != state.totals.run],
     }
@@ -101,7 +102,7 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
     source, segmenter = state.role("camera").get(name), state.role("segmenter").get(name)
     info = state.cameras.get(name)
     ended = state.final or (info is not None and info.state in ("ended", "failed"))
-    states = [node.state for node in (source, segmenter) if node is not None]
+    states = ["gone" if node.left else node.state for node in (source, segmenter) if node is not None]
     well = "trouble" if troubled else "ok" if states else "waiting"
     faulty = next((state for state in states if state != "ok"), well)
     counts = _sheet(segmenter)
@@ -147,6 +148,17 @@ def _kept(state: LineState, role: str) -> dict[str, NodeState]:
     nodes = state.role(role) if role else state.nodes
     kept = {name: node for name, node in nodes.items() if node.alive or node.away_s < FORGET_GONE_S}
     return dict(sorted(kept.items(), key=lambda item: (not item[1].alive, item[0]))[:MAX_NODES])
+
+
+def _health(state: LineState) -> dict[str, Any]:
+    """How many processes there are, and the states of those that are not well; who ended on purpose is told apart."""
+    nodes = {name: node.state for name, node in _kept(state, "").items()}
+    return {
+        "processes": len(nodes),
+        "well": sum(found == "ok" for found in nodes.values()),
+        "ended": [name for name, found in nodes.items() if found == "ended"],
+        "ill": {name: found for name, found in nodes.items() if found not in ("ok", "ended", "starting")},
+    }
 
 
 def _regressor(name: str, node: NodeState) -> dict[str, Any]:

@@ -49,9 +49,16 @@ class NodeState:
         return self.age_s if self.gone_s is None else self.gone_s
 
     @property
+    def left(self) -> bool:
+        """It was there and is no more, on purpose or not."""
+        return self.state in ("gone", "ended")
+
+    @property
     def state(self) -> str:
-        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing) or 'gone'."""
+        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing), 'ended' or 'gone'."""
         if not self.alive:
+            if self.report is not None and self.report.status == "ended":
+                return "ended"
             return "starting" if self.gone_s is None and self.age_s <= STALE_S else "gone"
         if self.report is None or self.age_s > STALE_S:
             return "silent"
@@ -111,7 +118,8 @@ class LineState:
     """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link.
 
     `loads` are the ledger's last runs, `told` the loads that were started, both newest first; `changed_s` is how long
-    ago another load was open, or none; None where the page saw no change.
+    ago another load was open, or none; None where the page saw no change. `frame_s`: by camera, since its segmenter
+    last told where a frame shows the belt; it tells ten times a second.
     """
 
     line: str
@@ -125,6 +133,7 @@ class LineState:
     loads: tuple[PastLoad, ...] = ()
     told: tuple[ToldLoad, ...] = ()
     changed_s: float | None = None
+    frame_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def in_contact(self) -> bool:

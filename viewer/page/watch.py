@@ -16,8 +16,10 @@ from conveyor.delivery import KeptSubscriber, LatestSubscriber
 from conveyor.errors import LinkError, TuberlineError
 from conveyor.messages import CameraInfo, Counters, Totals, Travel
 from conveyor.observer import Observer
+from viewer.page.camera_alarms import DEAD_S
 from viewer.page.flow import BeltSpeed, LoadFlow, flow
 from viewer.page.growth import Growth
+from viewer.page.pictures import Pictures, PictureWatch
 from viewer.page.state import LineState, NodeState, PastLoad, ToldLoad
 
 LOOK_EVERY_S = 0.25
@@ -49,12 +51,20 @@ class LineWatch:
 
     Args:
         known: nodes ('role/name') of the line's config: they have a place, whatever others announce themselves.
+        pictures: gets those of the cameras that somebody looks at.
     """
 
     def __init__(
-        self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None], known: Collection[str] = ()
+        self,
+        link: LinkConfig,
+        *,
+        line: str,
+        tell: Callable[[LineState], None],
+        known: Collection[str] = (),
+        pictures: Pictures | None = None,
     ) -> None:
         self._known = frozenset(known)
+        self._pictures = pictures or Pictures()
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -88,7 +98,8 @@ class LineWatch:
             try:
                 with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
-                    self._observe(observer)
+                    with PictureWatch(observer, self._pictures):
+                        self._observe(observer)
             except TuberlineError as error:
                 self._log.warning("%s", error)
                 self._tell(self._state_of({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))
@@ -106,16 +117,18 @@ class LineWatch:
         )
         travels = LatestSubscriber(observer, topics.TRAVEL, Travel, capacity=TRAVEL_INBOX, source="*")
         told_s = -TELL_EVERY_S
+        signs: object = None
         while not self._stop.wait(LOOK_EVERY_S):
             now_s = time.monotonic()
             while len(travels) and (travel := travels.get(0.0)) is not None:
                 self._belt.add(travel, now_s)
             self._hear(observer, now_s)
-            if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
-                self._ask_loads(observer, now_s)
-            if now_s - told_s >= TELL_EVERY_S:
+            before, signs = signs, (observer.alive(), self._silent(now_s))
+            if now_s - told_s >= TELL_EVERY_S or signs != before:  # who died is told at once
                 told_s = now_s
                 self._tell(self._state_of(_by_camera(infos.latest()), now_s))
+            if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
+                self._ask_loads(observer, now_s)
 
     def _hear(self, observer: Observer, now_s: float) -> None:
         """Note what is new. A message is a new object, also where it says the same as the one before."""
@@ -145,6 +158,10 @@ class LineWatch:
                 memory.report, memory.heard_s = report, now_s
                 memory.growth.add(report, now_s)
 
+    def _silent(self, now_s: float) -> set[str]:
+        """Who has not told where the belt is for as long as a camera that is dead."""
+        return {source for source, since_s in self._belt.since_s(now_s).items() if since_s > DEAD_S}
+
     def _ask_loads(self, observer: Observer, now_s: float) -> None:
         """The ledger's last loads, from an aggregator that is there; an older one may not answer."""
         if "aggregator/aggregator" not in observer.alive():
@@ -173,6 +190,7 @@ class LineWatch:
             loads=self._loads,
             told=self._told,
             changed_s=None if self._changed_s is None else now_s - self._changed_s,
+            frame_s=self._belt.since_s(now_s),
         )
 
 

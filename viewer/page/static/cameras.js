@@ -1,4 +1,5 @@
-// A card for each camera: what it does now in one row, and everything that ever went wrong below, by reason.
+// A card for each camera with what it does now; in a table of its own everything that ever went wrong, by reason.
+import { beltPicture, pictureNote } from "./belt.js";
 import { number } from "./words.js";
 
 const STATES = {
@@ -14,45 +15,39 @@ const STATES = {
   trouble: ["trouble", "Trouble"],
 };
 
-export function cameraCards(place, cameras) {
+export function cameraCards(place, line, cameras) {
   while (place.children.length > cameras.length) place.lastElementChild.remove();
   cameras.forEach((camera, n) => {
     if (!place.children[n]) place.append(blank());
-    draw(place.children[n], camera);
+    draw(place.children[n], line, camera);
   });
 }
 
 function blank() {
   const card = document.createElement("div");
   card.className = "camera";
-  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><dl></dl><p class='lost'></p>";
+  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><canvas width='16' height='9'></canvas><p class='note'></p><p class='now'></p>";
   return card;
 }
 
-function draw(card, camera) {
+function draw(card, line, camera) {
   const [state, text] = STATES[camera.state] ?? ["trouble", camera.state];
   put(card.querySelector("h4"), camera.name);
   card.querySelector(".pill").dataset.state = state;
   put(card.querySelector(".pill .text"), text);
-  const rows = [
-    ["Frames a second", camera.state === "ended" ? "–" : number(camera.per_s, 1)],
-    ["Frames used", number(camera.processed)],
-    ["Frames taken", number(camera.published)],
-    ["Tubers", number(camera.tubers)],
-    ["Frame age", camera.age_ms === null ? "–" : `${number(camera.age_ms)} ms`],
-    ["Belt off by", camera.drift_mm === null ? "–" : `${camera.drift_mm > 0 ? "+" : ""}${number(camera.drift_mm, 1)} mm`],
-  ];
-  const list = card.querySelector("dl");
-  rows.forEach(([name, value], n) => {
-    if (!list.children[n]) {
-      const row = document.createElement("div");
-      row.append(document.createElement("dt"), document.createElement("dd"));
-      list.append(row);
-    }
-    put(list.children[n].firstChild, name);
-    put(list.children[n].lastChild, value);
-  });
-  put(card.querySelector(".lost"), lost(camera));
+  const over = camera.state === "ended";
+  card.querySelector("canvas").hidden = card.querySelector(".note").hidden = over;
+  if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
+  if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
+  put(card.querySelector(".now"), `${number(camera.tubers)} tubers${camera.state === "ok" ? `, ${number(camera.per_s, 1)} frames a second` : ""}`);
+}
+
+export function cameraRows(cameras) {
+  return cameras.map((camera) => [
+    camera.name, camera.state === "ended" ? "–" : number(camera.per_s, 1), number(camera.processed), number(camera.published),
+    camera.age_ms === null ? "–" : `${number(camera.age_ms)} ms`,
+    camera.drift_mm === null ? "–" : `${camera.drift_mm > 0 ? "+" : ""}${number(camera.drift_mm, 1)} mm`, lost(camera),
+  ]);
 }
 
 function lost(camera) {

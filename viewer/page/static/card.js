@@ -1,5 +1,5 @@
 // One line: its figures, alarms and tables. Texts are set, never parsed as HTML, and only where they changed.
-import { cameraCards } from "./cameras.js";
+import { cameraCards, cameraRows } from "./cameras.js";
 import { histogram } from "./histogram.js";
 import { Loads } from "./loads.js";
 import { fill } from "./table.js";
@@ -34,7 +34,7 @@ export class LineCard {
     this.load(found.load, found.now);
     this.loads.take(found);
     this.flow(found.flow);
-    cameraCards(this.places.cameras, found.cameras ?? []);
+    cameraCards(this.places.cameras, found.line, found.cameras ?? []);
     this.tables(found);
   }
 
@@ -49,6 +49,7 @@ export class LineCard {
     const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
     const [state, text] = STATES[now] ?? ["wait", found.state];
     this.gone = now === "no contact";
+    this.health(found.health);
     this.loads.contact(!this.gone);
     this.places.state.dataset.state = state;
     this.element.dataset.gone = this.gone ? "yes" : "no";
@@ -114,7 +115,21 @@ export class LineCard {
     this.put("belt", speed === null ? "–" : Math.abs(speed) < 0.005 ? "stopped" : `${number(speed, 2)} m/s`);
   }
 
+  // One line for who only wants to know whether all is well; the tables are below it.
+  health(found) {
+    const { processes = 0, well = 0, ended = [], ill = {} } = found ?? {};
+    const over = this.found.load?.final && well === 0;
+    const parts = [
+      `${well} of ${processes} processes work`,
+      ...Object.entries(ill).map(([name, state]) => `${name} is ${state}`),
+      ...(ended.length ? [`ended: ${ended.join(", ")}`] : []),
+    ];
+    this.put("health", this.gone ? "Health: not known, there is no contact" : over ? "Health: the run is complete, the line is switched off" : `Health: ${parts.join("; ")}`);
+    this.places.health.closest("details").dataset.state = this.gone || over || !processes ? "wait" : Object.keys(ill).length ? "trouble" : "good";
+  }
+
   tables(found) {
+    fill(this.places.frames, ["Camera", "Frames a second", "Used", "Taken", "Frame age", "Belt off by", "Lost and left out"], cameraRows(found.cameras ?? []), "No camera yet.");
     fill(this.places.regressors, ["Regressor", "State", "Views a second", "Weighed", "Took", "Refused", "On"], (found.regressors ?? []).map((node) => [
       node.name, node.state, number(node.per_s, 1), number(node.weighed), node.last_ms === null ? "–" : `${number(node.last_ms)} ms`, number(node.refused), node.host,
     ]), "Nobody weighs.");
