@@ -12,11 +12,11 @@ from conveyor.errors import ConfigError
 from conveyor.node import Node
 from viewer.rerun.file_sink import FileSink
 from viewer.rerun.hub_sink import HubSink, hub_address
-from viewer.rerun.inputs import Inputs
-from viewer.rerun.primitives import Entry
-from viewer.rerun.profiles import Profile
-from viewer.rerun.show import Show
-from viewer.rerun.sink import Sink
+from viewer.scene.inputs import Inputs
+from viewer.scene.primitives import Entry
+from viewer.scene.profiles import Profile
+from viewer.scene.show import Show
+from viewer.sink import Sink
 
 IDLE_S = 0.02
 LEAVE_WITHIN_S = 0.9

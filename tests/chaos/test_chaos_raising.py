@@ -18,7 +18,7 @@ MAIN_LOOPS = (
     "regressor regressor.serve.node _Worker._answer 2",
     "segmenter segmenter.node SegmenterNode._turn 30",
     "camera camera_sim.node CameraNode._publish 5",
-    "viewer viewer.rerun.show Show.turn 30",
+    "viewer viewer.scene.show Show.turn 30",
 )
 THREADS = (
     *(f"{role} conveyor.node Node._publish_counters 3" for role in ("aggregator", "regressor", "segmenter", "camera")),

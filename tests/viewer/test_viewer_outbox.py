@@ -8,8 +8,8 @@ import time
 import pytest
 
 from conveyor.counters import CounterSet
-from viewer.rerun.outbox import Outbox
-from viewer.rerun.primitives import Entry, LogLine, Moment, NewRun, Number
+from viewer.outbox import Outbox
+from viewer.scene.primitives import Entry, LogLine, Moment, NewRun, Number
 
 
 def light(n: int) -> Entry:

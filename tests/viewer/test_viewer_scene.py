@@ -11,10 +11,10 @@ import viewer_line as line
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Counters, Travel
 from conveyor.statistics import NORMAL_90
-from viewer.rerun.belt_scene import RIDE_ON_M, BeltScene
-from viewer.rerun.health_scene import HealthScene
-from viewer.rerun.load_scene import LoadScene, page
-from viewer.rerun.primitives import (
+from viewer.scene.belt_scene import RIDE_ON_M, BeltScene
+from viewer.scene.health_scene import HealthScene
+from viewer.scene.load_scene import LoadScene, page
+from viewer.scene.primitives import (
     Bars,
     Box,
     Cloud,
@@ -29,9 +29,9 @@ from viewer.rerun.primitives import (
     Pose,
     State,
 )
-from viewer.rerun.profiles import PROFILES
-from viewer.rerun.shapes import footprint_m
-from viewer.rerun.travel_log import TravelLog
+from viewer.scene.profiles import PROFILES
+from viewer.scene.shapes import footprint_m
+from viewer.scene.travel_log import TravelLog
 
 
 def one(entries: list[Entry], kind: type) -> Entry:

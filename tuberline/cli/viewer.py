@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 from conveyor.config import ViewerConfig, load_config
 from conveyor.errors import ConfigError
 from tuberline.cli.address import LineAddress
-from viewer.rerun.profiles import PROFILES, ProfileName
+from viewer.scene.profiles import PROFILES, ProfileName
 
 if TYPE_CHECKING:
-    from viewer.rerun.sink import Sink
+    from viewer.sink import Sink
 
 DEFAULT_LIMIT_MB = 2048
 

@@ -1,1 +1,1 @@
-"""Pictures of a line in Rerun: scenes make primitives, sinks carry them to a file or a live hub."""
+"""Rerun: draws primitives into a file or a live hub, and starts its programs."""

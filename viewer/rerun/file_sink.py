@@ -7,11 +7,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from conveyor.counters import CounterSet
-from viewer.rerun.primitives import Entry
-from viewer.rerun.sink import IDLE_S, Sink
+from viewer.rerun.sink import RerunSink
+from viewer.scene.primitives import Entry
+from viewer.sink import IDLE_S
 
 
-class FileSink(Sink):
+class FileSink(RerunSink):
     """See the module.
 
     Args:

@@ -8,7 +8,8 @@ from urllib.parse import urlsplit
 
 from conveyor.counters import CounterSet
 from conveyor.errors import ConfigError
-from viewer.rerun.sink import IDLE_S, Sink
+from viewer.rerun.sink import RerunSink
+from viewer.sink import IDLE_S
 
 PROBE_S = 0.5
 RETRY_S = 1.0
@@ -16,7 +17,7 @@ FLUSH_S = 0.4
 DEFAULT_HUB_PORT = 9876
 
 
-class HubSink(Sink):
+class HubSink(RerunSink):
     """See the module. `url` is rerun+http://HOST:PORT/proxy."""
 
     def __init__(self, url: str, *, run: str, tick_s: float, counters: CounterSet, log: logging.Logger) -> None:

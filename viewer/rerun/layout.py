@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from viewer.rerun.primitives import Layout
 from viewer.rerun.sdk import rrb
+from viewer.scene.primitives import Layout
 
 
 def blueprint(layout: Layout) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from conveyor.errors import ConfigError
 from conveyor.extras import install_hint
 from conveyor.formats.rvl import MEDIA_TYPE, encode_ros_rvl
-from viewer.rerun.primitives import (
+from viewer.scene.primitives import (
     Bars,
     BeltAxes,
     Box,

@@ -8,12 +8,12 @@ from typing import Protocol
 
 from conveyor.counters import CounterSet
 from conveyor.messages import CameraInfo, Frame, Totals, TrackEntry, Travel, Tuber, View
-from viewer.rerun.belt_scene import BeltScene
-from viewer.rerun.health_scene import HealthScene
-from viewer.rerun.inputs import FRAME_RING, Inputs
-from viewer.rerun.load_scene import LoadScene
-from viewer.rerun.primitives import Entry, NewRun
-from viewer.rerun.profiles import Profile
+from viewer.scene.belt_scene import BeltScene
+from viewer.scene.health_scene import HealthScene
+from viewer.scene.inputs import FRAME_RING, Inputs
+from viewer.scene.load_scene import LoadScene
+from viewer.scene.primitives import Entry, NewRun
+from viewer.scene.profiles import Profile
 
 HEALTH_EVERY_S = 1.0
 MOST_PER_TURN = 256

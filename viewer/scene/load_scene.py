@@ -5,7 +5,7 @@ from __future__ import annotations
 from conveyor.layers import layers_in_words
 from conveyor.messages import Totals, Tuber
 from conveyor.statistics import NORMAL_90
-from viewer.rerun.primitives import Bars, Color, Entry, Measured, Moment, Number, Page, PlotStyle, Primitive
+from viewer.scene.primitives import Bars, Color, Entry, Measured, Moment, Number, Page, PlotStyle, Primitive
 
 TOTAL_COLOR: Color = (120, 200, 255)
 COUNT_COLOR: Color = (110, 220, 110)

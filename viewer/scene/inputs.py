@@ -6,7 +6,7 @@ from conveyor import topics
 from conveyor.delivery import Inbox, KeptSubscriber, LatestSubscriber, Presence, ReliableSubscriber
 from conveyor.messages import CameraInfo, Counters, Frame, Totals, TrackEntry, Travel, Tuber, View
 from conveyor.node import Node
-from viewer.rerun.profiles import Profile
+from viewer.scene.profiles import Profile
 
 FRAME_RING = 2
 VIEW_RING = 64

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from conveyor.messages import Counters
-from viewer.rerun.primitives import Entry, Lane, Level, LogLine, Moment, State
+from viewer.scene.primitives import Entry, Lane, Level, LogLine, Moment, State
 
 BAD = ("dropped", "refused", "missed", "lost", "gap", "stall", "discarded", "requeue", "restart", "failed")
 """A counter whose name holds one of these counts something that a person may have to look into."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera, transform_points
 from conveyor.messages import Frame, Tuber
-from viewer.rerun.primitives import Box, Color
+from viewer.scene.primitives import Box, Color
 
 
 def footprint_m(intrinsics: Intrinsics, belt_from_camera: NDArray[np.float64]) -> tuple[float, float, float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import deque
 
-from viewer.rerun.primitives import Moment
+from viewer.scene.primitives import Moment
 
 HISTORY = 4096
 

@@ -1,4 +1,4 @@
-"""What can be drawn, as plain values: the scene makes them, `rerun_sdk` alone knows how Rerun draws them."""
+"""What can be drawn, as plain values: the scene makes them; `viewer.rerun` and `viewer.foxglove` draw them."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class Entry:
     """One primitive at one path.
 
     Attributes:
-        path: Rerun entity path.
+        path: where it hangs; a path below another moves with it.
         moment: when; None for what always holds and must be said again to a new hub.
         heavy: only the newest of its path matters and it may be left out; light entries are kept in order.
     """

@@ -11,7 +11,7 @@ import threading
 from collections import deque
 
 from conveyor.counters import CounterSet
-from viewer.rerun.primitives import Entry, NewRun
+from viewer.scene.primitives import Entry, NewRun
 
 LIGHT_CAPACITY = 16384
 HEAVY_CAPACITY = 256

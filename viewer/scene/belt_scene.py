@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.messages import Frame, TrackEntry, Travel, Tuber, View
-from viewer.rerun.primitives import (
+from viewer.scene.primitives import (
     BeltAxes,
     Box,
     Cloud,
@@ -28,9 +28,9 @@ from viewer.rerun.primitives import (
     Pose,
     Shift,
 )
-from viewer.rerun.profiles import Profile
-from viewer.rerun.shapes import camera_pose, footprint_m, strided, tuber_box, yaw_rad
-from viewer.rerun.travel_log import TravelLog
+from viewer.scene.profiles import Profile
+from viewer.scene.shapes import camera_pose, footprint_m, strided, tuber_box, yaw_rad
+from viewer.scene.travel_log import TravelLog
 
 SLOTS = 192
 """Tubers and clouds drawn at once; a later one takes the place of the one `SLOTS` before it."""
