@@ -3,6 +3,7 @@
 #
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
 #                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
+#                    loader: no unit, the certificate that `tuberline load` and the page need to change loads.
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
 #   --replace        take the new LINE.toml although another one is installed
@@ -47,7 +48,7 @@ while [ $# -gt 0 ]; do
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
     --uninstall) uninstall=yes && shift ;;
-    -h | --help) sed -n '2,15s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -h | --help) sed -n '2,16s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
@@ -146,6 +147,8 @@ for worker in $workers; do
 done
 for entry in $(echo "$roles" | tr ',' ' '); do
     case $entry in
+    loader) stems="$stems loader" ;;
+    loader=*) stems="$stems loader.${entry#*=}" ;;
     viewer | recorder) units="$units tuberline-$entry@$line:$entry.service" && stems="$stems $entry" ;;
     viewer=* | recorder=* | regressor=*)
         [ "${entry%%=*}" != regressor ] || case " $workers " in *" ${entry#*=} "*) continue ;; esac
@@ -159,10 +162,13 @@ for entry in $(echo "$roles" | tr ',' ' '); do
         esac
         ;;
     router | aggregator | metrics | alarms | page | camera | segmenter | regressor) ;;
-    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page" ;;
+    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page loader" ;;
     esac
 done
-[ -n "$units" ] || fail "--roles $roles leaves nothing to run for line '$line'"
+case ,$roles in
+*,loader*) [ -n "$certs" ] || [ -d "$destdir/etc/tuberline/certs" ] || fail "role loader is a certificate: give --certs DIR. A line without certificates asks for none" ;;
+esac
+[ -n "$units$stems" ] || fail "--roles $roles leaves nothing to run for line '$line'"
 
 files=
 if [ -n "$certs" ]; then

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shutil
-import signal
 from itertools import zip_longest
 from pathlib import Path
 from time import monotonic, sleep
 
 from deploy.trial import field
-from deploy.trial.machine import TOOLS, Machine, make_network, remove_network
-from deploy.trial.machineroot import SOURCE, machine_root
-from deploy.trial.tools import TrialError, ended, into_docs, need_root, need_tools, say, table, until, workdir
+from deploy.trial.machine import Machine
+from deploy.trial.machineroot import SOURCE, machines_on
+from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 SEED = 1616
 INSTALL = f"{SOURCE}/deploy/install.sh"
@@ -186,9 +184,8 @@ def uninstalled(machine: Machine) -> tuple[str, str]:
 
 def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]) -> Rows:
     """Everything on one computer."""
-    machine = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
     rows: Rows = []
-    try:
+    with Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
         rows.append(("boot of the bare root", f"{machine.booted():.1f} s"))
         install(machine, field.config(), field.ROLES)
@@ -213,18 +210,17 @@ def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]
         rows += services_work(machine)
         rows.append(("what it counted meanwhile", counted_as(machine, reference)))
         rows.append(uninstalled(machine))
-    finally:
-        machine.remove()
     return rows
 
 
 def two_machines(folder: Path, root: Path, recordings: Path, reference: list[str], minutes: float) -> Rows:
     """Cameras boot first; the machine with the router, the ledger and the regressor minutes later."""
-    harvester = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
-    edge = Machine(folder, root, "edge", 2).make()
     text = field.config(router="tcp/10.77.0.2:7447", listen="tcp/0.0.0.0:7447")
     there = tuple(unit for unit in field.UNITS if "camera" in unit or "segmenter" in unit)
-    try:
+    with (
+        Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}) as harvester,
+        Machine(folder, root, "edge", 2) as edge,
+    ):
         harvester.power_on()
         harvester.booted()
         install(harvester, text, "camera,segmenter", "--no-start")
@@ -243,9 +239,6 @@ def two_machines(folder: Path, root: Path, recordings: Path, reference: list[str
         all_active(harvester, there)
         took = monotonic() - start
         counted = counted_as(edge, reference)
-    finally:
-        harvester.remove()
-        edge.remove()
     return [
         (
             f"cameras' machine booted {minutes:g} min before the router's",
@@ -260,16 +253,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=5.0, help="how long the second machine comes after the first")
     parser.add_argument("--only", choices=("one", "two"), help="one of the two parts")
     given = parser.parse_args()
-    need_tools({**TOOLS, "debootstrap": "debootstrap"})
-    folder = workdir("machine")
-    need_root("make boot", f"it makes a Debian root under {folder}, mounts, boots machines, and adds control groups")
-    os.umask(0o022)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        root = machine_root(folder)
+    with machines_on("make boot", keep=given.keep) as (folder, root):
         recordings = field.simulate(folder / "recordings", seed=SEED, tubers=24)
         reference = field.replayed(recordings, folder / "reference")
-        make_network()
         rows = one_machine(folder, root, recordings, reference) if given.only != "two" else []
         if given.only != "one":
             rows += two_machines(folder, root, recordings, reference, given.minutes)
@@ -277,10 +263,6 @@ def main() -> None:
             say(f"{what}: {seen}")
         if given.only is None:
             into_docs("boot", table(("what", "seen"), rows))
-    finally:
-        remove_network()
-        if not given.keep:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":

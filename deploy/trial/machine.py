@@ -52,13 +52,23 @@ class Machine:
         self._process: subprocess.Popen[bytes] | None = None
         self._leader = 0
 
-    def make(self) -> Machine:
-        """Put the disk in: what is written goes beside the root."""
+    def __enter__(self) -> Machine:
+        return self.make()
+
+    def __exit__(self, *_: object) -> None:
         self.remove()
+
+    def mount(self) -> None:
+        """Put the disk in: what is written goes beside the root, and what was written before is there."""
         for part in ("disk", "written", "work"):
-            (self._folder / part).mkdir(parents=True)
+            (self._folder / part).mkdir(parents=True, exist_ok=True)
         layers = f"lowerdir={self._base},upperdir={self._folder / 'written'},workdir={self._folder / 'work'}"
         run(["mount", "-t", "overlay", "-o", layers, "tuberline-trial", self.disk])
+
+    def make(self) -> Machine:
+        """Put a new disk in, with the machine's name and address on it."""
+        self.remove()
+        self.mount()
         (self.disk / "etc/hostname").write_text(f"{self.name}\n", encoding="utf-8")
         (self.disk / "etc/machine-id").unlink(missing_ok=True)
         network = f"[Match]\nName=host0\n[Network]\nAddress={self.address}/24\nLinkLocalAddressing=no\n"
@@ -69,10 +79,14 @@ class Machine:
         (wants / "systemd-networkd.service").symlink_to("/lib/systemd/system/systemd-networkd.service")
         return self
 
-    def remove(self) -> None:
-        """Power off without asking, and take the disk away."""
+    def unmount(self) -> None:
+        """Power off without asking, and take the disk out; what is on it stays."""
         self.cut_power()
         run(["umount", "--lazy", self.disk], check=False)
+
+    def remove(self) -> None:
+        """The same, and the disk is thrown away."""
+        self.unmount()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def power_on(self) -> None:

@@ -98,10 +98,11 @@ def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_pa
 
     make(DEPLOY / "examples" / "site.toml", out=tmp_path / "certs")
     root = tmp_path / "root"
-    done = install(root, "--roles", "camera=left,regressor=barn", "--certs", str(tmp_path / "certs"))
+    done = install(root, "--roles", "camera=left,regressor=barn,loader", "--certs", str(tmp_path / "certs"))
     assert done.returncode == 0, done.stderr
+    assert "loader@" not in done.stdout, "a loader is a certificate, not a unit"
     folder = root / "etc/tuberline/certs"
-    stems = ("operator", "camera.left", "regressor")
+    stems = ("operator", "camera.left", "regressor", "loader")
     assert {f.name for f in folder.iterdir()} == {"ca.pem"} | {f"{s}.{x}" for s in stems for x in ("pem", "key")}
     assert {stat.S_IMODE(f.stat().st_mode) for f in folder.iterdir()} == {0o600}
 
@@ -111,6 +112,7 @@ def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_pa
     [
         (("--roles", "cook"), "role 'cook' is not known; known: router aggregator"),
         (("--roles", "camera=top"), "camera 'top' is not in"),
+        (("--roles", "camera=left,loader"), "role loader is a certificate: give --certs DIR"),
         (("--frobnicate",), "unknown option --frobnicate"),
         (("--certs", "/nowhere"), "/nowhere/operator.pem is not there"),
     ],
