@@ -147,4 +147,4 @@ class Weight(Message):
 
     def within(self, takes: tuple[str, ...]) -> Self:
         """This answer without the later parts that are not among `takes`: what the view's sender can read."""
-        return replace(self, **{part: None for part in LATER_PARTS if part not in takes})
+        return self if "sizes" in takes else replace(self, sizes=None)
