@@ -21,6 +21,8 @@ TOOLS = {
 }
 SPACE = "tuberline-trial"
 """Of the network namespace, and of the network in it."""
+LIMITS = ("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096")
+"""Podman's own are higher than a machine may allow it to set."""
 GATEWAY = "10.78.0.1"
 """What compose calls host-gateway: where a published port of the host is reached from a container."""
 

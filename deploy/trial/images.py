@@ -9,7 +9,7 @@ from pathlib import Path
 from time import monotonic
 
 from deploy.trial import base, containers, contents
-from deploy.trial.engine import TOOLS, Engine
+from deploy.trial.engine import LIMITS, TOOLS, Engine
 from deploy.trial.pipsettings import write_settings
 from deploy.trial.tools import ROOT, TrialError, ended, into_docs, need_root, need_tools, say, table, version, workdir
 
@@ -22,7 +22,6 @@ FOR = {
     "viewer": "viewer",
 }
 MOST_MB = {"edge": 700}
-LIMITS = ("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096")
 SHUT = ("--read-only", "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--tmpfs", "/tmp:size=64m", *LIMITS)
 INSIDE = """
 import os, pathlib

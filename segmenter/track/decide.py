@@ -9,6 +9,7 @@ from statistics import median
 from conveyor.errors import UnsendableError
 from conveyor.messages import Frame, Track, View
 from conveyor.messages.base import check_part
+from conveyor.messages.views import LATER_PARTS
 from conveyor.reasons import TrackRefusal
 from conveyor.resting import RestingLevel
 from segmenter.classify.patch import Patch
@@ -254,4 +255,5 @@ def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
         camera_noise_px=now.noise_px,
+        takes=LATER_PARTS,
     )
