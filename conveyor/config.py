@@ -232,10 +232,13 @@ class AggregatorConfig(Section):
 
 
 class ViewerConfig(Section):
-    """What goes to Rerun. Never in the hot path."""
+    """What goes to Rerun and Foxglove. Never in the hot path."""
 
     rrd: Path | None = Field(None, description="file to write")
     connect: str | None = Field(None, description="live hub, e.g. rerun+http://127.0.0.1:9876/proxy")
+    foxglove: str | None = Field(
+        None, description="HOST:PORT at which Foxglove's app finds the line live, e.g. 127.0.0.1:8765"
+    )
     profile: Literal["light", "remote", "full"] = Field(
         "remote", description="how much is shown: numbers; few and small pictures; every frame and view"
     )

@@ -10,8 +10,6 @@ from pathlib import Path
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
 from conveyor.node import Node
-from viewer.rerun.file_sink import FileSink
-from viewer.rerun.hub_sink import HubSink, hub_address
 from viewer.scene.inputs import Inputs
 from viewer.scene.primitives import Entry
 from viewer.scene.profiles import Profile
@@ -26,26 +24,36 @@ FILE_TICK_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where the picture goes: a file, a hub, or both."""
+    """Where the picture goes: a file, a hub, Foxglove's app, or several of them."""
 
     rrd: Path | None
     rrd_limit_bytes: int
     connect: str | None
+    foxglove: str | None = None
 
     def check(self) -> None:
         """Refuse what cannot work, before anything is started.
 
         Raises:
-            ConfigError: nothing to show it in, an unusable URL, a file that cannot be made.
+            ConfigError: nothing to show it in, an unusable URL, a file that cannot be made, a package that is missing.
         """
-        if self.rrd is None and self.connect is None:
+        if self.rrd is None and self.connect is None and self.foxglove is None:
             raise ConfigError(
                 "the viewer has nothing to show the line in: give --rrd FILE, --connect URL (a running Rerun viewer or "
-                "hub, e.g. rerun+http://127.0.0.1:9876/proxy) or --serve, or rrd or connect in the config's [viewer]"
+                "hub, e.g. rerun+http://127.0.0.1:9876/proxy), --serve or --foxglove HOST:PORT, or rrd, connect or "
+                "foxglove in the config's [viewer]"
             )
+        if self.foxglove is not None:
+            from viewer.foxglove.server_sink import ServerAddress
+
+            ServerAddress.parse(self.foxglove)
         if self.connect is not None:
+            from viewer.rerun.hub_sink import hub_address
+
             hub_address(self.connect)
         if self.rrd is not None:
+            import viewer.rerun.sdk  # noqa: F401  is Rerun there?
+
             try:
                 self.rrd.parent.mkdir(parents=True, exist_ok=True)
                 self.rrd.open("ab").close()
@@ -98,6 +106,8 @@ def _sinks(node: Node, target: Target, *, profile: Profile, recording: str) -> l
     tick_s = 0.5 / profile.rate_hz  # a line replayed faster than it was recorded: at most twice the profile's rate
     sinks: list[Sink] = []
     if target.rrd is not None:
+        from viewer.rerun.file_sink import FileSink
+
         sinks.append(
             FileSink(
                 target.rrd,
@@ -109,7 +119,14 @@ def _sinks(node: Node, target: Target, *, profile: Profile, recording: str) -> l
             )
         )
     if target.connect is not None:
+        from viewer.rerun.hub_sink import HubSink
+
         sinks.append(HubSink(target.connect, run=recording, tick_s=tick_s, counters=node.counters, log=node.log))
+    if target.foxglove is not None:
+        from viewer.foxglove.server_sink import ServerAddress, ServerSink
+
+        address = ServerAddress.parse(target.foxglove)
+        sinks.append(ServerSink(address, run=recording, tick_s=tick_s, counters=node.counters, log=node.log))
     return sinks
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from conveyor.errors import InputError
 
-TargetFormat = Literal["auto", "folder", "mcap", "ros2"]
+TargetFormat = Literal["auto", "folder", "mcap", "ros2", "foxglove"]
 
 
 def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> None:
@@ -75,20 +75,27 @@ def convert(
     /,
     *,
     format: TargetFormat = "auto",
+    recording: Path | None = None,
+    run: str | None = None,
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     json: bool = False,
 ) -> None:
-    """Convert a recording of any known format to a folder, to MCAP, or to ROS 2 topics in MCAP; lossless.
+    """Convert a recording to a folder, to MCAP or to ROS 2 topics, lossless; or a run with its tubers for Foxglove.
 
     Parameters
     ----------
     source
-        A recording of any known format.
+        A recording of any known format; for foxglove also a run's folder (--out of replay and run).
     target
         What to write: a name ending in .mcap, or a folder. Must not exist.
     format
-        folder, mcap (Tuberline's own), ros2 (MCAP with ROS 2 topics, for ROS and Foxglove), or auto: by the name.
+        folder, mcap (Tuberline's own), ros2 (MCAP with ROS 2 topics), foxglove (MCAP with Foxglove's own schemas:
+        depth, colour, calibration, points, and of a run its tubers, weights and totals), or auto: by the name.
+    recording
+        For foxglove: the recording of the run, where the run's line.toml does not name it.
+    run
+        For foxglove: which run of the ledger, where it holds several.
     belt_distance_m
         Instead of what the recording says.
     depth_scale_m
@@ -102,15 +109,16 @@ def convert(
 
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
+    if format != "foxglove" and (recording is not None or run is not None):
+        raise InputError("--recording and --run are for --format foxglove, which shows what a run counted")
     with whole_output(target) as partial, frames_bar() as on_frame:
-        done = convert_recording(
-            source,
-            partial,
-            form=format,
-            belt_distance_m=belt_distance_m,
-            depth_scale_m=depth_scale_m,
-            on_frame=on_frame,
-        )
+        stated: dict[str, Any] = {"belt_distance_m": belt_distance_m, "depth_scale_m": depth_scale_m}
+        if format == "foxglove":
+            from tuberline.foxglove_file import write_foxglove
+
+            done = write_foxglove(source, partial, recording=recording, run=run, on_frame=on_frame, **stated)
+        else:
+            done = convert_recording(source, partial, form=format, on_frame=on_frame, **stated)
     if json:
         report = {"out": str(target), "frames": done.frames, "refused": done.refused}
         sys.stdout.write(json_module.dumps(report) + "\n")

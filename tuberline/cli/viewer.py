@@ -30,11 +30,12 @@ def viewer(
     connect: str | None = None,
     profile: ProfileName | None = None,
     serve: bool = False,
+    foxglove: str | None = None,
     hub_port: int = 9876,
     page_port: int = 9090,
     rrd_limit_mb: int = DEFAULT_LIMIT_MB,
 ) -> None:
-    """Show a line in Rerun until stopped: in a file, in a running viewer, or on a web page.
+    """Show a line in Rerun or Foxglove until stopped: in a file, in a running viewer, on a web page, in the app.
 
     Parameters
     ----------
@@ -52,6 +53,8 @@ def viewer(
         light: numbers only, no pictures; remote: small pictures, 5 a second; full: everything.
     serve
         Start a hub with its web page on this machine and show the line there.
+    foxglove
+        HOST:PORT at which Foxglove's app finds the line, e.g. 127.0.0.1:8765; the app opens ws://HOST:PORT.
     hub_port
         Port of the served hub.
     page_port
@@ -70,6 +73,7 @@ def viewer(
         rrd=rrd or section.rrd,
         rrd_limit_bytes=rrd_limit_mb << 20,
         connect=connect or (None if serve else section.connect),
+        foxglove=foxglove or section.foxglove,
     )
     if not serve:
         _end(run_viewer(line, target, profile=PROFILES[chosen], name=name, run=run))

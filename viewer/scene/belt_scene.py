@@ -105,6 +105,15 @@ class BeltScene:
         self._advance(moment)
         return self._on_travel(moment, travel.travel_m, source=travel.source, estimated=travel.estimated)
 
+    def on_known_travel(self, moment: Moment, travel_m: float) -> list[Entry]:
+        """Move the belt as a ledger says that it moved."""
+        return self._on_travel(moment, travel_m, source="ledger", estimated=True)
+
+    @property
+    def enters_at_m(self) -> float:
+        """Belt x at which a tuber comes into the first picture, metres."""
+        return self._reach()[0]
+
     def on_track(self, entry: TrackEntry) -> list[Entry]:
         """Move the belt by the marks of a camera's log: what remains where neither frames nor an encoder are heard."""
         if entry.mark is None:

@@ -102,7 +102,7 @@ def page(totals: Totals) -> str:
 
 def _headline(count: int, weight_g: float) -> list[str]:
     mean = f"{weight_g / count:.0f} g each" if count else "none yet"
-    return [f"# {_kg(weight_g)}", f"# {count} tubers", mean]
+    return [f"# {_kg(weight_g)}", f"# {count} tuber{'' if count == 1 else 's'}", mean]
 
 
 def _kg(weight_g: float) -> str:

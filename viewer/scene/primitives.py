@@ -78,7 +78,8 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box with a label, turned by `yaw_rad` about z; metres, in the frame of the entity's parent."""
+    """A box with a label, turned by `yaw_rad` about z; metres, in the frame of the entity's parent. `values` go along
+    for machines, where the program has a place for them."""
 
     center_m: tuple[float, float, float]
     half_size_m: tuple[float, float, float]
@@ -86,6 +87,7 @@ class Box:
     label: str = ""
     yaw_rad: float = 0.0
     solid: bool = False
+    values: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,12 @@ def tuber_box(tuber: Tuber, yaw: float | None) -> Box:
         weight_color(tuber.weight_g),
         label=f"{about}{tuber.weight_g:.0f} g",
         yaw_rad=yaw or 0.0,
+        values=(
+            ("tuber_id", float(tuber.tuber_id)),
+            ("weight_g", tuber.weight_g),
+            ("low_g", tuber.low_g),
+            ("high_g", tuber.high_g),
+        ),
     )
 
 
