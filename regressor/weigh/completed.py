@@ -69,7 +69,7 @@ def _mesh_mm(hull: NDArray[np.float64], frames: NDArray[np.float64]) -> float:
 
 @njit(cache=True, nogil=True)
 def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """(27, 2, 3) the pair (u, v) turned by about `step` about every sum of its axes and their opposites, and as it is."""
+    """(27, 2, 3) the pair (u, v) as it is, and turned by about `step` about sums of its axes and their opposites."""
     w = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
     turned = np.empty((27, 2, 3))
     for n in range(27):

@@ -28,7 +28,9 @@ def triples_of(rng: Generator, n: int, count: int) -> NDArray[np.int64]:
     return triples
 
 
-def far_samples(x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64], share: float) -> NDArray[np.int64]:
+def far_samples(
+    x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64], share: float
+) -> NDArray[np.int64]:
     """Of each coarse cell, 0.1 wide in x/z and y/z, the sample that `share` of it lies farther away than.
 
     Args:
