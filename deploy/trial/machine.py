@@ -152,7 +152,7 @@ class Machine:
     def on(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
-    def run(self, *words: str, check: bool = True, timeout_s: float = 120.0) -> str:
+    def run(self, *words: str, check: bool = True, timeout_s: float = 240.0) -> str:
         """What a command said inside the running machine."""
         enter = ["nsenter", f"--target={self._leader}", "--mount", "--uts", "--ipc", "--net", "--pid", "--root", "--wd"]
         environment = ["env", "-i", "PATH=/opt/tuberline/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL=C.UTF-8"]
@@ -190,6 +190,10 @@ class Machine:
             if group.parent.name == "cpuset":
                 for name in ("cpuset.cpus", "cpuset.mems"):
                     (group / name).write_text((group.parent / name).read_text(encoding="utf-8"), encoding="utf-8")
+            # All of a group's processes share what one process of nice 0 would get, however nice they are.
+            for name, normal in (("cpu.shares", 1024), ("cpu.weight", 100)):
+                if (group / name).exists():
+                    (group / name).write_text(str(round(normal * 1.25 ** -os.nice(0))), encoding="utf-8")
 
     def _enter_cgroups(self) -> None:
         for group in self._cgroups():

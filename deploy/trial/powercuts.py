@@ -21,7 +21,6 @@ from pathlib import Path
 from time import monotonic, sleep
 
 from deploy.trial import field
-from deploy.trial.boot import all_active, counted_as, install
 from deploy.trial.machine import Machine
 from deploy.trial.machineroot import machines_on
 from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
@@ -147,8 +146,8 @@ def begin(machine: Machine, recordings: Path, plan: Plan) -> Cuts:
     machine.make()
     machine.power_on()
     machine.booted()
-    install(machine, field.config(speed=plan.speed), field.ROLES)
-    all_active(machine, field.UNITS)
+    field.install(machine, field.config(speed=plan.speed), field.ROLES)
+    field.all_active(machine, field.UNITS)
     machine.shut_down()
     return Cuts()
 
@@ -190,13 +189,13 @@ def travel_m(belt: Path) -> float:
 def the_end(folder: Path, machine: Machine, recordings: Path, plan: Plan, cuts: Cuts) -> list[tuple[object, ...]]:
     """Power stays: the load is counted to its end, and compared."""
     machine.power_on()
-    went_on_s = all_active(machine, field.UNITS)
+    went_on_s = field.all_active(machine, field.UNITS)
     until(lambda: field.Seen(machine.disk).finished, "the load counted", timeout_s=900, every_s=3.0)
     last = field.Seen(machine.disk)
     at_cuts = list(cuts.tubers_at_cut)
     take_stock(cuts, last)
     reference = field.replayed(recordings, folder / "cut-reference")
-    counted_as(machine, reference)
+    field.counted_as(machine, reference)
     summary = json.loads((folder / "cut-reference/summary.json").read_text(encoding="utf-8"))
     coverage = summary["totals"]["coverage"]
     if cuts.unseen_frames and coverage >= 1.0:

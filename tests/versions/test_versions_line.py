@@ -196,7 +196,7 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(
 
     Each host loses its power twice on the way: in its old version, and while the new one starts.
     """
-    line = Line(belt, tmp_path, old, speed=0.15)
+    line = Line(belt, tmp_path, old, speed=0.05)
     try:
         for host in HOSTS:
             line.start(*HOSTS[host], version="old")
@@ -216,6 +216,7 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(
         assert before.items() <= line.tubers().items()
         assert summary["totals"]["count"] == len(line.tubers()) == TUBERS
         assert summary["other_versions"] == {}
+        assert "conflicting" not in line.log("aggregator"), "entries of 0.1 sent again are the same entries"
         assert check_file(tmp_path / "ledger.db") == []
     finally:
         line.close()
