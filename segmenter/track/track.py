@@ -82,6 +82,10 @@ class TrackState:
     sent_early: set[int] = field(default_factory=set)
     rims: list[NDArray[np.float64]] = field(default_factory=list)
 
+    def track_id(self, run: str, camera: str) -> str:
+        """Unique, and the same in every replay."""
+        return f"{run}/{camera}/{self.first_seq}-{self.number}"
+
     def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""
         return max(area_m2 / self.area_m2, self.area_m2 / area_m2) > ODD_AREA and self.frames >= 3
