@@ -181,6 +181,16 @@ TRACK = Topic(
     "TrackEntry",
     "the camera's log: finished tracks with their weighed views, and marks of how far it has seen",
 )
+IN_VIEW = Topic(
+    "in_view",
+    "in_view/<camera>",
+    ("segmenter",),
+    ("viewer",),
+    Delivery.LATEST,
+    Priority.DATA_LOW,
+    "TracksInView",
+    "what a camera has in view, with weights so far; sent while a viewer listens",
+)
 COMMITTED = Topic(
     "committed",
     "committed/<camera>",
@@ -312,6 +322,7 @@ TOPICS: tuple[Topic, ...] = (
     VIEW,
     WEIGHT,
     TRACK,
+    IN_VIEW,
     COMMITTED,
     TUBER,
     TOTALS,

@@ -24,7 +24,7 @@ from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.track.counting import CountSettings
 from segmenter.track.coverage import Coverage
-from segmenter.track.decide import Moment, TrackDecider
+from segmenter.track.decide import EARLY_FRAMES, Moment, TrackDecider
 from segmenter.track.follow import BeltFollower, BeltMotion
 from segmenter.track.layers import KEPT as RIMS_KEPT
 from segmenter.track.layers import rim_of
@@ -129,6 +129,16 @@ class BeltSegmenter:
         if self._last is None:
             return []
         return self.decider.decide(self._moment(self._last), everything=True)
+
+    def tracks_in_view(self) -> list[TrackState]:
+        """Tracks whose place is in view, decided or not, but those too young to be more than noise."""
+        low_m, high_m = self.belt.x_range()
+        at_m = self.follower.travel_m
+        return [
+            track
+            for track in self.tracker.tracks
+            if track.frames >= EARLY_FRAMES and low_m <= track.place_x_m + at_m <= high_m
+        ]
 
     @property
     def taken_for_distractors(self) -> NDArray[np.bool_]:

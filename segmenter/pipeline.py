@@ -21,6 +21,7 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.track.counting import Crossing
+from segmenter.track.track import TrackState
 from segmenter.waiting import WaitingSegmenter
 
 GAUGE_FOLLOW_M = 0.012
@@ -69,6 +70,10 @@ class Segmenter:
     def finish(self) -> list[ClosedTrack]:
         """Decide all tracks still open: the camera has ended."""
         return self._running.finish() if self._running else []
+
+    def tracks_in_view(self) -> list[TrackState]:
+        """Tracks whose place is in view, decided or not, but those too young to be more than noise."""
+        return self._running.tracks_in_view() if self._running else []
 
     def take_foreign(self) -> tuple[Track, ...]:
         """What `finish` refused as a clod, a stone or haulm."""

@@ -165,7 +165,7 @@ def _outlines(
         corners = cv2.approxPolyDP(contour, 0.8 / scale, True).reshape(-1, 2)
         corners = np.rint(corners[:: -(-len(corners) // MOST_CORNERS)] * scale + shift).astype(int)
         track = tracks.get(index)
-        weight_g = None if track is None else weight_of(track.id_in(frame.run, frame.camera))
+        weight_g = None if track is None else weight_of(track.track_id(frame.run, frame.camera))
         made.append(Outline(tuple(corners.ravel().tolist()), _state(track, contour), weight_g))
     return tuple(made)
 

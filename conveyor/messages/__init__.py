@@ -4,6 +4,7 @@ from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.in_view import TrackInView, TracksInView
 from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
 from conveyor.messages.pictures import Outline, Picture
 from conveyor.messages.positions import Position
@@ -32,6 +33,8 @@ __all__ = [
     "Totals",
     "Track",
     "TrackEntry",
+    "TrackInView",
+    "TracksInView",
     "Travel",
     "Tuber",
     "View",

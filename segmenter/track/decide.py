@@ -174,7 +174,7 @@ class TrackDecider:
 
 
 def _track_id(track: TrackState, now: Moment) -> str:
-    return track.id_in(now.frame.run, now.frame.camera)
+    return track.track_id(now.frame.run, now.frame.camera)
 
 
 def _around(track: TrackState, tracker: Tracker) -> list[float]:

@@ -84,8 +84,8 @@ class TrackState:
     rims: list[NDArray[np.float64]] = field(default_factory=list)
     _said: tuple[int, float | None] = (0, None)
 
-    def id_in(self, run: str, camera: str) -> str:
-        """Its id: unique, and the same in every replay."""
+    def track_id(self, run: str, camera: str) -> str:
+        """Unique, and the same in every replay."""
         return f"{run}/{camera}/{self.first_seq}-{self.number}"
 
     def is_odd(self, area_m2: float) -> bool:

@@ -46,6 +46,15 @@ EXAMPLES: list[m.Message] = [
     m.Committed("c", "r", 10),
     m.FrameProgress("c", "r", 10, 1),
     m.Travel("c", "r", 10, 1.5, True),
+    m.TracksInView(
+        "c",
+        "r",
+        10,
+        (
+            m.TrackInView("r/c/3-1", -1.2, 0.1, 61.0, 44.0, "open"),
+            m.TrackInView("r/c/1-2", -0.9, 0.0, 70.0, 51.0, "counted", 150.0, 130.0, 170.0),
+        ),
+    ),
     m.CameraInfo("c", "r", "streaming", "x", 30.0, True, INTRINSICS, 0.001, 0, 9, 10, {"damaged": 1}),
     m.Counters("segmenter", "c", "r", 1, "host", "0", 1.0, {"a": 1}, {"b": 1.0}),
     TUBER,
@@ -69,6 +78,7 @@ def changed(good: bytes, change: Any) -> bytes:
 
 def test_every_kind_of_message_is_here() -> None:
     parts = {m.Message, m.Outline, m.LoadNow, m.Track, m.Mark, m.Sizes, m.ClassTotal, m.ForeignTotal, m.WeighedView}
+    parts |= {m.TrackInView}
     kinds = {getattr(m, name) for name in m.__all__} - parts
     assert kinds == {type(example) for example in EXAMPLES}
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conveyor.messages import Frame, Track, View, Weight
+import pytest
+
+from conveyor.messages import Frame, Track, TrackInView, TracksInView, View, Weight
 from segmenter.camera_run import CameraRun
+from segmenter.in_view import tracks_in_view
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings, StepResult
 from tests.laws.virtual_overload import _TRACK, CAMERA, LIVE, RUN, MadeUpBelt, _frame, view
 from tests.segmenter.segmenter_scene import MEDIUM, Scene, scattered
@@ -166,3 +169,31 @@ def test_the_same_tubers_by_the_same_views_as_without() -> None:
     assert len(chosen.keys() & early.keys()) >= 0.6 * len(chosen)
     for view_id in chosen.keys() & early.keys():
         assert replace(early[view_id], rank=chosen[view_id].rank).encode() == chosen[view_id].encode()
+
+
+def test_what_is_in_view_is_told_with_the_weights_so_far() -> None:
+    """Grey first, then with the early view's weight, while it is in view; ids are those of the log."""
+    scene = Scene(scattered(4, seed=5), intrinsics=MEDIUM, noise_m=0.0005, seed=5)
+    run = CameraRun(CAMERA, RUN, replace(LIVE, core=Settings(early_views=True)), None)
+    run.open()
+    told: dict[str, list[TrackInView]] = {}
+    for seq in range(45):
+        frame = replace(scene.frame(seq, travel_m=0.018 * seq), camera=CAMERA, run=RUN)
+        run.frame(frame, seq / 30)
+        message = TracksInView.decode(tracks_in_view(run, frame.captured_ns).encode())
+        for track in message.tracks:
+            told.setdefault(track.track_id, []).append(track)
+        for _, one in run.tick(seq / 30, {"w"}):
+            common = (one.view_id, one.track_id, CAMERA, RUN, one.seq)
+            run.weight(Weight(*common, "weighed", 100.0, 90.0, 110.0, "pointraft", "m", (), "w"))
+    logged = {entry.track.track_id: entry.track for entry in run.log.due(9.0) if entry.track is not None}
+    assert logged.keys() <= told.keys()
+    assert len(logged) >= 2
+    for track_id, track in logged.items():
+        weights = [one.weight_g for one in told[track_id]]
+        before = weights.index(100.0)
+        assert before > 0
+        assert set(weights[:before]) == {None}
+        assert told[track_id][before].state == "open", "weighed before it is decided"
+        assert told[track_id][before].place_x_m == pytest.approx(track.place_x_m, abs=0.01)
+        assert (told[track_id][before].low_g, told[track_id][before].high_g) == (90.0, 110.0)

@@ -53,7 +53,7 @@ def test_what_lies_on_the_belt_is_outlined_with_state_and_weight(seen: tuple[Seg
     counted = [track for track, _ in core.found if track.state == "counted"]
     assert counted
     for grams in (180.0, 200.0):
-        weights.add(weight(counted[0].id_in(newest.run, newest.camera), grams))
+        weights.add(weight(counted[0].track_id(newest.run, newest.camera), grams))
     picture = shown(core, newest, weights)
     assert core.instances is not None
     assert len(picture.outlines) == len(core.instances) >= 3

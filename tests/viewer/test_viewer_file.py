@@ -61,11 +61,15 @@ def show_a_load(watcher: line.ViewerProcess, tubers: list[line.Potato]) -> None:
     views = LatestPublisher(node, topics.VIEW, regressor="r1")
     counted = ReliablePublisher(node, topics.TUBER)
     totals = KeptPublisher(node, topics.TOTALS)
+    in_view = LatestPublisher(node, topics.IN_VIEW, camera="front")
     info.put(line.camera_info())
     line.within(10, lambda: frames.has_listener and views.has_listener, "the viewer subscribes to frames")
     for seq in range(FRAMES):
         frames.put(line.frame(seq, tubers))
         time.sleep(1 / line.FPS)
+    for seq, grams in ((FRAMES - 6, None), (FRAMES - 1, 77.0)):
+        in_view.put(line.in_view(seq, (tubers[0], grams)))
+    line.within(10, lambda: watcher.counter("in_view_received") == 2, "what is in view arrives")
     for tuber in tubers:
         views.put(line.view(line.crossing_seq(tuber), tuber, tubers))
         counted.put(line.counted(tuber))
@@ -100,8 +104,11 @@ def check_file(path: Path, tubers: list[line.Potato], *, shown: int, superseded:
     page = column(path, "/load/page", "TextDocument:text")[-1][1][0]
     assert f"# {total_kg:.2f} kg" in page
     assert "The load is complete" in page
-    labels = [label[0] for n in range(len(tubers)) for _, label in column(path, f"/belt/riding/tuber/{n:02d}", LABELS)]
-    assert labels == [f"{t.weight_g:.0f} g" for t in tubers]
+    boxes = [column(path, f"/belt/riding/tuber/{n:02d}", LABELS) for n in range(len(tubers))]
+    assert [box[-1][1][0] for box in boxes] == [f"{t.weight_g:.0f} g" for t in tubers]
+    provisional = [(at, label[0]) for at, label in boxes[0] if label[0].startswith("≈")]
+    assert provisional == [(line.moment_ns(FRAMES - 1), "≈ 77 g")]
+    assert [label[0] for at, label in boxes[0] if at == line.moment_ns(FRAMES - 1)][-1] == boxes[0][-1][1][0]
     pictures = column(path, "/belt/camera/front/image/depth", "EncodedDepthImage:blob", "frame")
     assert shown - superseded <= len(pictures) <= shown
     seq, blob = pictures[-1]

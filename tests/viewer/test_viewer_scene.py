@@ -108,6 +108,43 @@ def test_a_tubers_box_rides_from_edge_to_edge_though_counted_late() -> None:
     assert left <= gone_at <= left + 6
 
 
+def said(entries: list[Entry]) -> list[str | None]:
+    """The labels of boxes, in order; None for one that goes."""
+    return [e.primitive.label if isinstance(e.primitive, Box) else None for e in entries]
+
+
+def test_a_tuber_in_view_carries_a_provisional_weight_until_it_is_counted() -> None:
+    """One box per tuber at any time, live and in the past: grey, then by its views, then as counted."""
+    scene = BeltScene(PROFILES["light"])
+    first, second = line.potatoes(2, seed=2)
+    come = scene.on_in_view(line.in_view(3, (first, None)))
+    assert said(come) == [""]
+    assert scene.on_in_view(line.in_view(9, (first, None))) == [], "nothing new is not drawn"
+    weighed = scene.on_in_view(line.in_view(15, (first, 151.2), (second, None)))
+    assert said(weighed) == ["≈ 151 g", ""]
+    assert weighed[0].path == come[0].path != weighed[1].path
+    other = line.in_view(15, (first, 149.0), camera="rear")
+    assert scene.on_in_view(other) == [], "what two cameras see at one place is one tuber"
+
+    counted = [e for e in scene.on_tuber(line.counted(first)) if e.path.startswith("/belt/riding")]
+    assert {e.path for e in counted} == {come[0].path}
+    assert set(said(counted)) == {f"{first.weight_g:.0f} g"}
+    assert {Moment(line.moment_ns(3)), Moment(line.moment_ns(15))} <= {e.moment for e in counted}
+    assert scene.on_in_view(line.in_view(21, (first, 151.2), (second, None))) == [], "it is counted already"
+
+    clod = replace(line.in_view(24), tracks=(replace(line.in_view(24, (second, None)).tracks[0], state="refused"),))
+    assert said(scene.on_in_view(clod)) == [None]
+    assert scene.on_in_view(clod) == []
+
+
+def test_what_is_never_counted_does_not_stay() -> None:
+    scene = BeltScene(PROFILES["light"])
+    tuber = line.potatoes(1, seed=2)[0]
+    scene.on_in_view(line.in_view(3, (tuber, 120.0)))
+    assert scene.on_in_view(line.in_view(60)) == [], "it left the picture and is being weighed"
+    assert said(scene.on_in_view(line.in_view(120))) == [None]
+
+
 def test_a_cloud_lies_at_its_tubers_place_and_turns_its_box() -> None:
     scene = BeltScene(PROFILES["full"])
     tubers = line.potatoes(2, seed=5)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from conveyor.config import LinkConfig
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
-from conveyor.messages import CameraInfo, Frame, Totals, Tuber, View
+from conveyor.messages import CameraInfo, Frame, Totals, TrackInView, TracksInView, Tuber, View
 from conveyor.observer import Observer
 
 RUN = "load-7"
@@ -139,6 +139,22 @@ def counted(tuber: Potato, *, run: str = RUN) -> Tuber:
         cameras=("front",),
         tracks=(f"{RUN}/front/{tuber.n}",),
     )
+
+
+def in_view(seq: int, *tracks: tuple[Potato, float | None], camera: str = "front") -> TracksInView:
+    """What a camera has in view at frame `seq`, each with its weight so far."""
+    return TracksInView(
+        camera,
+        RUN,
+        moment_ns(seq),
+        tuple(
+            TrackInView(
+                f"{RUN}/{camera}/{tuber.n}", tuber.place_x_m, tuber.place_y_m, 60.0, 45.0, "open",
+                grams, None if grams is None else 0.8 * grams, None if grams is None else 1.2 * grams,
+            )
+            for tuber, grams in tracks
+        ),
+    )  # fmt: skip
 
 
 def totals(tubers: list[Potato], *, run: str = RUN, final: bool = False) -> Totals:

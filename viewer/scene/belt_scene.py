@@ -2,7 +2,8 @@
 
 Boxes and clouds hang below `/belt/riding`, whose only content is the belt's travel: each is drawn once at its place and
 moves with the belt by itself. A tuber is known only after it was weighed, so its box is drawn from the moment on at
-which it came into the picture, in the past: in a recording every potato carries its weight from edge to edge.
+which it came into the picture, in the past: in a recording every potato carries its weight from edge to edge. Until
+then, live, it has a provisional box (`viewer.scene.provisional`).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.messages import Frame, TrackEntry, Travel, Tuber, View
+from conveyor.messages import Frame, TrackEntry, TracksInView, Travel, Tuber, View
 from viewer.scene.primitives import (
     BeltAxes,
     Box,
@@ -29,6 +30,7 @@ from viewer.scene.primitives import (
     Shift,
 )
 from viewer.scene.profiles import Profile
+from viewer.scene.provisional import Provisional
 from viewer.scene.shapes import camera_pose, footprint_m, strided, tuber_box, yaw_rad
 from viewer.scene.travel_log import TravelLog
 
@@ -56,6 +58,7 @@ class BeltScene:
         self._riding: dict[str, float] = {}
         self._yaw: dict[str, float] = {}
         self._boxes = 0
+        self._provisional = Provisional(self._new_path)
         self._clouds = 0
         self.newest: Moment | None = None
         self.counted_until: Moment | None = None
@@ -144,14 +147,18 @@ class BeltScene:
         self._riding[path] = float(points[:, 0].mean())
         return [Entry(path, Cloud(points.astype(np.float32), CLOUD_COLOR), moment, heavy=True)]
 
+    def on_in_view(self, message: TracksInView) -> list[Entry]:
+        """Boxes of what is in view and not counted yet."""
+        return self._provisional.seen(message)
+
     def on_tuber(self, tuber: Tuber) -> list[Entry]:
         """The box of a counted tuber, from the moment it came into the picture, and its dot in the plot."""
         crossed = self._travel.nearest(tuber.crossed_ns)
         self._advance(crossed)
         if self.counted_until is None or crossed.captured_ns >= self.counted_until.captured_ns:
             self.counted_until = crossed
-        path = f"/belt/riding/tuber/{self._boxes % SLOTS:02d}"
-        self._boxes += 1
+        path, drawn, gone = self._provisional.counted(tuber.tracks)
+        path = path or self._new_path()
         appears = self._travel.when(self._reach()[0] - tuber.place_x_m)
         start = appears if appears is not None and appears.captured_ns <= crossed.captured_ns else crossed
         yaw = next((self._yaw[track] for track in tuber.tracks if track in self._yaw), None)
@@ -162,8 +169,11 @@ class BeltScene:
             ("place_x_m", tuber.place_x_m),
             ("place_y_m", tuber.place_y_m),
         )
+        box = tuber_box(tuber, yaw)
         entries = [
-            Entry(path, tuber_box(tuber, yaw), start),
+            *gone,
+            Entry(path, box, start),
+            *(Entry(path, box, moment) for moment in drawn if moment.captured_ns != start.captured_ns),
             Entry("/tuber/weight_g", Number(tuber.weight_g, details), crossed),
         ]
         left = self._travel.when(self._reach()[1] + RIDE_ON_M - tuber.place_x_m)
@@ -185,6 +195,11 @@ class BeltScene:
             Entry("/belt/riding", Shift(travel_m), moment),
             *(Entry(path, Gone(), moment) for path in gone),
         ]
+
+    def _new_path(self) -> str:
+        path = f"/belt/riding/tuber/{self._boxes % SLOTS:02d}"
+        self._boxes += 1
+        return path
 
     def _due(self, what: str, captured_ns: int) -> bool:
         """Whether `what` was not drawn yet in this tick of capture time.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from conveyor import topics
 from conveyor.delivery import Inbox, KeptSubscriber, LatestSubscriber, Presence, ReliableSubscriber
-from conveyor.messages import CameraInfo, Counters, Frame, Totals, TrackEntry, Travel, Tuber, View
+from conveyor.messages import CameraInfo, Counters, Frame, Totals, TrackEntry, TracksInView, Travel, Tuber, View
 from conveyor.node import Node
 from viewer.scene.profiles import Profile
 
@@ -12,6 +12,7 @@ FRAME_RING = 2
 VIEW_RING = 64
 TRAVEL_RING = 64
 TRACK_RING = 1024
+IN_VIEW_RING = 32
 TUBER_INBOX = 8192
 
 
@@ -28,6 +29,9 @@ class Inputs:
         self.travel: Inbox[Travel] = LatestSubscriber(node, topics.TRAVEL, Travel, capacity=TRAVEL_RING, source="*")
         self.tracks: Inbox[TrackEntry] = ReliableSubscriber(
             node, topics.TRACK, TrackEntry, capacity=TRACK_RING, history=False, camera="*"
+        )
+        self.in_view: Inbox[TracksInView] = LatestSubscriber(
+            node, topics.IN_VIEW, TracksInView, capacity=IN_VIEW_RING, camera="*"
         )
         self.tubers: Inbox[Tuber] = ReliableSubscriber(node, topics.TUBER, Tuber, capacity=TUBER_INBOX)
         self.infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")

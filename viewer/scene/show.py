@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from conveyor.counters import CounterSet
-from conveyor.messages import CameraInfo, Frame, Totals, TrackEntry, Travel, Tuber, View
+from conveyor.messages import CameraInfo, Frame, Totals, TrackEntry, TracksInView, Travel, Tuber, View
 from viewer.scene.belt_scene import BeltScene
 from viewer.scene.health_scene import HealthScene
 from viewer.scene.inputs import FRAME_RING, Inputs
@@ -48,7 +48,7 @@ class Show:
         self._waiting_totals: Totals | None = None
         self._health_due = 0.0
         self._open_scenes()
-        for name in ("frame", "view", "tuber", "travel", "track"):
+        for name in ("frame", "view", "tuber", "travel", "track", "in_view"):
             counters.add(f"{name}_dropped_other_run", 0)
         for name in (
             "frame_skipped_rate",
@@ -144,19 +144,22 @@ class Show:
         return True
 
     def _small(self) -> bool:
-        """Travel, tracks and tubers."""
+        """Travel, tracks, what is in view, and tubers."""
         busy = False
         for _ in range(MOST_PER_TURN):
             travel: Travel | None = self._inputs.travel.get(0.0)
             track: TrackEntry | None = self._inputs.tracks.get(0.0)
+            in_view: TracksInView | None = self._inputs.in_view.get(0.0)
             tuber: Tuber | None = self._inputs.tubers.get(0.0)
-            if travel is None and track is None and tuber is None:
+            if travel is None and track is None and in_view is None and tuber is None:
                 break
             busy = True
             if travel is not None and self._of_this_run(travel, "travel"):
                 self._say(self._belt.on_travel(travel))
             if track is not None and self._of_this_run(track, "track"):
                 self._say(self._belt.on_track(track))
+            if in_view is not None and self._of_this_run(in_view, "in_view"):
+                self._say(self._belt.on_in_view(in_view))
             if tuber is not None and self._of_this_run(tuber, "tuber"):
                 self._counters.add("tuber_shown")
                 self._say(self._belt.on_tuber(tuber))
