@@ -31,10 +31,24 @@ class _Gaps:
         return 0 if before is None else frame.seq - before - 1
 
 
-def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> int:
-    """Record until stopped; returns how many frames were written."""
-    gaps = _Gaps()
-    with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(out) as writer:
+def next_part(out: Path) -> Path:
+    """`out`, or where it holds a recording already the first free one of `<name>-2.mcap`, `<name>-3.mcap`, ..."""
+    part, n = out, 1
+    while part.exists():
+        n += 1
+        part = out.with_name(f"{out.stem}-{n}{out.suffix}")
+    return part
+
+
+def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple[int, Path]:
+    """Record until stopped; returns how many frames were written, and where.
+
+    Nothing is overwritten, and a recorder that is started again goes on: where `out` exists, in a new part beside it.
+    """
+    gaps, part = _Gaps(), next_part(out)
+    with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(part) as writer:
+        if part != out:
+            node.log.warning("%s holds a recording: going on in %s", out, part)
         infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
         for counter in ("frames_written", "frames_missing", "frames_duplicate"):
@@ -54,5 +68,5 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> int:
             writer.add_camera(frame.camera, fps=fps.get(frame.camera))
             writer.write(frame)
             node.counters.add("frames_written")
-        node.log.info("%d frames in %s", writer.messages, out)
-        return writer.messages
+        node.log.info("%d frames in %s", writer.messages, part)
+        return writer.messages, part

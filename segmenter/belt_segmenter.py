@@ -192,6 +192,7 @@ class BeltSegmenter:
         return replace(instances, centre_m=completed_centres(instances, self.belt))
 
     def _track(self, frame: Frame, instances: Instances, motion: BeltMotion) -> Found:
+        self.coverage.earlier(motion.earlier)
         self.coverage.step(motion.travel_m)
         return self.tracker.update(
             frame.seq, instances, motion.pairs, self.follower.history, motion.travel_m,

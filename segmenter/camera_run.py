@@ -137,6 +137,8 @@ class CameraRun:
         # stopped for a while, never a frame to give up. Only what its source refused will not come.
         missing = 0 if info.last_seq is None else info.last_seq - self.frames.newest_seq
         sure = not info.waits or info.state == "failed" or missing <= sum(info.refused.values())
+        if info.state == "failed" and info.live:
+            return  # a device comes back: what passes meanwhile is a gap in its run, not the end of it
         if info.state in ("ended", "failed") and ((silent and sure) or (here and info.state == "ended")):
             self.end(now_s)
 

@@ -104,9 +104,10 @@ def refusal(
     in_view = tracker.frames_in_view(track, history, travel_m)
     inner = [h for h in track.hits if not h.ends_cut]
     # Where frames are few, those that showed it cut by a border were no chance to see it whole.
-    if len(inner) < min(settings.min_frames, max(1, in_view - (len(track.hits) - len(inner)))):
+    chances = max(1, in_view - (len(track.hits) - len(inner)))
+    if len(inner) < min(settings.min_frames, chances):
         return TrackRefusal.FEW_FRAMES
-    if len(inner) < settings.min_share * in_view:
+    if len(inner) < settings.min_share * (chances if in_view < 2 * settings.min_frames else in_view):
         return TrackRefusal.FRAGMENT
     if median(h.area_m2 for h in inner) < settings.min_area_m2:
         return TrackRefusal.SMALL
