@@ -8,13 +8,14 @@ image instead of DBSCAN: see `clean_depth`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.messages import View
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
@@ -58,6 +59,7 @@ class PreparedCloud:
         flags: what is unusual about this cloud.
         resting_offset_m: how far the resting level lies below the belt.
         centre_m: where the mean of all points lies in the level frame, metres.
+        noise_px: local noise of the depth on its skin, pixels of disparity at a baseline of 18 mm; None: not known.
     """
 
     points: NDArray[np.float32]
@@ -67,6 +69,7 @@ class PreparedCloud:
     flags: tuple[str, ...]
     resting_offset_m: float = 0.0
     centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise_px: float | None = None
 
     def clamped_height_m(self, highest_m: float = MAX_HEIGHT_M) -> float:
         """The height the network sees, metres: 0 to 80 mm as in the paper, or what its weights were trained with."""
@@ -128,7 +131,8 @@ def prepare_depth(
     # Area on the level plane that a pixel covers: smaller than z^2/(fx fy) where the ray meets the plane obliquely.
     area = z * z / (fx * fy) / np.maximum(level[:, 2] / z, 0.2)
     surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
-    return _finish(level[measured[v, u]], distance_m, resting_offset_m, surface)
+    noise_px = crop_noise_px(depth, depth_scale_m=depth_scale_m, fx=fx)
+    return replace(_finish(level[measured[v, u]], distance_m, resting_offset_m, surface), noise_px=noise_px)
 
 
 def prepare_cloud(
