@@ -15,6 +15,8 @@ from deploy.trial.machineroot import machines_on
 from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 SEED = 1616
+PARTS = ("one", "upgrade", "two")
+"""One machine, an upgrade of it that loses its power, two machines of which the second is late."""
 Rows = list[tuple[str, str]]
 
 
@@ -217,22 +219,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="make boot", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the installed root for the next time")
     parser.add_argument("--minutes", type=float, default=5.0, help="how long the second machine comes after the first")
-    parser.add_argument("--only", choices=("one", "two", "upgrade"), help="one of the three parts")
+    parser.add_argument("--only", choices=PARTS, help="one of the parts; keeps the root, the last one writes the table")
     given = parser.parse_args()
-    with machines_on("make boot", keep=given.keep) as (folder, root):
+    with machines_on("make boot", keep=given.keep or given.only is not None) as (folder, root):
+        state = folder / "boot.json"
+        done: dict[str, Rows] = json.loads(state.read_text(encoding="utf-8")) if given.only and state.exists() else {}
         recordings = field.simulate(folder / "recordings", seed=SEED, tubers=24)
         reference = field.replayed(recordings, folder / "reference")
-        rows: Rows = []
-        if given.only in (None, "one"):
-            rows += one_machine(folder, root, recordings, reference)
-        if given.only in (None, "upgrade"):
-            rows += upgrade.trial(folder, root)
-        if given.only in (None, "two"):
-            rows += two_machines(folder, root, recordings, reference, given.minutes)
-        for what, seen in rows:
-            say(f"{what}: {seen}")
-        if given.only is None:
-            into_docs("boot", table(("what", "seen"), rows))
+        for part in [given.only] if given.only else PARTS:
+            if part == "one":
+                done[part] = one_machine(folder, root, recordings, reference)
+            elif part == "upgrade":
+                done[part] = upgrade.trial(folder, root)
+            else:
+                done[part] = two_machines(folder, root, recordings, reference, given.minutes)
+            for what, seen in done[part]:
+                say(f"{what}: {seen}")
+            state.write_text(json.dumps(done), encoding="utf-8")
+        if all(part in done for part in PARTS):
+            into_docs("boot", table(("what", "seen"), [row for part in PARTS for row in done[part]]))
 
 
 if __name__ == "__main__":

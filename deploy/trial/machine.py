@@ -190,10 +190,10 @@ class Machine:
             if group.parent.name == "cpuset":
                 for name in ("cpuset.cpus", "cpuset.mems"):
                     (group / name).write_text((group.parent / name).read_text(encoding="utf-8"), encoding="utf-8")
-            # All of a group's processes share what one process of nice 0 would get, however nice they are.
+            # All of a group's processes share what one process of nice 0 would get: a line has five.
             for name, normal in (("cpu.shares", 1024), ("cpu.weight", 100)):
                 if (group / name).exists():
-                    (group / name).write_text(str(round(normal * 1.25 ** -os.nice(0))), encoding="utf-8")
+                    (group / name).write_text(str(round(5 * normal * 1.25 ** -os.nice(0))), encoding="utf-8")
 
     def _enter_cgroups(self) -> None:
         for group in self._cgroups():

@@ -5,8 +5,8 @@ same numbers; and the ledger at the end is that of an undisturbed replay of what
 outages the belt runs on: the frames of that piece of belt are taken out of the recording, ahead of what has been looked
 at, so that the camera never shows them and coverage has to tell. In the others it stands still with the power.
 
-The camera begins its recording again after each cut. So a cut comes when the ledger has reached a random place of the
-belt, each further than the one before: every run has to pass all that was cut off and to count on from there.
+The camera begins its recording again after each cut. So a cut comes when the ledger holds a random number of tubers,
+more than at the one before: every run has to pass all that was cut off and to count on from there.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ AT_BOOT_S = (0.05, 4.0)
 RUNNING_S = (4.0, 8.0)
 """The least that a machine is on before a cut of its running line."""
 LAST_CUT = 0.9
-"""Of the belt's length."""
+"""Of the belt's tubers."""
 GOES_ON_S = 240.0
-"""Within so long a started line has to reach the place of its next cut."""
+"""Within so long a started line has to have counted the tubers of its next cut."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +50,12 @@ class Plan:
     tubers: int
     speed: float
 
-    def moments(self, length_m: float) -> list[tuple[float, float | None]]:
-        """(seconds after power on, place in metres that the ledger must have reached or None while booting) per cut."""
+    def moments(self) -> list[tuple[float, int | None]]:
+        """(seconds after power on, tubers that the ledger must hold or None while booting) of each cut."""
         rng = random.Random(self.seed)
         at_boot = [rng.random() < 1 / 3 for _ in range(self.cuts)]
-        places = iter(sorted(rng.uniform(0.0, LAST_CUT * length_m) for _ in range(at_boot.count(False))))
-        return [(rng.uniform(*(AT_BOOT_S if boot else RUNNING_S)), None if boot else next(places)) for boot in at_boot]
+        counts = iter(sorted(rng.randint(0, int(LAST_CUT * self.tubers)) for _ in range(at_boot.count(False))))
+        return [(rng.uniform(*(AT_BOOT_S if boot else RUNNING_S)), None if boot else next(counts)) for boot in at_boot]
 
 
 @dataclass(slots=True)
@@ -65,6 +65,8 @@ class Cuts:
     at_boot: int = 0
     running: int = 0
     unseen_frames: int = 0
+    furthest_m: float = 0.0
+    """That the segmenter has looked at; marks begin again with the camera."""
     tubers_at_cut: list[int] = filled(default_factory=list)
     committed: dict[str, str] = filled(default_factory=dict)
     """Every tuber that a ledger held at any cut, by its number."""
@@ -117,22 +119,24 @@ def take_stock(cuts: Cuts, seen: field.Seen) -> None:
     cuts.tubers_at_cut.append(len(now))
 
 
-def cut_once(machine: Machine, belt: Path, cuts: Cuts, moment: tuple[float, float | None]) -> None:
+def cut_once(machine: Machine, belt: Path, cuts: Cuts, moment: tuple[float, int | None]) -> None:
     """Switch on, wait for the moment, cut, and look at what is on the disk."""
-    least_s, place_m = moment
+    least_s, tubers = moment
     start = monotonic()
     machine.power_on()
     sleep(max(0.0, least_s - (monotonic() - start)))
-    if place_m is not None:
-        what = f"the ledger at {place_m:.2f} m after cut {cuts.done}"
-        until(lambda: field.Seen(machine.disk).travelled_m >= place_m, what, timeout_s=GOES_ON_S, every_s=0.4)
+    if tubers is not None:
+        wanted = max(tubers, len(cuts.committed) + 1)
+        what = f"{wanted} tubers in the ledger after cut {cuts.done}"
+        until(lambda: len(field.Seen(machine.disk).tubers) >= wanted, what, timeout_s=GOES_ON_S, every_s=0.4)
     on_s = monotonic() - start
     machine.cut_power()
-    cuts.at_boot += place_m is None
-    cuts.running += place_m is not None
+    cuts.at_boot += tubers is None
+    cuts.running += tubers is not None
     seen = field.Seen(machine.disk)
     take_stock(cuts, seen)
-    off = belt_runs_on(belt, seen.travelled_m) if cuts.unseen_frames < MOST_OFF_FRAMES else 0
+    cuts.furthest_m = max(cuts.furthest_m, seen.travelled_m)
+    off = belt_runs_on(belt, cuts.furthest_m) if cuts.unseen_frames < MOST_OFF_FRAMES else 0
     cuts.unseen_frames += off
     say(
         f"cut {cuts.done}: {on_s:.2f} s after power on, {len(seen.tubers)} tubers, {seen.travelled_m:.2f} m, "
@@ -146,8 +150,7 @@ def begin(machine: Machine, recordings: Path, plan: Plan) -> Cuts:
     machine.make()
     machine.power_on()
     machine.booted()
-    field.install(machine, field.config(speed=plan.speed), field.ROLES)
-    field.all_active(machine, field.UNITS)
+    field.install(machine, field.config(speed=plan.speed), field.ROLES, "--no-start")
     machine.shut_down()
     return Cuts()
 
@@ -165,8 +168,7 @@ def trial(folder: Path, root: Path, plan: Plan, part: int | None) -> list[tuple[
             machine.unmount()  # an earlier call may have ended before it could
             machine.mount()
         last = plan.cuts if part is None else min(plan.cuts, cuts.done + part)
-        moments = plan.moments(length_m=travel_m(recordings / "belt"))
-        for moment in moments[cuts.done : last]:
+        for moment in plan.moments()[cuts.done : last]:
             cut_once(machine, recordings / "belt", cuts, moment)
             keep(state, plan, cuts)
         if last < plan.cuts:
@@ -178,12 +180,6 @@ def trial(folder: Path, root: Path, plan: Plan, part: int | None) -> list[tuple[
     state.unlink()
     machine.remove()
     return rows
-
-
-def travel_m(belt: Path) -> float:
-    """How far the belt has gone at the recording's last frame."""
-    lines = (belt / "front" / "frames.csv").read_text(encoding="utf-8").splitlines()
-    return float(lines[-1].split(",")[2])
 
 
 def the_end(folder: Path, machine: Machine, recordings: Path, plan: Plan, cuts: Cuts) -> list[tuple[object, ...]]:
