@@ -73,7 +73,9 @@ class BeltSegmenter:
 
     def __init__(self, settings: Settings, belt: BeltGeometry, perception: Perception, resume: Resume | None) -> None:
         low_m, high_m = belt.x_range()
-        offsets_m = slot_offsets(settings.views_per_tuber, half_view_m=(high_m - low_m) / 2)
+        offsets_m = slot_offsets(
+            settings.views_per_tuber, half_view_m=(high_m - low_m) / 2, decide_m=settings.track.decide_m
+        )
         self.belt = belt
         self.tracker = Tracker(belt, settings.track, offsets_m)
         self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)

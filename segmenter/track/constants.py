@@ -71,6 +71,8 @@ NEAR_M = 0.025
 """Metres. Within this of its wanted position every view is a candidate; farther off, only one this much nearer."""
 PASSED_M = 0.004
 """Metres past its wanted position from which on a view is settled: places still move by that much."""
+SETTLED_M = 0.015
+"""Metres before a track is decided at which its last view is wanted: a frame at 0.2 m/s and 15 a second."""
 LEAST_HEIGHT_M = 0.004
 """Metres. Pixels of a crop lower than this are belt at the rim of the mask; higher trims tubers."""
 ODD_COST_M = 0.2
