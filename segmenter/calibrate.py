@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -49,19 +50,23 @@ class BeltCalibration:
         return asdict(self)
 
 
-def calibrate_recording(recording: Path, *, frames: int = 30) -> list[BeltCalibration]:
-    """One calibration per camera of a recording of any kind, from up to `frames` of its first frames.
+def calibrate_recording(
+    recording: Path, *, frames: int = 30, on_frame: Callable[[int, int], None] = lambda done, of: None
+) -> list[BeltCalibration]:
+    """One calibration per camera of a recording of any kind, from up to `frames` of its first frames. `on_frame` is
+    told how many of a camera's frames are done, and of how many.
 
     Raises:
         InputError: the recording cannot be used, or too little belt is seen in it.
     """
-    return [_camera(camera, frames) for camera in open_cameras(recording, ignore_masks=True)]
+    return [_camera(camera, frames, on_frame) for camera in open_cameras(recording, ignore_masks=True)]
 
 
-def _camera(camera: CameraFrames, frames: int) -> BeltCalibration:
+def _camera(camera: CameraFrames, frames: int, on_frame: Callable[[int, int], None]) -> BeltCalibration:
     fits: list[PlaneFit] = []
     asked, given_m = 0, None
     for frame in islice(camera, frames):
+        on_frame(asked, frames)
         asked += 1
         given_m = expected_distance_m(frame)
         fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics)

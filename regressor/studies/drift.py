@@ -21,13 +21,15 @@ from scipy.ndimage import gaussian_filter
 from conveyor.errors import InputError
 from regressor.studies.alone import Scale
 from regressor.studies.evaluate import NETWORK, SHIPPED, VOLUME_RULE, coverage, evaluate_views, method_scores
-from regressor.training.labelled import LabelledView, read_labelled
+from regressor.training.labelled import LabelledView, count_labelled, read_labelled
+from regressor.training.work import Work, no_work
 
 BASELINE_M = 0.018
 SMOOTH_NOISE_PX, SMOOTH_OVER_PX = 0.06, 2.5
 """Sd of the D405's correlated disparity noise as the simulator has it, and over how many pixels it is alike."""
 
 MIN_TUBERS = 10
+MANY = 1 << 62
 METHODS = (SHIPPED, NETWORK, VOLUME_RULE)
 Change = Callable[[LabelledView, Generator], LabelledView | None]
 
@@ -79,7 +81,7 @@ def drift(
     *,
     max_views: int | None,
     seed: int = 0,
-    on_shift: Callable[[str], None] = lambda name: None,
+    on_work: Work = no_work,
 ) -> dict[str, Any]:
     """Figures of every shift of `data` and of every pack in `others`, by name, but those of fewer than 10 tubers.
 
@@ -89,15 +91,24 @@ def drift(
     table: dict[str, Any] = {}
     cases: list[tuple[str, Path, Change]] = [(name, data, change) for name, change in SHIFTS.items()]
     cases += [(name, folder, SHIFTS["as it is"]) for name, folder in others.items()]
+    most = {folder: min(count_labelled(folder), max_views or MANY) for _, folder, _ in cases}
+    total, before = sum(most[folder] for _, folder, _ in cases), 0
     for name, folder, change in cases:
-        on_shift(name)
+        on_work(name, before, total)
         views = list(_shifted(folder, change, np.random.default_rng(seed), max_views))
         if len({view.tuber for view in views}) < MIN_TUBERS:
+            before += most[folder]
             continue
-        result = evaluate_views(views, scale, where=f"{folder}, {name}")
+        said = partial(_said, on_work, name, before, total)
+        before += most[folder]
+        result = evaluate_views(views, scale, where=f"{folder}, {name}", progress=said)
         scores = method_scores(result)
         table[name] = {"methods": {method: scores[method] for method in METHODS}, "coverage": coverage(result)}
     return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table}
+
+
+def _said(on_work: Work, name: str, before: int, total: int, done: int) -> None:
+    on_work(name, min(before + done, total), total)
 
 
 def _shifted(folder: Path, change: Change, rng: Generator, max_views: int | None) -> Iterator[LabelledView]:

@@ -22,6 +22,7 @@ from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN
 from regressor.training.train import SWIFT, predict
+from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
 from regressor.weigh.viewscale import view_terms
@@ -166,7 +167,13 @@ def _stocks(data: CloudSet) -> NDArray[np.str_]:
 
 
 def recalibrate(
-    weights: Path, data: Path, *, cache: Path | None, max_views: int | None, compute: torch.dtype | None = None
+    weights: Path,
+    data: Path,
+    *,
+    cache: Path | None,
+    max_views: int | None,
+    compute: torch.dtype | None = None,
+    on_work: Work = no_work,
 ) -> Sidecar:
     """Calibrate saved weights again on the views of `data` and write their sidecar; the tensors stay as they are.
 
@@ -176,8 +183,16 @@ def recalibrate(
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
-    views = load_cloudset(data, cache=cache, max_views=max_views).with_target(sidecar.target)
-    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
+    views = load_cloudset(data, cache=cache, max_views=max_views, progress=preparing(data, on_work))
+    views = views.with_target(sidecar.target)
+    network_g = predict(
+        model,
+        views,
+        highest_m=sidecar.input.max_height_m,
+        resolution=SWIFT,
+        compute=compute,
+        on_views=lambda done, of: on_work("weighing", done, of),
+    )
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule, worlds=sidecar.worlds)

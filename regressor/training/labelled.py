@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.packs.views import PackedView, read_views, view_shards
+from conveyor.formats.packs.views import PackedView, count_views, read_views, view_shards
 from conveyor.formats.potatotwin.layout import is_potatotwin, twin_resting
-from conveyor.formats.potatotwin.views import TwinView, read_twin
+from conveyor.formats.potatotwin.views import TwinView, count_twin, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
@@ -122,6 +122,16 @@ def labelled_files(folder: Path) -> list[Path]:
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
         "(a 3DPotatoTwin folder)"
     )
+
+
+def count_labelled(folder: Path, *, split: str | None = None) -> int:
+    """About how many views `read_labelled` would read: for a bar with a remaining time.
+
+    Raises:
+        InputError: unknown layout.
+    """
+    files = labelled_files(folder)
+    return sum(map(count_views, files)) if files[0].suffix == ".npz" else count_twin(folder, split=split)
 
 
 def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = "calibrated") -> Iterator[LabelledView]:

@@ -18,6 +18,7 @@ from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoi
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
 from regressor.training.train import SWIFT, predict
+from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, fit_blend
 from regressor.weigh.quadratic import fit_quadratic
 from regressor.weigh.volume import fit_volume_rule
@@ -27,7 +28,13 @@ MIN_RECORDINGS = 20
 
 
 def restack(
-    weights: Path, data: Path, unseen: Path, *, cache: Path | None, compute: torch.dtype | None = None
+    weights: Path,
+    data: Path,
+    unseen: Path,
+    *,
+    cache: Path | None,
+    compute: torch.dtype | None = None,
+    on_work: Work = no_work,
 ) -> Sidecar:
     """Fit volume rule and blend of saved weights again and write their sidecar; the tensors stay as they are.
 
@@ -41,14 +48,24 @@ def restack(
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to write to: `tuberline import-checkpoint` makes one")
-    seen, views = (load_cloudset(folder, cache=cache).with_target(sidecar.target) for folder in (data, unseen))
+    seen, views = (
+        load_cloudset(folder, cache=cache, progress=preparing(folder, on_work)).with_target(sidecar.target)
+        for folder in (data, unseen)
+    )
     seen, views = seen.subset(seen.clean), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
         raise InputError(
             f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
             "blend is fitted over recordings, each of which shares one belt and one camera"
         )
-    network_g = predict(model, views, highest_m=sidecar.input.max_height_m, resolution=SWIFT, compute=compute)
+    network_g = predict(
+        model,
+        views,
+        highest_m=sidecar.input.max_height_m,
+        resolution=SWIFT,
+        compute=compute,
+        on_views=lambda done, of: on_work("weighing", done, of),
+    )
     known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
     volume_g, found = cross_fitted(seen, views, with_seen=known)
     everything = joined([seen, views])

@@ -8,6 +8,7 @@ takes the steps an unbroken one would take from there.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -223,8 +224,9 @@ def predict(
     resolution: Resolution = FULL,
     batch: int = 32,
     compute: torch.dtype | None = None,
+    on_views: Callable[[int, int], None] = lambda done, of: None,
 ) -> NDArray[np.float64]:
-    """(n,) grams, PointRAFT's on the reduced graph."""
+    """(n,) grams, PointRAFT's on the reduced graph. `on_views` is told how many are done, and of how many."""
     model.eval()
     device = next(model.parameters()).device
     used = POINTNET_POINTS if isinstance(model, PointNet) else max(NEIGHBOURS, resolution.centroids)
@@ -238,4 +240,5 @@ def predict(
                 model, points.to(device), torch.from_numpy(heights).to(device), resolution=resolution, compute=compute
             )
             out.append(weights.cpu().numpy())
+            on_views(min(begin + batch, len(data)), len(data))
     return np.concatenate(out).astype(np.float64)

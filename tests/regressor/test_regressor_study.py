@@ -98,7 +98,11 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     chosen = ("as it is", "belt 6 mm nearer than believed", "only Sayaka")
     monkeypatch.setattr(drifting, "SHIFTS", {name: SHIFTS[name] for name in chosen})
     weigher = Weigher.load()
-    measured = drift(pack, {"the same again": pack}, weigher, max_views=12)
+    told: list[tuple[str, int, int | None]] = []
+    measured = drift(pack, {"the same again": pack}, weigher, max_views=12, on_work=lambda *said: told.append(said))
+    done = [n for _, n, _ in told]
+    assert done == sorted(done)
+    assert {of for _, _, of in told} == {12 * (len(chosen) + 1)}
     assert list(measured["shifts"]) == ["as it is", "belt 6 mm nearer than believed", "the same again"]
     plain, tall = (measured["shifts"][name]["methods"][SHIPPED] for name in chosen[:2])
     assert measured["shifts"]["the same again"]["methods"][SHIPPED] == plain

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
+from pathlib import Path
 
 import pytest
 from rich.console import Console
 
 from tuberline.cli import progress
+from tuberline.cli.markdown import print_markdown
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -30,3 +35,44 @@ def test_a_log_is_a_log(capsys: pytest.CaptureFixture[str]) -> None:
         on_frame(1, 2)
     sys.stderr.flush()
     assert capsys.readouterr().err == ""
+
+
+def test_work_that_begins_anew_has_a_remaining_time_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    out = io.StringIO()
+    monkeypatch.setattr(
+        progress, "console", lambda: Console(file=out, force_terminal=True, width=80, color_system=None)
+    )
+    with progress.work_bar("reading views") as on_work:
+        for words, count in (("preparing train", 4), ("weighing", 2)):
+            for done in range(1, count + 1):
+                on_work(words, done, count)
+    said = out.getvalue()
+    assert "weighing" in said
+    assert "100%" in said
+
+
+def test_every_long_command_shows_the_bar_of_the_house() -> None:
+    """Bars of rich's own write their last state into a log."""
+    own = re.compile(r"\bProgress\(|console\.status\(|rich\.status")
+    found = [path.name for path in (ROOT / "tuberline").rglob("*.py") if own.search(path.read_text(encoding="utf-8"))]
+    assert found == ["progress.py"]
+
+
+METHODS = ("PointRAFT with visible volume (as weighed)", "linear on box L, W, h (the paper's baseline)")
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 120])
+def test_a_table_of_a_report_cuts_no_word(width: int) -> None:
+    columns = ("method", "MAE g", "RMSE g", "bias g", "R2", "MAE g per tuber", "bias of a 300-tuber load %")
+    figures = ("10.79", "15.73", "-0.40", "0.979", "9.71", "-0.25 (-1.04 to +0.51)")
+    rows = [columns, ("---",) * len(columns), *((name, *figures) for name in METHODS)]
+    report = "\n".join(["# Title", "", *("| " + " | ".join(row) + " |" for row in rows), "", "Weights `a@b`."])
+    out = io.StringIO()
+    print_markdown(report, Console(file=out, width=width, color_system=None))
+    lines = out.getvalue().splitlines()
+    words = " ".join(lines).split()
+    assert max(map(len, lines)) <= width
+    assert not any("…" in line for line in lines)
+    for name in METHODS:
+        assert all(word in words for word in name.split()), name
+    assert words.count("15.73") == len(METHODS)

@@ -53,13 +53,12 @@ def ablate(
         Of everything random.
     """
     import torch
-    from rich.console import Console
-    from rich.markdown import Markdown
 
     from regressor.studies.ablate import VARIANTS, markdown, read_table
     from regressor.studies.ablate import ablate as run
     from regressor.training.recipe import recipe_named
     from regressor.training.run import RunOptions
+    from tuberline.cli.markdown import print_markdown
     from tuberline.cli.training_bar import TrainingBar
 
     torch.set_num_threads(1)
@@ -77,4 +76,4 @@ def ablate(
             on_step=lambda name, training: bar.step(training, name),
         )
     table, words = read_table(out)
-    Console().print(Markdown(markdown(table, recipe=words)))
+    print_markdown(markdown(table, recipe=words))

@@ -35,8 +35,10 @@ def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) 
 
     from segmenter.calibrate import calibrate_recording
     from segmenter.calibration_verdict import verdict
+    from tuberline.cli.progress import frames_bar
 
-    results = calibrate_recording(recording, frames=frames)
+    with frames_bar() as on_frame:
+        results = calibrate_recording(recording, frames=frames, on_frame=on_frame)
     verdicts = [verdict(result) for result in results]
     if not json:
         from rich.console import Console

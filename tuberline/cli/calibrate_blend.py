@@ -38,9 +38,11 @@ def calibrate_blend(
     import torch
 
     from regressor.training.stacking import restack
+    from tuberline.cli.progress import work_bar
 
     torch.set_num_threads(1)
-    sidecar = restack(weights, data, unseen, cache=cache, compute=wide(compute))
+    with work_bar("reading views") as on_work:
+        sidecar = restack(weights, data, unseen, cache=cache, compute=wide(compute), on_work=on_work)
     figures = sidecar.metrics["blend"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "

@@ -40,9 +40,11 @@ def calibrate_interval(
     import torch
 
     from regressor.training.calibration import recalibrate
+    from tuberline.cli.progress import work_bar
 
     torch.set_num_threads(1)
-    sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute))
+    with work_bar("reading views") as on_work:
+        sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute), on_work=on_work)
     figures = sidecar.metrics["calibration"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "

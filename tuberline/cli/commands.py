@@ -45,7 +45,7 @@ GROUPS: dict[str, Commands] = {
         "simulate": ("tuberline.cli.simulate:simulate", "Make a recording of a belt with known truth."),
         "info": ("tuberline.cli.recordings:info", "Describe a recording and warn of its traps."),
         "import": ("tuberline.cli.import_frames:import_frames", "Make one of plain depth frames of any camera."),
-        "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless."),
+        "convert": ("tuberline.cli.recordings:convert", "Convert a recording, lossless; a run for Foxglove."),
         "recover": ("tuberline.cli.recordings:recover", "Repair an MCAP file whose writer was killed."),
     },
 }

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tuberline.cli.address import LineAddress
+from tuberline.cli.progress import work_bar
 from tuberline.doctor import Finding, Level, worst
 from tuberline.doctor.examine import examine, look
 
@@ -36,7 +37,9 @@ def doctor(
     offline
         Leave out what needs the running line.
     """
-    findings = examine(LineAddress(config, connect, line).watched(), offline=offline)
+    watched = LineAddress(config, connect, line).watched()
+    with work_bar("looking") as on_work:
+        findings = examine(watched, offline=offline, on_work=on_work)
     if json:
         report = {"worst": worst(findings).value, "findings": [asdict(finding) for finding in findings]}
         sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
@@ -63,8 +66,9 @@ def bundle(config: Path, *, connect: str | None = None, line: str | None = None,
     from tuberline.doctor.bundle import write_bundle
 
     watched = LineAddress(config, connect, line).watched()
-    live = look(watched)
-    findings = examine(watched, live=live)
+    with work_bar("looking") as on_work:
+        live = look(watched)
+        findings = examine(watched, live=live, on_work=on_work)
     path = out or Path(f"tuberline-{watched.name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
     members = write_bundle(
         path,

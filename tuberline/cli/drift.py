@@ -45,31 +45,30 @@ def drift(
         Print the figures as JSON on stdout.
     """
     import torch
-    from rich.console import Console
-    from rich.markdown import Markdown
 
     from conveyor.files import whole_output
     from regressor.studies.drift import drift as run
     from regressor.studies.drift import write_drift
     from regressor.weigh.weigher import Weigher
+    from tuberline.cli.markdown import print_markdown
+    from tuberline.cli.progress import work_bar
 
     torch.set_num_threads(1)
     others = dict(text.partition("=")[::2] for text in also or [])
     if not all(others.values()):
         raise InputError(f"--also {' '.join(also or [])}: every further pack is NAME=FOLDER")
-    console = Console(stderr=True)
-    with console.status("weighing") as status:
+    with work_bar("weighing") as on_work:
         measured = run(
             data,
             {name: Path(folder) for name, folder in others.items()},
             Weigher.load(weights),
             max_views=max_views,
             seed=seed,
-            on_shift=lambda name: status.update(name),
+            on_work=on_work,
         )
     with whole_output(out) as partial:
         text = write_drift(measured, partial)
     if json:
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
-        Console().print(Markdown(text))
+        print_markdown(text)

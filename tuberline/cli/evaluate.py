@@ -55,16 +55,16 @@ def evaluate(
     import importlib.util
 
     import torch
-    from rich.console import Console
-    from rich.markdown import Markdown
 
     from conveyor.files import whole_output
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
     from regressor.studies.worlds import BY, by_class, by_preset
     from regressor.studies.worlds import markdown as worlds_table
+    from regressor.training.labelled import count_labelled
     from regressor.weigh.weigher import Weigher
-    from tuberline.cli.progress import progress_bar
+    from tuberline.cli.markdown import print_markdown
+    from tuberline.cli.progress import work_bar
 
     if plots and importlib.util.find_spec("matplotlib") is None:
         raise InputError("plots need matplotlib: install the extra 'train', or give --no-plots")
@@ -72,8 +72,8 @@ def evaluate(
     if unknown:
         raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
     torch.set_num_threads(1)
-    with progress_bar(total_known=False) as bar:
-        task = bar.add_task("reading views")
+    known = None if season else min(count_labelled(data, split=split), max_views or sys.maxsize)
+    with work_bar("reading views") as on_work:
         result = run(
             data,
             Weigher.load(weights, any_target=True),
@@ -81,7 +81,7 @@ def evaluate(
             season=season,
             max_views=max_views,
             resting=resting,
-            progress=lambda done: bar.update(task, description=f"{done} views weighed"),
+            progress=lambda done: on_work(f"{done} views weighed", done, known),
         )
     title = f"Evaluation on {data.name}" + (f", season {season}" if season else "")
     with whole_output(out) as partial:
@@ -98,4 +98,4 @@ def evaluate(
     if json:
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
-        Console().print(Markdown(markdown(measured, title=title) + ("\n## By world\n\n" + worlds if by else "")))
+        print_markdown(markdown(measured, title=title) + ("\n## By world\n\n" + worlds if by else ""))

@@ -14,15 +14,37 @@ def console() -> Console:
     return Console(stderr=True)
 
 
-def progress_bar(*, total_known: bool = True, transient: bool = False) -> Progress:
-    """A bar with the time that remains, or words alone where no one knows how much there is; nothing in a log.
+def progress_bar(*, transient: bool = False) -> Progress:
+    """A bar with the time that remains; nothing in a log.
 
     `transient`: it goes when the work is done.
     """
     shown = console()
-    words = TextColumn("{task.description}")
-    columns = (words, BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) if total_known else (words,)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     return Progress(*columns, console=shown, disable=not shown.is_terminal, transient=transient)
+
+
+Work = Callable[[str, int, int | None], None]
+"""Called with what is done now in words, how much of it is done, and how much there is (None: no one knows)."""
+
+
+@contextmanager
+def work_bar(words: str) -> Iterator[Work]:
+    """A bar over work that says itself how far it is; it goes when the work is done. What begins anew (fewer done than
+    before, or of another amount) has a remaining time of its own.
+    """
+    with progress_bar(transient=True) as progress:
+        task = progress.add_task(words, total=None)
+        before: tuple[int, int | None] = (0, None)
+
+        def on_work(said: str, done: int, total: int | None) -> None:
+            nonlocal before
+            if total != before[1] or done < before[0]:
+                progress.reset(task, total=total)
+            before = done, total
+            progress.update(task, description=said, completed=done)
+
+        yield on_work
 
 
 @contextmanager

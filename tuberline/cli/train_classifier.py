@@ -40,18 +40,11 @@ def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
 
 
 def _cut(folder: Path, path: Path, origin: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
-
     from segmenter.training.cut import cut_pack
     from segmenter.training.samples import write_samples
+    from tuberline.cli.progress import frames_bar
 
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task(f"cutting {folder}", total=None)
-
-        def on_shard(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
+    with frames_bar(f"cutting {folder}") as on_shard:
         samples = cut_pack(folder, on_shard=on_shard)
     write_samples(path, samples, origin=origin)
     tubers = sum(sample.is_tuber for sample in samples)
@@ -88,22 +81,18 @@ def train_classifier(
     json
         Print the sidecar as JSON on stdout.
     """
-    from rich.console import Console
-    from rich.progress import Progress
-
     from segmenter.training.classifier_net import ClassifierRecipe
     from segmenter.training.run import TrainingRun, make_classifier
+    from tuberline.cli.progress import work_bar
 
     if epochs < 1:
         raise InputError(f"--epochs {epochs}: at least 1 is needed")
     run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]))
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("reading belts", total=None)
-
-        def on_step(step: int, total: int, loss: float) -> None:
-            progress.update(task, completed=step, total=total, description=f"loss {loss:.3f}")
-
-        sidecar = make_classifier(run, ClassifierRecipe(epochs=epochs, seed=seed), on_step=on_step)
+    with work_bar("reading belts") as on_work:
+        recipe = ClassifierRecipe(epochs=epochs, seed=seed)
+        sidecar = make_classifier(
+            run, recipe, on_step=lambda step, total, loss: on_work(f"loss {loss:.3f}", step, total)
+        )
     if json:
         sys.stdout.write(json_module.dumps(sidecar, indent=1) + "\n")
         return

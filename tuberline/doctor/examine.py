@@ -55,17 +55,27 @@ def look(config: LineConfig, *, listen_s: float = LISTEN_S) -> Live:
         return Live(unreachable=str(error))
 
 
-def examine(config: LineConfig, *, offline: bool = False, live: Live | None = None) -> list[Finding]:
-    """All findings, the machine's first."""
+def examine(
+    config: LineConfig,
+    *,
+    offline: bool = False,
+    live: Live | None = None,
+    on_work: Callable[[str, int, int | None], None] = lambda words, done, of: None,
+) -> list[Finding]:
+    """All findings, the machine's first. `on_work` is told what is looked at, how much is done, and of how much."""
     from tuberline.doctor import link, machine
 
+    on_work("looking at this machine", 0, 4)
     findings = machine.check_disk(config.aggregator.out, what="the ledger")
     if config.segmenter.state_dir:
         findings += machine.check_disk(config.segmenter.state_dir, what="the camera log")
     findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
     findings += link.check_certificates(config, now=datetime.now(UTC))
+    on_work("weighing the reference clouds", 1, 4)
     findings += _weights(config)
+    on_work("listening to the line", 2, 4)
     heard = Live() if offline else live or look(config)
+    on_work("looking through the cameras", 3, 4)
     findings += _cameras(config, alive=heard.alive)
     if not offline:
         findings += link.check_port(config.link) + _running(config, heard)

@@ -6,6 +6,8 @@ come back by their names in `PackedView.more`, so that what a simulator adds nee
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -80,6 +82,15 @@ class PackedView:
 def view_shards(folder: Path) -> list[Path]:
     """Shards of the pack, or of the packs side by side, in `folder`; sorted, none where there is no pack."""
     return sorted(folder.glob(PATTERN)) or sorted(folder.glob(f"*/{PATTERN}"))
+
+
+def count_views(shard: Path) -> int:
+    """How many views a shard holds, without reading their depth; 0 for one that cannot be read."""
+    try:
+        with np.load(shard, allow_pickle=False) as file:
+            return len(np.atleast_1d(file["weight_g"]))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return 0
 
 
 def read_views(shard: Path) -> Iterator[PackedView]:

@@ -70,6 +70,13 @@ def read_twin(folder: Path, *, split: str | None = None) -> Iterator[TwinView]:
                 yield _view(folder, view, truth, camera)
 
 
+def count_twin(folder: Path, *, split: str | None = None) -> int:
+    """How many views `read_twin` would read."""
+    chosen = labels_of_split(folder, split) if split else None
+    labels = [label for label in read_truth(folder) if chosen is None or label in chosen]
+    return sum(len(depth_files(folder, label) or cloud_files(folder, label)) for label in labels)
+
+
 def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsics, float] | None) -> TwinView:
     belt_distance_m, weight_g = _known(folder, view, truth)
     depth = cloud = crop = None
