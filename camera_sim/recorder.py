@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber
-from conveyor.formats.mcap.writer import SYNC_EVERY_S, McapFrameWriter
+from conveyor.errors import StorageError
+from conveyor.files import told
+from conveyor.formats.mcap.writer import CHUNK_BYTES, SYNC_EVERY_S, McapFrameWriter
 from conveyor.messages import CameraInfo, Frame
 from conveyor.node import Node
 
@@ -44,11 +47,26 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple
     """Record until stopped; returns how many frames were written, and where.
 
     Nothing is overwritten, and a recorder that is started again goes on: where `out` exists, in a new part beside it.
+
+    Raises:
+        StorageError: the disk is full, or gone.
     """
-    gaps, part = _Gaps(), next_part(out)
+    part = next_part(out)
+    try:
+        return _record(config, part, run=run, name=name, began_as=out), part
+    except OSError as error:
+        with suppress(OSError):
+            if part.stat().st_size < CHUNK_BYTES:  # not one chunk: on a full disk every start would leave such a file
+                part.unlink()
+        raise StorageError(f"recording {told(error, part)}") from error
+
+
+def _record(config: LineConfig, part: Path, *, run: str, name: str, began_as: Path) -> int:
+    """Record into `part` until stopped; returns how many frames were written."""
+    gaps = _Gaps()
     with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(part) as writer:
-        if part != out:
-            node.log.warning("%s holds a recording: going on in %s", out, part)
+        if part != began_as:
+            node.log.warning("%s holds a recording: going on in %s", began_as, part)
         infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
         for counter in ("frames_written", "frames_missing", "frames_duplicate"):
@@ -69,4 +87,4 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple
             writer.write(frame)
             node.counters.add("frames_written")
         node.log.info("%d frames in %s", writer.messages, part)
-        return writer.messages, part
+        return writer.messages

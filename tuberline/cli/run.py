@@ -60,12 +60,14 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
             raise_if_pointless(supervisor)
         stopped_s, complete = time.time(), supervisor.finished("aggregator")
     if not complete:
-        _summarise_late(line, run_id, stopped_s)
+        summarise_late(line, run_id, stopped_s)
 
 
-def _summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
-    """An aggregator that was down when the line was stopped left no summary, or an old one: the ledger has what was
-    counted.
+def summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
+    """An aggregator that was down when the line was stopped left no summary, or an old one: make it from the ledger.
+
+    Args:
+        stopped_s: when that was, seconds since 1970.
     """
     from aggregator.late_summary import write_late_summary
 
