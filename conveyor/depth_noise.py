@@ -81,9 +81,14 @@ def crop_noise_px(
         depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber. fx: focal length, pixels.
         baseline_m: distance of the imagers whose pixels are meant.
     """
-    stride = max(STRIDE, int(np.sqrt(np.count_nonzero(depth) / CROP_WINDOWS)))
+    rows, columns = np.nonzero(depth.any(axis=1))[0], np.nonzero(depth.any(axis=0))[0]
+    if not len(rows):
+        return None
+    # Windows are counted from the tuber's own first pixel: the same in a crop as in the whole image.
+    tuber = depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    stride = max(STRIDE, int(np.sqrt(np.count_nonzero(tuber) / CROP_WINDOWS)))
     found = window_residuals_px(
-        disparity(depth, depth_scale_m=depth_scale_m, focal_baseline=fx * baseline_m), stride=stride
+        disparity(tuber, depth_scale_m=depth_scale_m, focal_baseline=fx * baseline_m), stride=stride
     )
     return float(np.median(found)) if len(found) >= LEAST_CROP_WINDOWS else None
 
