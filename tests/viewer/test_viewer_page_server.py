@@ -89,6 +89,7 @@ def test_the_page_needs_nothing_from_elsewhere() -> None:
     assert not re.search(r'(src|href)="/', html), "paths are relative: behind the proxy the page lives under /page/"
     named = set(re.findall(r'(?:src|href)="([^"#]+)"', html))
     scripts = {name for file in STATIC.glob("*.js") for name in re.findall(r'from "\./(.+?)"', file.read_text())}
+    named |= {name for file in STATIC.glob("*.js") for name in re.findall(r'"(shipped/[^"]+)"', file.read_text())}
     shipped = {f"shipped/{file.name}" for file in (STATIC / "shipped").iterdir()}
     licences = {name for name in shipped if name.endswith(".txt")}
     assert {name.partition("-license")[0] for name in licences} == {

@@ -114,11 +114,12 @@ class FieldMap:
         }
 
 
-def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) -> FieldMap:
+def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings, *, run: str | None = None) -> FieldMap:
     """The map of one field.
 
     Args:
         runs: folders of runs, or ledgers, with one run each.
+        run: which one of a ledger that holds several.
         tracks: one file of positions per run, in their order; empty: each run's own positions.csv.
 
     Raises:
@@ -130,7 +131,7 @@ def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) 
         raise InputError("name at least one run: `tuberline map RUN`")
     if tracks and len(tracks) != len(runs):
         raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
-    read = [_read(run, track, settings) for run, track in zip(runs, tracks or _own_tracks(runs), strict=True)]
+    read = [_read(file, track, settings, run) for file, track in zip(runs, tracks or _own_tracks(runs), strict=True)]
     plane = plane_of(read[0].track)
     found = [_points(machine, plane, settings) for machine in read]
     factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
@@ -171,10 +172,10 @@ def _own_tracks(runs: Sequence[Path]) -> list[Path]:
     return tracks
 
 
-def _read(run: Path, track: Path, settings: Settings) -> _Run:
+def _read(run: Path, track: Path, settings: Settings, name: str | None) -> _Run:
     file = ledger_file(run)
     with reading(file) as db:
-        chosen = the_run(db, file, None)
+        chosen = the_run(db, file, name)
         tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in read_tubers(db, chosen.run)]
         told = read_summary(db, chosen.run)
         totals = json.loads(told)["totals"] if told else plain(_so_far(db, chosen))

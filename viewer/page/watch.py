@@ -14,11 +14,12 @@ from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber
 from conveyor.errors import LinkError, TuberlineError
-from conveyor.messages import CameraInfo, Counters, Totals, Travel
+from conveyor.messages import CameraInfo, Counters, Position, Totals, Travel
 from conveyor.observer import Observer
 from viewer.page.camera_alarms import DEAD_S
 from viewer.page.flow import BeltSpeed, LoadFlow, RateHistory, flow
 from viewer.page.growth import Growth
+from viewer.page.maps import FieldMaps
 from viewer.page.pictures import Pictures, PictureWatch
 from viewer.page.state import STALE_S, LineState, NodeState, PastLoad, ToldLoad
 
@@ -51,7 +52,7 @@ class LineWatch:
 
     Args:
         known: nodes ('role/name') of the line's config: they have a place, whatever others announce themselves.
-        pictures: gets those of the cameras that somebody looks at.
+        pictures: gets those of the cameras that somebody looks at; maps: where the machine is.
     """
 
     def __init__(
@@ -62,9 +63,11 @@ class LineWatch:
         tell: Callable[[LineState], None],
         known: Collection[str] = (),
         pictures: Pictures | None = None,
+        maps: FieldMaps | None = None,
     ) -> None:
         self._known = frozenset(known)
         self._pictures = pictures or Pictures()
+        self._maps = maps or FieldMaps()
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -116,12 +119,16 @@ class LineWatch:
             camera="*",
         )
         travels = LatestSubscriber(observer, topics.TRAVEL, Travel, capacity=TRAVEL_INBOX, source="*")
+        places = LatestSubscriber(observer, topics.POSITION, Position, capacity=TRAVEL_INBOX, receiver="*")
         told_s = -TELL_EVERY_S
         signs: object = None
         while not self._stop.wait(LOOK_EVERY_S):
             now_s = time.monotonic()
             while len(travels) and (travel := travels.get(0.0)) is not None:
                 self._belt.add(travel, now_s)
+            while len(places) and (place := places.get(0.0)) is not None:
+                if place.quality > 0:
+                    self._maps.add_place(self.line, lat_deg=place.lat_deg, lon_deg=place.lon_deg)
             self._hear(observer, now_s)
             before, signs = signs, (observer.alive(), self._silent(now_s))
             if now_s - told_s >= TELL_EVERY_S or signs != before:  # who died is told at once

@@ -3,6 +3,7 @@ import { cameraCards, cameraRows } from "./cameras.js";
 import { RateChart } from "./charts.js";
 import { histogram } from "./histogram.js";
 import { Loads } from "./loads.js";
+import { FieldMap } from "./map.js";
 import { fill } from "./table.js";
 import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate, weight, when } from "./words.js";
 
@@ -20,6 +21,7 @@ export class LineCard {
     this.found = null;
     this.loads = new Loads(this);
     this.rate = new RateChart(this.places.rate);
+    this.field = new FieldMap(this.places.field);
   }
 
   // In another language or unit.
@@ -34,6 +36,7 @@ export class LineCard {
     this.alarms(found.alarms ?? []);
     this.load(found.load, found.now);
     this.loads.take(found);
+    this.field.take(found.line, found.map ?? 0);
     this.flow(found.flow, found.rate);
     cameraCards(this.places.cameras, found.line, found.cameras ?? []);
     this.tables(found);

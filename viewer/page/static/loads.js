@@ -2,7 +2,7 @@
 import { ask } from "./act.js";
 import { LoadsChart } from "./charts.js";
 import { fill } from "./table.js";
-import { load, loadUnit, number, percent, t, weight, when } from "./words.js";
+import { load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
 
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
@@ -58,7 +58,7 @@ export class Loads {
 
   row(each) {
     const scale = loadUnit(each.weight_g);
-    const scales = [each.net_g === null ? "" : weight(each.net_g), each.gross_g === null ? "" : t("gross", { weight: weight(each.gross_g) })].filter(Boolean).join(", ");
+    const scales = [each.net_g === null ? "" : scaled(each.net_g), each.gross_g === null ? "" : t("gross", { weight: scaled(each.gross_g) })].filter(Boolean).join(", ");
     return [
       [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
       each.low_g === null ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),

@@ -86,6 +86,11 @@ export function weight(grams) {
   return grams === null || grams === undefined ? "–" : `${load(grams, scale)} ${scale.unit}`;
 }
 
+// What a scale said, to the last figure that it shows.
+export function scaled(grams) {
+  return `${number(grams / GRAMS[unit], unit === "t" ? 4 : 1)} ${unit}`;
+}
+
 // One tuber, whose weight no one says in kilograms.
 export function small(grams) {
   return unit === "lb" ? `${number(grams / 28.349523125, 1)} oz` : `${number(grams)} g`;
