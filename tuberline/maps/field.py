@@ -119,12 +119,14 @@ def field_map(
     tracks: Sequence[Path],
     settings: Settings,
     *,
+    run: str | None = None,
     tubers: Sequence[Sequence[Tuber]] | None = None,
 ) -> FieldMap:
     """The map of one field.
 
     Args:
         runs: folders of runs, or ledgers, with one run each.
+        run: which one of a ledger that holds several.
         tracks: one file of positions per run, in their order; empty: each run's own positions.csv.
         tubers: those of each run, where they were read already.
 
@@ -139,7 +141,7 @@ def field_map(
         raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
     known: Sequence[Sequence[Tuber] | None] = tubers or [None] * len(runs)
     found_tracks = tracks or _own_tracks(runs)
-    read = [_read(run, track, settings, own) for run, track, own in zip(runs, found_tracks, known, strict=True)]
+    read = [_read(file, track, settings, run, own) for file, track, own in zip(runs, found_tracks, known, strict=True)]
     plane = plane_of(read[0].track)
     found = [_points(machine, plane, settings) for machine in read]
     factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
@@ -180,10 +182,10 @@ def _own_tracks(runs: Sequence[Path]) -> list[Path]:
     return tracks
 
 
-def _read(run: Path, track: Path, settings: Settings, known: Sequence[Tuber] | None) -> _Run:
+def _read(run: Path, track: Path, settings: Settings, name: str | None, known: Sequence[Tuber] | None) -> _Run:
     file = ledger_file(run)
     with reading(file) as db:
-        chosen = the_run(db, file, None)
+        chosen = the_run(db, file, name)
         rows = read_tubers(db, chosen.run) if known is None else known
         tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in rows]
         told = read_summary(db, chosen.run)

@@ -16,12 +16,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from viewer.page.acting import Acting
 from viewer.page.board import Board
 from viewer.page.files import File
+from viewer.page.maps import FieldMaps
 from viewer.page.streams import PictureStreams, Streams
 
 HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+        "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
     ),
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -37,9 +38,10 @@ def page_app(
     streams: Streams,
     *,
     pictures: PictureStreams,
+    maps: FieldMaps,
     acting: Acting | None = None,
 ) -> ASGIApp:
-    """The page as an ASGI app: files at their paths, /snapshot.json, /events, /pictures; /order with `acting`."""
+    """The page as an ASGI app: files at their paths, /snapshot.json, /events, /pictures, /map.json; /order, to act."""
 
     async def file(request: Request) -> Response:
         found = files[request.url.path]
@@ -48,9 +50,12 @@ def page_app(
     async def newest(_: Request) -> Response:
         return Response(board.newest()[1], media_type="application/json")
 
+    async def field(request: Request) -> Response:
+        return Response(maps.newest(request.query_params.get("line", "")), media_type="application/json")
+
     routes = [Route(path, file, methods=["GET"]) for path in files]
     routes += [Route("/snapshot.json", newest, methods=["GET"]), Route("/events", streams, methods=["GET"])]
-    routes.append(Route("/pictures", pictures, methods=["GET"]))
+    routes += [Route("/pictures", pictures, methods=["GET"]), Route("/map.json", field, methods=["GET"])]
     if acting is not None:
         routes.append(Route("/order", acting.__call__, methods=["POST"]))
     app = Starlette(routes=routes)

@@ -15,6 +15,7 @@ from viewer.page.app import page_app
 from viewer.page.board import Board
 from viewer.page.connections import BoundedConnection
 from viewer.page.files import read_files
+from viewer.page.maps import FieldMaps
 from viewer.page.pictures import Pictures
 from viewer.page.streams import PictureStreams, Streams
 
@@ -29,7 +30,7 @@ class PageServer:
 
     Args:
         acting: takes orders; None: the page only looks.
-        pictures: of the cameras, where some are heard; None: there are none.
+        pictures, maps: of the cameras and the field, where some are heard; None: there are none.
 
     Raises:
         LinkError: the port is taken, or the address is not this machine's.
@@ -43,13 +44,16 @@ class PageServer:
         port: int,
         acting: Acting | None = None,
         pictures: Pictures | None = None,
+        maps: FieldMaps | None = None,
     ) -> None:
         self.streams = Streams(board)
         self.pictures = PictureStreams(pictures or Pictures())
         self._socket = _listening(host, port)
         self._server = uvicorn.Server(
             uvicorn.Config(
-                page_app(board, read_files(), self.streams, pictures=self.pictures, acting=acting),
+                page_app(
+                    board, read_files(), self.streams, pictures=self.pictures, maps=maps or FieldMaps(), acting=acting
+                ),
                 http=BoundedConnection,
                 ws="none",
                 lifespan="off",

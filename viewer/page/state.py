@@ -75,8 +75,18 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
+class Rate:
+    """What came along in the last minutes, in steps of `step_s` seconds, oldest first; None where nothing is known."""
+
+    step_s: float
+    tubers_per_min: tuple[float | None, ...]
+    kg_per_min: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ToldLoad:
-    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said."""
+    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said, `notes` what
+    persons did (`by`, `text`)."""
 
     number: int
     name: str
@@ -92,11 +102,13 @@ class ToldLoad:
     net_g: float | None
     gross_g: float | None
     refused: tuple[str, ...]
+    notes: tuple[Mapping[str, str], ...] = ()
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> ToldLoad:
         """What the page shows of it; raises KeyError where an aggregator tells something else."""
-        return cls(**{each.name: told[each.name] for each in fields(cls)})
+        notes = tuple({"by": str(note["by"]), "text": str(note["text"])} for note in told.get("notes", ()))
+        return cls(**{each.name: told[each.name] for each in fields(cls) if each.name != "notes"}, notes=notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +127,7 @@ class PastLoad:
 
 @dataclass(frozen=True, slots=True)
 class LineState:
-    """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link.
+    """A line at one moment. `no_router` is the endpoint at which none answers; empty where there is a link.
 
     `loads` are the ledger's last runs, `told` the loads that were started, both newest first; `changed_s` is how long
     ago another load was open, or none; None where the page saw no change. `frame_s`: by camera, since its segmenter
@@ -123,7 +135,7 @@ class LineState:
     """
 
     line: str
-    trouble: str = ""
+    no_router: str = ""
     heard_s: float | None = None
     totals: Totals | None = None
     totals_age_s: float = 0.0
@@ -134,6 +146,7 @@ class LineState:
     told: tuple[ToldLoad, ...] = ()
     changed_s: float | None = None
     frame_s: Mapping[str, float] = field(default_factory=dict)
+    rate: Rate | None = None
 
     @property
     def in_contact(self) -> bool:

@@ -1,5 +1,5 @@
 // The belt as the cameras see it: pictures of those on the screen, and of no others, with outlines and weights.
-import { number } from "./words.js";
+import { number, t, known } from "./words.js";
 
 const STALE_MS = 2500;
 const SETTLE_MS = 250; // while a person scrolls nothing is asked for
@@ -45,9 +45,11 @@ function forget(canvas) {
 // What stands below a picture: how old it is, or why there is none.
 export function pictureNote(see) {
   const view = shown.get(see);
-  if (!view?.picture) return "No picture yet.";
-  if (performance.now() - view.cameAt > STALE_MS) return `No new picture for ${number((performance.now() - view.cameAt) / 1000)} s.`;
-  return view.picture.drop ? `Not used: ${view.picture.drop.replaceAll("_", " ")}.` : "";
+  if (!view?.picture) return t("picture.none");
+  const sinceMs = performance.now() - view.cameAt;
+  if (sinceMs > STALE_MS) return t("picture.old", { for: sinceMs / 1000 });
+  const what = `drop.${view.picture.drop}.what`;
+  return view.picture.drop ? t("picture.dropped", { why: known(what) ? t(what) : view.picture.drop.replaceAll("_", " ") }) : "";
 }
 
 function settle() {
@@ -125,7 +127,7 @@ function label(pen, [state, weight_g, corners], scale, dots) {
 
 function said(picture) {
   const count = (...states) => picture.outlines.filter(([state]) => states.includes(state)).length;
-  return `Belt under camera ${picture.camera}: ${count("counted")} counted, ${count("seen")} not decided yet, ${count("lump", "haulm")} refused`;
+  return t("picture.said", { camera: picture.camera, counted: count("counted"), seen: count("seen"), refused: count("lump", "haulm") });
 }
 
 document.addEventListener("visibilitychange", settle);

@@ -1,18 +1,13 @@
 // A card for each camera with what it does now; in a table of its own everything that ever went wrong, by reason.
 import { beltPicture, pictureNote } from "./belt.js";
-import { number } from "./words.js";
+import { known, number, t } from "./words.js";
 
 const STATES = {
-  ok: ["good", "Working"],
-  streaming: ["good", "Working"],
-  ended: ["good", "Ended"],
-  waiting: ["wait", "Not there yet"],
-  starting: ["wait", "Starting"],
-  silent: ["trouble", "Silent"],
-  gone: ["trouble", "Gone"],
-  stalled: ["trouble", "Hangs"],
-  failed: ["trouble", "Failed"],
-  trouble: ["trouble", "Trouble"],
+  ok: ["good", "ok"],
+  streaming: ["good", "ok"],
+  ended: ["good", "ended"],
+  waiting: ["wait", "waiting"],
+  starting: ["wait", "starting"],
 };
 
 export function cameraCards(place, line, cameras) {
@@ -31,15 +26,16 @@ function blank() {
 }
 
 function draw(card, line, camera) {
-  const [state, text] = STATES[camera.state] ?? ["trouble", camera.state];
+  const [state, word] = STATES[camera.state] ?? ["trouble", camera.state];
   put(card.querySelector("h4"), camera.name);
   card.querySelector(".pill").dataset.state = state;
-  put(card.querySelector(".pill .text"), text);
+  put(card.querySelector(".pill .text"), t(`camera.${word}`));
   const over = camera.state === "ended";
   card.querySelector("canvas").hidden = card.querySelector(".note").hidden = over;
   if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
   if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
-  put(card.querySelector(".now"), `${number(camera.tubers)} tubers${camera.state === "ok" ? `, ${number(camera.per_s, 1)} frames a second` : ""}`);
+  const values = { n: camera.tubers, rate: number(camera.per_s, 1) };
+  put(card.querySelector(".now"), t(camera.state === "ok" ? "camera.now_rate" : "camera.now", values));
 }
 
 export function cameraRows(cameras) {
@@ -50,14 +46,18 @@ export function cameraRows(cameras) {
   ]);
 }
 
+export function why(kind, reason) {
+  return known(`${kind}.${reason}.what`) ? t(`${kind}.${reason}.what`) : reason.replaceAll("_", " ");
+}
+
 function lost(camera) {
   const parts = [
-    ...(camera.gaps ? [`${number(camera.gaps)} frames lost on the way`] : []),
-    ...Object.entries(camera.drops).map(([why, n]) => `${number(n)} frames not used: ${why}`),
-    ...Object.entries(camera.refused).map(([why, n]) => `${number(n)} frames unreadable: ${why.replaceAll("_", " ")}`),
-    ...Object.entries(camera.views_lost).map(([why, n]) => `${number(n)} views not weighed: ${why}`),
+    ...(camera.gaps ? [t("gaps", { n: camera.gaps })] : []),
+    ...Object.entries(camera.drops).map(([reason, n]) => t("drops", { n, why: why("drop", reason) })),
+    ...Object.entries(camera.refused).map(([reason, n]) => t("unreadable", { n, why: reason.replaceAll("_", " ") })),
+    ...Object.entries(camera.views_lost).map(([reason, n]) => t("views_lost", { n, why: why("lost", reason) })),
   ];
-  return parts.length ? `${parts.join("; ")}.` : "No frame lost, none left out.";
+  return parts.length ? `${parts.join("; ")}.` : t("none_lost");
 }
 
 function put(place, text) {
