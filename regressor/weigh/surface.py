@@ -218,7 +218,7 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
         normal[p, p] += 1e-6 * n
         for q in range(p):
             normal[p, q] = normal[q, p]
-    return np.linalg.solve(normal, right)
+    return np.linalg.solve(normal, right).astype(np.float64)
 
 
 def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:

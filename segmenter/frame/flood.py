@@ -166,7 +166,7 @@ def _flood_patch(
                 if nodes[near, RELIEF] > highest:
                     highest = nodes[near, RELIEF]
                     home = peak
-                meet |= first >= 0 and peak != first
+                meet = bool(meet or (first >= 0 and peak != first))
                 first = peak
         if home < 0:
             nodes[cell, PEAK] = parents[found] = found

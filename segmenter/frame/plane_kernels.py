@@ -77,12 +77,12 @@ def best_plane(
     """The first of (k, 3) planes with the most samples within `band_m` of it less those more than `below_m` below it;
     -1 without any.
     """
-    best, best_score = -1, -len(q) - 1
+    best, best_score = -1, np.int64(-len(q) - 1)
     for k in range(len(planes)):
         a, b, c = planes[k]
         norm = np.sqrt(a * a + b * b + c * c)
         # A sample's height over the plane is (q - plane) / q / norm: compared without dividing, for q is above 0.
-        band, below, score = band_m * norm, below_m * norm, 0
+        band, below, score = band_m * norm, below_m * norm, np.int64(0)
         for n in range(len(q)):
             over = q[n] - (x[n] * a + y[n] * b + c)
             score += np.int64(abs(over) < band * q[n]) - np.int64(-over > below * q[n])
