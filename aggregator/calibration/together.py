@@ -31,6 +31,12 @@ class OneLoad:
         return 1.0 / max(self.coverage, LEAST_COVERAGE) if self.coverage and self.coverage < 1.0 else 1.0
 
     @property
+    def scale(self) -> float:
+        """By what each of its tubers is multiplied as weighed: calibration, and belt that was not seen."""
+        raw_g = self.totals.sums.as_weighed_g
+        return self.whole * self.totals.weight_g / raw_g if raw_g > 0 else self.whole
+
+    @property
     def unseen_sd_g(self) -> float:
         """Standard deviation of the weight on belt that was not seen."""
         whole_g, _, high_g = self.totals.estimated(self.coverage, belt_m=self.belt_m)

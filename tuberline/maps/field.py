@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from aggregator.core.loads import NO_LOAD, span_of
 from aggregator.core.totals import LoadTotals
+from aggregator.ledger.load_totals import ReadLoads, tickets_of
 from aggregator.ledger.reader import (
     LedgerView,
     RunRow,
@@ -24,6 +27,7 @@ from aggregator.ledger.reader import (
     reading,
     the_run,
 )
+from aggregator.ledger.totals_by import ALL, labelled, total_of
 from aggregator.yield_map.cells import YieldMap, cells_of, check_cell, factors_to_one_scale
 from aggregator.yield_map.delay import Delay, delays
 from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
@@ -187,15 +191,11 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
     with reading(file) as db:
         chosen = the_run(db, file, name)
         rows = read_tubers(db, chosen.run) if known is None else known
-        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in rows]
-        told = read_summary(db, chosen.run)
-        totals = json.loads(told)["totals"] if told else plain(_so_far(db, chosen))
-    if not tubers:
-        raise InputError(f"run {run} counted no tuber: there is nothing to map")
-    estimate_g = totals["estimated_weight_g"]
-    scale = estimate_g / sum(row[1] for row in tubers)  # calibration, and belt that was not seen
-    half_g = (totals["estimated_high_g"] - totals["estimated_low_g"]) / 2
-    values = np.array(tubers, dtype=np.float64)
+        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g, t.place_x_m) for t in rows]
+        if not tubers:
+            raise InputError(f"run {run} counted no tuber: there is nothing to map")
+        values = np.array(tubers, dtype=np.float64)
+        scale, shared_percent = _scale(db, chosen, grams=values[:, 1], place_x_m=values[:, 4])
     crop = Crop(
         time_s=np.array([row[0] for row in tubers]) / 1e9,
         kg=values[:, 1] / 1000 * scale,
@@ -212,8 +212,30 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
             lon_deg=np.array([place.lon_deg for place in places]),
             quality=np.array([place.quality for place in places], dtype=np.uint8),
         ),
-        shared_percent=100 * half_g / estimate_g,
+        shared_percent=shared_percent,
     )
+
+
+def _scale(
+    db: LedgerView, run: RunRow, *, grams: NDArray[np.float64], place_x_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """((N,) by what each tuber is multiplied, half of the interval of all in percent): calibration and unseen belt.
+
+    Where loads were started each has its own: its tickets and its variety, and belt that was missed under it.
+    """
+    ledger = ReadLoads(db)
+    spans = ledger.loads.spans.get(run.run)
+    if spans is None:
+        told = read_summary(db, run.run)
+        totals = json.loads(told)["totals"] if told else plain(_so_far(db, run))
+        half_g = (totals["estimated_high_g"] - totals["estimated_low_g"]) / 2
+        estimate_g = totals["estimated_weight_g"]
+        return np.full(len(grams), estimate_g / grams.sum()), 100 * half_g / estimate_g
+    loads = labelled(db, ledger, tickets_of(ledger, ledger.seen())[0])
+    scales = {load.load.number if load.load else NO_LOAD: load.one.scale for load in loads}
+    of_tuber = [span_of(spans, float(x_m)).load for x_m in place_x_m]
+    sums = total_of(ALL, loads).sums
+    return np.array([scales[load] for load in of_tuber]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
 
 
 def _so_far(db: LedgerView, run: RunRow) -> Totals:
