@@ -126,6 +126,18 @@ class Seen:
         return [line for line in self.lines if '"tuber":' in line]
 
 
+COUNT = f"""
+import sqlite3
+print(sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True).execute("SELECT count(*) FROM tuber").fetchone()[0])
+"""
+
+
+def tubers_now(machine: Machine) -> int:
+    """How many the ledger of a running machine holds, asked inside; 0 where there is none yet."""
+    said = machine.says("/opt/tuberline/bin/python", "-I", "-S", "-c", COUNT)
+    return int(said) if said.isdigit() else 0
+
+
 def install(machine: Machine, text: str, roles: str, *options: str) -> str:
     """Put the line's file in and run install.sh inside the machine."""
     (machine.disk / "root/field.toml").write_text(text, encoding="utf-8")
