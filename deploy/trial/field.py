@@ -128,14 +128,15 @@ class Seen:
 
 COUNT = f"""
 import sqlite3
-print(sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True).execute("SELECT count(*) FROM tuber").fetchone()[0])
+db = sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True)
+print(*(db.execute(f"SELECT count(*) FROM {{table}}").fetchone()[0] for table in ("tuber", "summary")))
 """
 
 
-def tubers_now(machine: Machine) -> int:
-    """How many the ledger of a running machine holds, asked inside; 0 where there is none yet."""
-    said = machine.says("/opt/tuberline/bin/python", "-I", "-S", "-c", COUNT)
-    return int(said) if said.isdigit() else 0
+def holds(machine: Machine, tubers: int) -> bool:
+    """The ledger of a running machine holds so many, asked inside, or all there are."""
+    said = machine.says("/opt/tuberline/bin/python", "-I", "-S", "-c", COUNT).split()
+    return len(said) == 2 and (int(said[0]) >= tubers or said[1] != "0")
 
 
 def install(machine: Machine, text: str, roles: str, *options: str) -> str:

@@ -6,7 +6,7 @@ outages the belt runs on: the frames of that piece of belt are taken out of the 
 at, so that the camera never shows them and coverage has to tell. In the others it stands still with the power.
 
 The camera begins its recording again after each cut. So a cut comes when the ledger holds a random number of tubers,
-more than at the one before: every run has to pass all that was cut off and to count on from there.
+more than at the one before, or all: every run has to pass what was cut off and to count on from there.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def cut_once(machine: Machine, belt: Path, cuts: Cuts, moment: tuple[float, int 
     if tubers is not None:
         wanted = max(tubers, len(cuts.committed) + 1)
         what = f"{wanted} tubers in the ledger after cut {cuts.done}"
-        until(lambda: field.tubers_now(machine) >= wanted, what, timeout_s=GOES_ON_S, every_s=0.2)
+        until(lambda: field.holds(machine, wanted), what, timeout_s=GOES_ON_S, every_s=0.2)
     on_s = monotonic() - start
     machine.cut_power()
     cuts.at_boot += tubers is None
