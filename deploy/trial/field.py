@@ -126,6 +126,19 @@ class Seen:
         return [line for line in self.lines if '"tuber":' in line]
 
 
+COUNT = f"""
+import sqlite3
+db = sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True)
+print(*(db.execute(f"SELECT count(*) FROM {{table}}").fetchone()[0] for table in ("tuber", "summary")))
+"""
+
+
+def holds(machine: Machine, tubers: int) -> bool:
+    """The ledger of a running machine holds so many, asked inside, or all there are."""
+    said = machine.says("/opt/tuberline/bin/python", "-I", "-S", "-c", COUNT).split()
+    return len(said) == 2 and (int(said[0]) >= tubers or said[1] != "0")
+
+
 def install(machine: Machine, text: str, roles: str, *options: str) -> str:
     """Put the line's file in and run install.sh inside the machine."""
     (machine.disk / "root/field.toml").write_text(text, encoding="utf-8")
