@@ -1,0 +1,111 @@
+"""Processor time of a frame in the segmenter's core and of a view in a regressor, stage by stage, over a recording.
+
+    python -m benchmarks stages RECORDING [--exact]
+
+Times are those of the thread, so that other work on the machine counts only by what it takes of the caches. The core
+runs as on a live line over every frame of the first camera; the views that it chose are then weighed one by one, by the
+shipped weights in bfloat16 with 64 centroids, or in the exact form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from conveyor.config import CameraConfig, LineConfig
+from conveyor.formats import camera_names, open_source
+from conveyor.messages import Frame, View
+from regressor.network.fast import EXACT, Form
+from regressor.weigh.prepare import prepare_view
+from regressor.weigh.weigher import Weigher, weigh_views
+from segmenter.frame.plane import fit_plane
+from segmenter.pipeline import Segmenter
+from segmenter.setup import core_settings
+from segmenter.warmup import warm_up
+
+FIRST = 15
+"""Frames in which a followed belt is looked at every time."""
+ROUNDS = 3
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recording", type=Path)
+    parser.add_argument("--exact", action="store_true")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    frames = [
+        replace(item, color_jpeg=None)
+        for item in open_source(
+            options.recording, camera=camera_names(options.recording)[0], ignore_masks=True
+        ).frames(run="time")
+        if isinstance(item, Frame)
+    ]  # fmt: skip
+    config = LineConfig(cameras={"front": CameraConfig(waits=False)})
+    settings = core_settings(config, live=True)
+    warm_up(settings.split.pixel_mm)
+    _frames(frames, settings)
+    _views(_chosen(frames, settings), EXACT if options.exact else Form("bfloat16", 64))
+    print(f"\nload average {os.getloadavg()[0]:.1f} at the end; {os.cpu_count()} cores.")
+    return 0
+
+
+def _frames(frames: list[Frame], settings: Any) -> None:
+    core = Segmenter(settings)
+    ms = np.array([_ms(core.step, frame) for frame in frames])
+    every = max(1, len(frames) // 40)
+    plane = [
+        _ms(lambda f: fit_plane(f.depth, depth_scale_m=f.depth_scale_m, intrinsics=f.intrinsics), frame)
+        for frame in frames[::every]
+    ]
+    print("| a frame | mean ms | p50 | p99 | mean of the first 15 | check of the belt, median |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    print(
+        f"| {len(frames)} of {frames[0].depth.shape[1]}x{frames[0].depth.shape[0]} | {ms.mean():.1f} | "
+        f"{np.median(ms):.1f} | {np.percentile(ms, 99):.1f} | {ms[:FIRST].mean():.1f} | {np.median(plane):.1f} |\n"
+    )
+
+
+def _chosen(frames: list[Frame], settings: Any) -> list[View]:
+    """The views of all tracks, as a regressor receives them."""
+    core = Segmenter(settings)
+    views = [view for frame in frames for track in core.step(frame).closed for view in track.views]
+    return [View.decode(view.encode()) for view in views]
+
+
+def _views(views: list[View], form: Form) -> None:
+    weigher = Weigher.load().in_form(form)
+    for view in views[:3]:
+        weigh_views(weigher, [view], regressor="time")
+    clouds = {id(view): prepare_view(view) for view in views}
+    network = weigher._network
+    assert network is not None
+    prepare = _best(prepare_view, views)
+    net = _best(lambda v: network.weigh(weigher._group(clouds[id(v)].points), weigher._height_m(clouds[id(v)])), views)
+    whole = _best(lambda v: weigh_views(weigher, [v], regressor="time"), views)
+    print("| a view | prepared ms | network | sizes, rules, interval, flags | all |\n| --- | --- | --- | --- | --- |")
+    print(f"| {len(views)} | {prepare:.2f} | {net:.2f} | {whole - prepare - net:.2f} | {whole:.2f} |")
+
+
+def _best(work: Callable[[View], Any], views: list[View]) -> float:
+    """Mean over the views of each one's best of a few rounds, milliseconds."""
+    return float(np.mean(np.min([[_ms(work, view) for view in views] for _ in range(ROUNDS)], axis=0)))
+
+
+def _ms(work: Callable[[Any], Any], item: Any) -> float:
+    begun = time.thread_time()
+    work(item)
+    return 1e3 * (time.thread_time() - begun)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
