@@ -74,7 +74,7 @@ $(DEMO_STAMP): pyproject.toml constraints.txt
 	touch $@
 
 $(STAMP): $(DEMO_STAMP)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,clouds,bags,deploy,alarms,export,files,foxglove,map,sync,train,docs,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer,clouds,bags,deploy,alarms,export,files,foxglove,map,report,sync,train,docs,dev]'
 	touch $@
 
 clean:

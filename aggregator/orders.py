@@ -96,7 +96,9 @@ class Orders:
             run=self._core.run,
             now_ns=time.time_ns(),
             line={"utc_offset_s": time.localtime().tm_gmtoff, "stated_offset_mm": self._stated_offset_mm},
-            place_x_m=lambda asked: self._place_x_m(replace(asked, age_s=asked.age_s + now_s - came_s), now_s),
+            place_x_m=lambda asked: order_place_x_m(
+                replace(asked, age_s=asked.age_s + now_s - came_s), self._ledger, self._core, now_s
+            ),
         )
         if not known:
             self._ledger.say(event)
@@ -109,27 +111,32 @@ class Orders:
         place = "" if event.place_x_m is None else f" at {event.place_x_m:.3f} m"
         self._node.log.info("%s of load %d%s by %s", event.kind, event.load, place, event.said_by or "unknown")
 
-    def _place_x_m(self, order: LoadOrder, now_s: float) -> float:
-        """Where on the belt an order changes loads: never where tubers are committed, nor before the last change."""
-        spans = self._ledger.loads.spans.get(self._core.run, [])
-        latest_x_m = min([self._core.watermark_x_m, *(span.from_x_m for span in spans[-1:])])
-        if order.place_x_m is None:
-            if order.action == "end" and self._core.cameras.final:
-                return latest_x_m
-            return min(place_now_x_m(self._core.cameras, now_s=now_s, age_s=order.age_s), latest_x_m)
-        if order.place_x_m > latest_x_m:
-            raise InputError(
-                f"a load cannot change at {order.place_x_m:.2f} m: belt down to {latest_x_m:.2f} m is committed or "
-                "belongs to the load before; places fall as the belt runs"
-            )
-        return order.place_x_m
-
     def _reply(self, query: zenoh.Query, told: LoadAnswer) -> None:
         try:
             with query:  # dropped when answered: else the asker waits for its whole timeout
                 query.reply(self._key, told.encode())
         except zenoh.ZError as error:  # who asked is gone; under the same id it learns what became of it
             self._node.log.warning("an answer about a load did not arrive: %s", error)
+
+
+def order_place_x_m(order: LoadOrder, ledger: Ledger, core: Aggregation, now_s: float) -> float:
+    """Where on the belt an order changes loads: never where tubers are committed, nor before the last change.
+
+    Raises:
+        NotYetKnownError: where the belt is, is not known yet. InputError: it cannot change there, or any more.
+    """
+    spans = ledger.loads.spans.get(core.run, [])
+    latest_x_m = min([core.watermark_x_m, *(span.from_x_m for span in spans[-1:])])
+    if order.place_x_m is None:
+        if order.action == "end" and core.cameras.final:
+            return latest_x_m
+        return min(place_now_x_m(core.cameras, now_s=now_s, age_s=order.age_s), latest_x_m)
+    if order.place_x_m > latest_x_m:
+        raise InputError(
+            f"a load cannot change at {order.place_x_m:.2f} m: belt down to {latest_x_m:.2f} m is committed or "
+            "belongs to the load before; places fall as the belt runs"
+        )
+    return order.place_x_m
 
 
 def answer_all(orders: Orders, commit: Callable[[], None], now_s: float) -> None:

@@ -35,8 +35,7 @@ def _run(arguments: list[str]) -> int:
         return 0
     if arguments[0] not in known:
         raise TuberlineError(f"benchmark '{arguments[0]}' is unknown; known: {', '.join(known)}")
-    importlib.import_module(f"benchmarks.{arguments[0]}").main(arguments[1:])
-    return 0
+    return importlib.import_module(f"benchmarks.{arguments[0]}").main(arguments[1:]) or 0
 
 
 if __name__ == "__main__":

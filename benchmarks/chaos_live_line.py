@@ -16,6 +16,7 @@ from aggregator.ledger.reader import read_runs, read_sums, reading
 from benchmarks.chaos_live_belt import Passed
 from benchmarks.chaos_live_faults import Case, Fault
 from conveyor.config import LineConfig, dump_toml, parse_config
+from tuberline.cli.run import summarise_late
 from tuberline.processes import line_processes
 from tuberline.replayer import free_port, recording_cameras
 from tuberline.supervisor import ProcessSpec, Supervisor
@@ -24,6 +25,7 @@ OVER_S = 70.0
 """The line is stopped, or its recording ends, this long after it was started."""
 ENDS_WITHIN_S = 75.0
 """After its cameras ended, a line is done by then: a process stopped for 40 s near the end included."""
+RUN = "chaos"
 SPEED = 0.5
 """Times real time at which the belt is played: on a busy machine a line takes 10 to 40 s to start."""
 BACK_WITHIN_S = 30.0
@@ -50,13 +52,16 @@ def live_line(case: Case, belt: Belt, out: Path) -> dict[str, Any]:
     config = _config(belt.recording, out, starts_at_s=launched_s - lead_s, ends=case.ends)
     config_path = out / "line.toml"
     config_path.write_text(dump_toml(config))
-    specs = line_processes(config, config_path=config_path, run="chaos")
+    specs = line_processes(config, config_path=config_path, run=RUN)
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
         hurting = [threading.Thread(target=_hurt, args=(fault, specs, supervisor)) for fault in case.faults]
         for thread in hurting:
             thread.start()
         over_s, down = _wait_for_end(case, supervisor, launched_s)
         restarts = {name: n for name, n in supervisor.restarts.items() if n}
+        stopped_s = time.time()
+    if case.ends == "stopped":
+        summarise_late(config, RUN, stopped_s)  # as `tuberline run` does
     for thread in hurting:
         thread.join()
     found = _told(out)

@@ -8,8 +8,10 @@ import sys
 import time
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from conveyor.messages.base import Message
 from tests.fuzz.structure import CLASSES, Built, build, read
@@ -53,11 +55,17 @@ def fuzz_messages(messages: int, *, seed: int, out: Path, names: list[str]) -> b
 def fuzz_one(cls: type[Message], messages: int, *, seed: int, out: Path) -> Decoded:
     """Let one decoder read so many messages; what breaks the law is kept in `out`, ten of each decoder at most."""
     rng = random.Random(f"{seed} {cls.__name__}")
+    draw = rng.random
     outcomes: Counter[str] = Counter()
     broken = 0
+
+    def pick(options: Sequence[Any]) -> Any:
+        """`rng.choice` takes four times as long, and is asked forty times a message."""
+        return options[int(draw() * len(options))]
+
     begun_s = told_s = time.monotonic()
     for n in range(messages):
-        built = build(cls, rng.choice)
+        built = build(cls, pick)
         if rng.random() < DAMAGED_SHARE:
             built = damage(built, rng)
         try:

@@ -206,7 +206,7 @@ def received_bytes(pid: int | None) -> int | None:
 
 
 def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
-    """Everything that was measured, as plain values."""
+    """Everything that was measured, as plain values; `start`: what had become of the frames before."""
     hops = {
         hop: {"p50_s": percentile(values, 0.5), "p99_s": percentile(values, 0.99), "n": len(values)}
         for hop, values in measured.latencies.items()
@@ -239,6 +239,11 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
         "segmenters": {
             name: sheet(c, measured.sheets_before.get(name))
             for name, c in measured.sheets.items()
+            if c.role == "segmenter"
+        },
+        "start": {
+            name: {what: n for what, n in c.gauges.items() if what.startswith("frames_")}
+            for name, c in measured.sheets_before.items()
             if c.role == "segmenter"
         },
         "latency": hops,

@@ -32,9 +32,26 @@ def markdown(report: Mapping[str, Any]) -> str:
     ]
     if report.get("router_mb_per_s") is not None:
         lines += [f"The router received {report['router_mb_per_s']:.2f} MB/s (direct: {asked['direct']}).", ""]
+    lines += [
+        f"Frames lost in the measured time: {_lost(report['segmenters'])}; before it, while processes started and "
+        f"kernels warmed up: {_lost(report.get('start', {}))}.",
+        "",
+    ]
     for name, books in report["segmenters"].items():
         lines.append(f"{name}: {_books(books)}.")
     return "\n".join(lines) + "\n"
+
+
+def _lost(sheets: Mapping[str, Mapping[str, float]]) -> str:
+    """Frames of all cameras together that were published and not processed, by reason."""
+    published = sum(books.get("frames_published", 0) for books in sheets.values())
+    reasons: dict[str, float] = {}
+    for books in sheets.values():
+        for name, n in books.items():
+            if n and (name == "frames_gaps" or name.startswith("frames_dropped_")):
+                reasons[name] = reasons.get(name, 0) + n
+    told = ", ".join(f"{name} {n:.0f}" for name, n in sorted(reasons.items()))
+    return f"{sum(reasons.values()):.0f} of {published:.0f}" + (f" ({told})" if told else "")
 
 
 def _books(books: Mapping[str, float]) -> str:

@@ -30,11 +30,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--regressors", type=int, default=8)
     parser.add_argument("--speed", type=float, default=5.0, help="times real time")
     parser.add_argument("--warm-up-s", type=float, default=WARM_UP_S, help="age at which a process counts; busy: more")
+    parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and tables here")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         out = options.out or Path(folder) / "out"
-        recording = simulated(Path(folder) / "belt")
+        recording = options.recording or simulated(Path(folder) / "belt")
         looped = loop(recording, Path(folder) / "looped", for_s=options.speed * (options.minutes * 60 + 60))
         load_before = os.getloadavg()[0]
         watch = soak(

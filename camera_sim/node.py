@@ -76,14 +76,18 @@ class CameraNode:
                 raise
 
     def _publish_all(self) -> None:
-        """Publish everything, say that it ended, stay until stopped; go back where the segmenter has to start again."""
+        """Publish everything, say that it ended, stay until stopped; go back where the segmenter has to start again.
+
+        Only a source that has no more frames ends a camera's run. A process that is told to stop says nothing: what
+        passes until the next one starts is a gap in the run, and the aggregator knows when the whole line was stopped.
+        """
         after = self._done_before()
         if after >= 0:
             self._note(after)  # it was there: a segmenter that starts again must not take "ended" for "empty"
         while not self._node.stop.is_set():
             self._publish_after(after)
-            if self._node.stop.is_set() and not self._source.description.live:
-                return  # stopped in the middle, by a reboot say: the recording goes on when the camera starts again
+            if self._node.stop.is_set():
+                return  # stopped, not ended: by a reboot or its unit's restart; the run goes on when it starts again
             if self._back_to is None:
                 self._tell("ended")
                 self._node.log.info("ended after frame %s: %d published", self._last, self._published)

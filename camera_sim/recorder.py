@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber
-from conveyor.formats.mcap.writer import SYNC_EVERY_S, McapFrameWriter
+from conveyor.errors import StorageError
+from conveyor.files import told
+from conveyor.formats.mcap.writer import CHUNK_BYTES, SYNC_EVERY_S, McapFrameWriter
 from conveyor.messages import CameraInfo, Frame
 from conveyor.node import Node
 
@@ -31,10 +34,39 @@ class _Gaps:
         return 0 if before is None else frame.seq - before - 1
 
 
-def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> int:
-    """Record until stopped; returns how many frames were written."""
+def next_part(out: Path) -> Path:
+    """`out`, or where it holds a recording already the first free one of `<name>-2.mcap`, `<name>-3.mcap`, ..."""
+    part, n = out, 1
+    while part.exists():
+        n += 1
+        part = out.with_name(f"{out.stem}-{n}{out.suffix}")
+    return part
+
+
+def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple[int, Path]:
+    """Record until stopped; returns how many frames were written, and where.
+
+    Nothing is overwritten, and a recorder that is started again goes on: where `out` exists, in a new part beside it.
+
+    Raises:
+        StorageError: the disk is full, or gone.
+    """
+    part = next_part(out)
+    try:
+        return _record(config, part, run=run, name=name, began_as=out), part
+    except OSError as error:
+        with suppress(OSError):
+            if part.stat().st_size < CHUNK_BYTES:  # not one chunk: on a full disk every start would leave such a file
+                part.unlink()
+        raise StorageError(f"recording {told(error, part)}") from error
+
+
+def _record(config: LineConfig, part: Path, *, run: str, name: str, began_as: Path) -> int:
+    """Record into `part` until stopped; returns how many frames were written."""
     gaps = _Gaps()
-    with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(out) as writer:
+    with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(part) as writer:
+        if part != began_as:
+            node.log.warning("%s holds a recording: going on in %s", began_as, part)
         infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
         for counter in ("frames_written", "frames_missing", "frames_duplicate"):
@@ -54,5 +86,5 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> int:
             writer.add_camera(frame.camera, fps=fps.get(frame.camera))
             writer.write(frame)
             node.counters.add("frames_written")
-        node.log.info("%d frames in %s", writer.messages, out)
+        node.log.info("%d frames in %s", writer.messages, part)
         return writer.messages

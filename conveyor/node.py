@@ -58,6 +58,7 @@ class Node:
         self._started = time.monotonic()
         self._progressed = time.monotonic()
         self._stalled = False
+        self._last_word = ""
         self._reporting = threading.Lock()
         self._reporter: threading.Thread | None = None
         self._left = threading.Event()
@@ -100,6 +101,7 @@ class Node:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
+            self._last_word = "failed"
             self._leave_within(STOP_WITHIN_S, f"after {error!r}", code=getattr(error, "exit_code", FAULT))
         self.stop.set()
         if self._reporter is not None:
@@ -145,6 +147,7 @@ class Node:
                 given_back = time.monotonic()
                 give_back()
         faulthandler.cancel_dump_traceback_later()
+        self._last_word = self._last_word or "ended"
         self.report_now()
 
     def report_now(self) -> None:
@@ -185,7 +188,7 @@ class Node:
                 uptime_s=self.uptime_s,
                 values=values,
                 gauges={**gauges, "clock_unix_s": time.time()},  # `doctor` compares the clocks of the hosts
-                status="stalled" if self._stalled else "ok",
+                status=self._last_word or ("stalled" if self._stalled else "ok"),
             )
         )
 

@@ -131,6 +131,16 @@ FRAME_PROGRESS = Topic(
     "FrameProgress",
     "how far the segmenter got; a replay that must not lose frames waits for it",
 )
+PICTURE = Topic(
+    "picture",
+    "picture/<camera>",
+    ("segmenter",),
+    ("operator",),
+    Delivery.LATEST,
+    Priority.DATA_LOW,
+    "Picture",
+    "what a camera sees, for people: small, a few a second, only while somebody looks",
+)
 TRAVEL = Topic(
     "travel",
     "belt/travel/<source>",
@@ -307,6 +317,7 @@ TOPICS: tuple[Topic, ...] = (
     FRAME,
     CAMERA_INFO,
     FRAME_PROGRESS,
+    PICTURE,
     TRAVEL,
     VIEW,
     WEIGHT,

@@ -3,8 +3,10 @@
 #
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
 #                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
+#                    loader: no unit, the certificate that `tuberline load` and the page need to change loads.
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
+#   --program FILE   from now on run this tuberline, of a version installed beside the other; the line is started again
 #   --replace        take the new LINE.toml although another one is installed
 #   --no-start       enable the line, start nothing
 #   --uninstall      stop all lines and take the units away; configs, certificates, ledgers and recordings stay
@@ -24,6 +26,7 @@ fi
 roles=router,aggregator,camera,segmenter,regressor
 certs=
 run=
+switch_to=
 replace=no
 start=yes
 uninstall=no
@@ -35,9 +38,10 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --roles | --certs | --run)
+    --roles | --certs | --run | --program)
         [ $# -ge 2 ] || fail "$1 needs a value"
         case $1 in
+        --program) switch_to=$2 program=$2 ;;
         --roles) roles=$2 ;;
         --certs) certs=$2 ;;
         --run) run=$2 ;;
@@ -47,7 +51,7 @@ while [ $# -gt 0 ]; do
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
     --uninstall) uninstall=yes && shift ;;
-    -h | --help) sed -n '2,15s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -h | --help) sed -n '2,17s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
@@ -87,7 +91,7 @@ config=$1
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
 checked=$("$program" config show "$config" --json) || fail "fix $config first"
 
-# put SOURCE TARGET MODE: copy where the content differs, and say so
+# put SOURCE TARGET MODE: copy where the content differs, and say so. A power cut leaves the old file or the new one.
 put() {
     target=$destdir$2
     if [ -f "$target" ] && cmp -s "$1" "$target"; then
@@ -97,7 +101,8 @@ put() {
     verb=created
     [ ! -e "$target" ] || verb=updated
     mkdir -p "$(dirname "$target")"
-    install -m "$3" "$1" "$target"
+    install -m "$3" "$1" "$target.part"
+    mv -f "$target.part" "$target"
     echo "$verb   $2"
 }
 
@@ -146,6 +151,8 @@ for worker in $workers; do
 done
 for entry in $(echo "$roles" | tr ',' ' '); do
     case $entry in
+    loader) stems="$stems loader" ;;
+    loader=*) stems="$stems loader.${entry#*=}" ;;
     viewer | recorder) units="$units tuberline-$entry@$line:$entry.service" && stems="$stems $entry" ;;
     viewer=* | recorder=* | regressor=*)
         [ "${entry%%=*}" != regressor ] || case " $workers " in *" ${entry#*=} "*) continue ;; esac
@@ -159,10 +166,13 @@ for entry in $(echo "$roles" | tr ',' ' '); do
         esac
         ;;
     router | aggregator | metrics | alarms | page | camera | segmenter | regressor) ;;
-    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page" ;;
+    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page loader" ;;
     esac
 done
-[ -n "$units" ] || fail "--roles $roles leaves nothing to run for line '$line'"
+case ,$roles in
+*,loader*) [ -n "$certs" ] || [ -d "$destdir/etc/tuberline/certs" ] || fail "role loader is a certificate: give --certs DIR. A line without certificates asks for none" ;;
+esac
+[ -n "$units$stems" ] || fail "--roles $roles leaves nothing to run for line '$line'"
 
 files=
 if [ -n "$certs" ]; then
@@ -217,6 +227,12 @@ done
 
 nodes=$(mktemp)
 trap 'rm -f "$nodes"' EXIT
+# An upgrade's one step: a machine that loses its power before it runs the old program again, after it the new one.
+if [ -n "$switch_to" ]; then
+    [ -n "$destdir" ] || sync # its files are on the disk before they are called
+    { grep -v '^TUBERLINE=' "$destdir/etc/tuberline/environment" || true; echo "TUBERLINE=$switch_to"; } >"$nodes"
+    put "$nodes" /etc/tuberline/environment 644
+fi
 {
     echo "# Written by install.sh: what runs here of line $line. Run install.sh again to change it."
     echo "[Unit]"
@@ -232,6 +248,7 @@ if [ -z "$destdir" ]; then
     systemctl enable --quiet "tuberline@$line.target" prune-tuberline.timer
     echo "enabled   tuberline@$line.target prune-tuberline.timer"
     if [ "$start" = yes ]; then
+        [ -z "$switch_to" ] || systemctl stop "tuberline@$line.target"
         systemctl start "tuberline@$line.target" prune-tuberline.timer
         echo "started   tuberline@$line.target:$units"
     fi

@@ -73,7 +73,9 @@ class BeltSegmenter:
 
     def __init__(self, settings: Settings, belt: BeltGeometry, perception: Perception, resume: Resume | None) -> None:
         low_m, high_m = belt.x_range()
-        offsets_m = slot_offsets(settings.views_per_tuber, half_view_m=(high_m - low_m) / 2)
+        offsets_m = slot_offsets(
+            settings.views_per_tuber, half_view_m=(high_m - low_m) / 2, decide_m=settings.track.decide_m
+        )
         self.belt = belt
         self.tracker = Tracker(belt, settings.track, offsets_m)
         self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
@@ -192,6 +194,7 @@ class BeltSegmenter:
         return replace(instances, centre_m=completed_centres(instances, self.belt))
 
     def _track(self, frame: Frame, instances: Instances, motion: BeltMotion) -> Found:
+        self.coverage.earlier(motion.earlier)
         self.coverage.step(motion.travel_m)
         return self.tracker.update(
             frame.seq, instances, motion.pairs, self.follower.history, motion.travel_m,

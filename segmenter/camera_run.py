@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Track, Travel, View, Weight
+from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Picture, Track, Travel, View, Weight
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
@@ -20,6 +20,7 @@ from segmenter.pipeline import Segmenter, Settings
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.tracklog import TrackLog
+from segmenter.view_for_people import Weights, picture_of
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000
@@ -65,6 +66,7 @@ class CameraRun:
         self.budget = ViewBudget(settings.core.views_per_tuber)
         self.core = Segmenter(settings.core)
         self.early = EarlyViews()
+        self._weights = Weights()
         self._thinning = Thinning()
         self.ended = False
         self._done_seq = -1
@@ -135,6 +137,8 @@ class CameraRun:
         # stopped for a while, never a frame to give up. Only what its source refused will not come.
         missing = 0 if info.last_seq is None else info.last_seq - self.frames.newest_seq
         sure = not info.waits or info.state == "failed" or missing <= sum(info.refused.values())
+        if info.state == "failed" and info.live:
+            return  # a device comes back: what passes meanwhile is a gap in its run, not the end of it
         if info.state in ("ended", "failed") and ((silent and sure) or (here and info.state == "ended")):
             self.end(now_s)
 
@@ -153,6 +157,8 @@ class CameraRun:
         known = self.dispatcher.answer(
             weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
         )
+        if known and usable:
+            self._weights.add(weight)
         if known and usable and not self.early.answered(weight):
             self.weighing.weighed(weight, self._now_s)
 
@@ -194,6 +200,18 @@ class CameraRun:
             captured_ns=captured_ns,
             travel_m=self.core.travel_m,
             estimated=self.core.estimated,
+        )
+
+    def picture(self, frame: Frame, result: StepResult) -> Picture | None:
+        """What `frame`, the newest one, shows to people; None where it cannot be made small enough."""
+        used = result.dropped is None
+        return picture_of(
+            frame,
+            belt=self.core.belt,
+            instances=self.core.instances if used else None,
+            found=self.core.found,
+            weight_of=self._weights.of,
+            drop=result.dropped or "",
         )
 
     def counts(self) -> dict[str, dict[str, int]]:

@@ -30,6 +30,7 @@ from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
 from segmenter.frame.watch import BeltWatch
 from segmenter.in_view import tracks_in_view
+from segmenter.results import StepResult
 from segmenter.setup import log_path, run_settings
 from segmenter.warmup import warm_up
 
@@ -37,6 +38,7 @@ PROGRESS_EVERY_S = 0.2
 TRAVEL_EVERY_S = 0.1
 IN_VIEW_EVERY_S = 0.2
 REPORT_EVERY_S = 0.2
+PICTURE_EVERY_S = 0.25
 IDLE_POLL_S = 0.02
 BUSY_POLL_S = 0.004
 COMMITTED_WAIT_S = 0.5
@@ -60,7 +62,7 @@ class SegmenterNode:
         self._clock = CameraClock(self._speed)
         self._oldest_ms = 0.0
         self._overwritten = 0
-        self._progress_s = self._travel_s = self._in_view_s = self._reported_s = 0.0
+        self._progress_s = self._travel_s = self._in_view_s = self._picture_s = self._reported_s = 0.0
         self._sent_progress: object = None
         self._works: dict[str, LatestPublisher] = {}
         self._belt = BeltWatch()
@@ -100,6 +102,7 @@ class SegmenterNode:
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera=camera)
         self._log_out = ReliablePublisher(node, topics.TRACK, camera=camera)
         self._travel = LatestPublisher(node, topics.TRAVEL, source=camera)
+        self._pictures = LatestPublisher(node, topics.PICTURE, camera=camera)
         self._in_view = LatestPublisher(node, topics.IN_VIEW, camera=camera)
 
     def _open_run(self, run: str) -> None:
@@ -177,6 +180,20 @@ class SegmenterNode:
         if now_s - self._in_view_s >= IN_VIEW_EVERY_S and self._in_view.has_listener:
             self._in_view_s = now_s
             self._in_view.put(tracks_in_view(camera_run, frame.captured_ns))
+        if now_s - self._picture_s >= PICTURE_EVERY_S:
+            self._picture_s = now_s
+            self._show(camera_run, frame, result)
+
+    def _show(self, camera_run: CameraRun, frame: Frame, result: StepResult) -> None:
+        """The frame for people, where one of them looks; for no one it costs nothing."""
+        if not self._pictures.has_listener:
+            return
+        started_s = time.perf_counter()
+        picture = camera_run.picture(frame, result)
+        if picture is not None:
+            self._pictures.put(picture)
+            self._node.counters.add("pictures_shown")
+        self._node.counters.gauge("picture_ms", (time.perf_counter() - started_s) * 1000)
 
     def _on_time(self, frame: Frame) -> Frame:
         """The frame, its capture time checked for sense."""

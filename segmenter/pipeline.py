@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from conveyor.messages import Frame, Track
 from conveyor.reasons import FrameDrop, TrackRefusal
-from segmenter.belt_segmenter import BeltSegmenter, Settings, row_place_m
+from segmenter.belt_segmenter import BeltSegmenter, Found, Settings, row_place_m
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.belt_keeper import BeltKeeper
 from segmenter.frame.belt_off import BeltOff
@@ -108,6 +108,11 @@ class Segmenter:
     def instances(self) -> Instances | None:
         """Of the last processed frame; None before the first."""
         return self._running.instances if self._running else None
+
+    @property
+    def found(self) -> Found:
+        """Tracks of the last processed frame, each with the index of the instance that shows it."""
+        return self._running.found if self._running else []
 
     @property
     def taken_for_distractors(self) -> NDArray[np.bool_]:

@@ -11,7 +11,12 @@ from segmenter.frame.instances import SplitSettings
 from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Settings
 from segmenter.track.counting import CountSettings
-from segmenter.track.tracker import TrackSettings
+from segmenter.track.tracker import DECIDE_M, TrackSettings
+
+LIVE_DECIDE_M = 0.040
+"""Metres past the centre row at which a live line closes a track; a replay, where nobody waits, sees it for
+`DECIDE_M`. Every tuber of the line waits for the belt to move so far. Shorter is earlier, and sees fewer
+frames; see docs/performance.md for what it changed on simulated belts."""
 
 
 def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
@@ -19,7 +24,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
     s = config.segmenter
     return Settings(
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
-        track=TrackSettings(gate_m=s.gate_mm / 1000),
+        track=TrackSettings(gate_m=s.gate_mm / 1000, decide_m=LIVE_DECIDE_M if live else DECIDE_M),
         count=CountSettings(min_frames=s.min_frames, min_height_m=s.min_height_mm / 1000, reject_below=s.reject_below),
         perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,

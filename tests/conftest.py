@@ -17,9 +17,9 @@ from hypothesis import HealthCheck, settings
 
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.node import Node
-from tests.belts import live_recording, recording, run_dir
+from tests.belts import live_recording, loaded_recording, recording, run_dir
 
-__all__ = ["live_recording", "recording", "run_dir"]
+__all__ = ["live_recording", "loaded_recording", "recording", "run_dir"]
 
 # How long an example takes says something of the machine and its load, nothing of the code.
 settings.register_profile("tuberline", deadline=None, suppress_health_check=[HealthCheck.too_slow])

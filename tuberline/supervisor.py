@@ -118,6 +118,11 @@ class Supervisor:
                     self._start_again(child, now)
 
     @property
+    def specs(self) -> list[ProcessSpec]:
+        """What it runs."""
+        return [child.spec for child in self._children]
+
+    @property
     def restarts(self) -> dict[str, int]:
         """How often each child was restarted."""
         return {child.spec.name: child.restarts for child in self._children}

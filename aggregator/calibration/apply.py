@@ -12,14 +12,12 @@ from aggregator.calibration.correction import Correction, Prior, usable
 from aggregator.calibration.robust import correction_of
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
+from conveyor.load_spread import OTHER_CAMERA_SD
 from conveyor.statistics import NORMAL_90
 
 VOLUME_SD = 0.06
 """Of what all weights by visible volume have in common, beside what the correction knows: a half-width of 10 %."""
 
-NOISY_SD = 0.03
-"""Of what all weights have in common that were seen by a camera noisier than those the weights were trained for: a
-half-width of 5 %, whatever the tickets say, for a camera may have become noisy since."""
 OFF_SD_PER_MM = 0.0065
 """Of what they have in common for each millimetre that the belt is seen off its calibration: a mount that moved costs
 nothing, for the belt is followed; a disparity that drifted by as much costs 4 d / z of a volume, 0.9 % a millimetre at
@@ -104,14 +102,15 @@ def calibrated(
     return Calibrated(weight_g, low_sd_g, high_sd_g, shared_g, corrections, own_g, between_g)
 
 
-def camera_sd(noisy_share: float, off_mm: float) -> float:
-    """Standard deviation, as a share of a load, of what is doubtful of its cameras.
+def camera_sd(other_share: float, off_mm: float) -> float:
+    """Standard deviation, as a share of a load, of what is doubtful of its cameras, whatever the tickets say: a camera
+    may have changed since.
 
     Args:
-        noisy_share: of its weight, seen by cameras noisier than those the weights were trained for.
+        other_share: of its weight, seen by cameras unlike those that the weights were trained for.
         off_mm: how far the belt was seen off its calibration with no gauge to say why, mean over its weight.
     """
-    return math.hypot(NOISY_SD * noisy_share, OFF_SD_PER_MM * off_mm)
+    return math.hypot(OTHER_CAMERA_SD * other_share, OFF_SD_PER_MM * off_mm)
 
 
 def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: str) -> tuple[float, dict[str, float]]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
 from conveyor import load_spread
-from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM
+from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM, factor_sd
 
 Floats = NDArray[np.float64]
 
@@ -52,13 +52,14 @@ def prior_told(belt: Mapping[str, Any]) -> Prior:
     """What a line states of its resting level: section `belt` of its config or summary, with `plane_sd_mm`.
 
     As wide as before any calibration where it does not say how well. What it states lies under the belt plane, and that
-    is as well known as the views' own intervals take it to be.
+    is as well known as the views' own intervals take it to be. Rods in view as a gauge make the factor known better.
     """
     offset_mm, sd_mm = float(belt.get("resting_offset_mm") or 0.0), belt.get("resting_sd_mm")
+    factor = factor_sd(gauged=belt.get("gauge") == "rods")
     if sd_mm is None:
-        return Prior(stated_offset_mm=offset_mm)
+        return Prior(stated_offset_mm=offset_mm, factor_sd=factor)
     both_mm = min(math.hypot(float(sd_mm), float(belt.get("plane_sd_mm") or 0.0)), OFFSET_SD_MM)
-    return Prior(stated_offset_mm=offset_mm, offset_sd_mm=max(both_mm, float(sd_mm)))
+    return Prior(stated_offset_mm=offset_mm, offset_sd_mm=max(both_mm, float(sd_mm)), factor_sd=factor)
 
 
 @dataclass(frozen=True, slots=True)

@@ -240,6 +240,16 @@ class Cameras:
         for captured_ns, travel_m in curve:
             state.curve.add(captured_ns, travel_m)
 
+    def ran_until(self, day_ns: int, now_s: float) -> None:
+        """The belt under live cameras, which stamp frames with the time of the day, ran on until then. `now_s` is the
+        moment at which coverage is asked for; nothing was heard of them in this process's life.
+        """
+        for state in self.states.values():
+            if state.mark is not None and state.sight.published.live and state.marked_s is None:
+                since_s = (day_ns - state.mark.captured_ns) / 1e9
+                if 0 <= since_s <= STANDS_AFTER_S:
+                    state.marked_s = (now_s - since_s, state.mark.captured_ns)
+
     def place_x_m(
         self, camera: str, own_place_x_m: float, *, t_ns: int, own_travel_m: float, estimated: bool
     ) -> float | None:

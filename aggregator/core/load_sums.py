@@ -11,7 +11,7 @@ from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.core.foreign import ForeignBody, ForeignSums
 from aggregator.core.layers import LayerSums
 from aggregator.core.size_bins import SizeBins
-from conveyor.camera_flags import CAMERA_NOISE, belt_off_mm
+from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -27,8 +27,8 @@ class LoadSums:
 
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
     `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
-    saw which are noisier than those the weights were trained for, `off_g_mm` its sum times the millimetres by which the
-    belt was seen off its calibration, with no gauge to say why.
+    saw which are noisier than those the weights were trained for, or unlike them in other ways; `off_g_mm` its sum
+    times the millimetres by which the belt was seen off its calibration, with no gauge to say why.
     """
 
     histogram_step_g: float
@@ -61,7 +61,7 @@ class LoadSums:
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.squares_g2 += tuber.weight_g**2
         self.per_mm_g += tuber_g_per_mm(tuber)
-        self.noisy_g += tuber.weight_g if CAMERA_NOISE in tuber.flags else 0.0
+        self.noisy_g += tuber.weight_g if {CAMERA_NOISE, CAMERA_UNLIKE} & set(tuber.flags) else 0.0
         self.off_g_mm += tuber.weight_g * belt_off_mm(tuber.flags)
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
@@ -118,7 +118,7 @@ class LoadSums:
         return sum(weight_g for _, weight_g in self.weighed.values())
 
     def camera_doubt(self) -> tuple[float, float]:
-        """(share of the weight seen by too noisy cameras, mean mm that the belt was off for no known cause)."""
+        """(share of the weight seen by cameras unlike those trained for, mean mm the belt was off, cause unknown)."""
         whole_g = self.as_weighed_g
         return (self.noisy_g / whole_g, self.off_g_mm / whole_g) if whole_g > 0 else (0.0, 0.0)
 

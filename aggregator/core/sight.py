@@ -183,7 +183,8 @@ class CameraSight:
             return 0.0
         if first:
             (t0, s0), later = self.curve[0], self.curve[1:]
-            t1, s1 = next((c for c in later if c[0] - t0 >= FIRST_SPEED_NS), later[-1])
+            # Bare belt without an encoder stands still until there is load to see it move by.
+            t1, s1 = next((c for c in later if c[0] - t0 >= FIRST_SPEED_NS and c[1] > s0), later[-1])
         else:
             (t1, s1), earlier = self.curve[-1], self.curve[-2::-1]
             t0, s0 = next((c for c in earlier if t1 - c[0] >= LAST_SPEED_NS), earlier[-1])

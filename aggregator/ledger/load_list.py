@@ -21,8 +21,8 @@ def told_loads(
 ) -> list[dict[str, Any]]:
     """The newest loads first, calibrated by the tickets of this ledger's loads. Names and units as in
     `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what scales said), `said` (all
-    that was said of it) and `refused` (why its ticket does not calibrate), `jacket_g`
-    (gross less net less foreign matter: soil on tubers).
+    that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket does not calibrate) and
+    `jacket_g` (gross less net less foreign matter: soil on tubers).
     """
     ledger = ReadLoads(view)
     seen = ledger.seen()
@@ -57,6 +57,7 @@ def _told(
         "jacket_g": jacket_g(_grams(gross), _grams(net), now.foreign),
         "refused": refused,
         "said": _said(load),
+        "notes": [{"by": note.said_by, "text": note.text} for note in load.notes if note.text],
     }
 
 

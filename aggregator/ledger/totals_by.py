@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,11 +43,16 @@ class Total:
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """A load to be added, with the label that it has by each of `BY`."""
+    """A load to be added, with the label that it has by each of `BY`.
+
+    `net_g` is what a scale said. `load` is None for a run without loads, and for what passed without one.
+    """
 
     labels: dict[str, str]
     one: OneLoad
     net_g: float | None
+    load: Load | None
+    unseen_m: Mapping[str, float]
 
 
 def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ()) -> tuple[list[Total], list[str]]:
@@ -65,6 +70,12 @@ def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ())
     """
     if by not in BY:
         raise InputError(f"totals by {by!r}: known are {', '.join(BY)}")
+    loads, refused = all_loads(paths, tickets=tickets)
+    return ([*grouped(loads, by), total_of(ALL, loads)] if loads else []), refused
+
+
+def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> tuple[list[Labelled], list[str]]:
+    """(every load of these ledgers, tickets that cannot calibrate, in words); as `totals_by`."""
     with ExitStack() as stack:
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
         views = [stack.enter_context(reading(file)) for file in files]
@@ -76,12 +87,15 @@ def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ())
             refused += words
         keys = {ticket.key for ticket in own}
         known = [*(ticket for ticket in tickets if ticket.key not in keys), *own]
-        loads = [load for view, ledger in ledgers for load in labelled(view, ledger, known)]
+        return [load for view, ledger in ledgers for load in labelled(view, ledger, known)], refused
+
+
+def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
+    """The totals of these loads by one of `BY`, in the order in which the labels come."""
     groups: dict[str, list[Labelled]] = {}
     for load in loads:
         groups.setdefault(load.labels[by], []).append(load)
-    totals = [_total(label, group) for label, group in groups.items()]
-    return ([*totals, _total(ALL, loads)] if loads else []), refused
+    return [total_of(label, group) for label, group in groups.items()]
 
 
 def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
@@ -90,15 +104,17 @@ def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> 
     found: list[tuple[int, Labelled]] = []
     for load in ledger.loads.loads.values():
         if load.spans and not load.undone:
-            one = _one(count_load(ledger, load, seen), tickets, _prior(view, load.run), load.variety)
+            counted = count_load(ledger, load, seen)
+            one = _one(counted, tickets, _prior(view, load.run), load.variety)
             net = load.ticket(net=True)
-            found.append((load.began_ns, Labelled(_labels(load), one, net.ticket_g if net else None)))
+            net_g = net.ticket_g if net else None
+            found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m)))
     for name, run in ledger.runs.items():
         rest = ledger.without_load(name, seen[name]) if name in ledger.loads.spans else ledger.whole(run)
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, _prior(view, name), "")
-            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None)))
+            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -125,7 +141,8 @@ def _prior(view: LedgerView, run: str) -> Prior:
     return prior_told(json.loads(summary).get("belt", {}) if summary else {})
 
 
-def _total(label: str, loads: Sequence[Labelled]) -> Total:
+def total_of(label: str, loads: Sequence[Labelled]) -> Total:
+    """These loads together."""
     tickets_g = [load.net_g for load in loads if load.net_g is not None]
     sums, raw_g = together_of(loads)
     return Total(label, len(loads), len(tickets_g), sum(tickets_g), raw_g, sums)

@@ -24,6 +24,7 @@ class FieldWorld:
         patch_m: how large good and bad places are.
         width_m: working width; `overlap_m`: by how much a pass overlaps the one before.
         speed_m_s: of the machine in the row; every `stop_every_s` it stands for `stop_s`.
+        box_kg: where not 0, it stands for `stop_s` whenever it has lifted that much: the box is changed.
         delay_s: from ground to camera; `mixing_s`: mean of the exponential time that a tuber rolls about.
         noise_m: slow error of positions (correlated over a minute); `jump_m`, `outages`: now and then.
         tuber_g: mean weight of a tuber; its standard deviation is 45 % of it.
@@ -41,6 +42,7 @@ class FieldWorld:
     speed_m_s: float = 1.4
     stop_every_s: float = 240.0
     stop_s: float = 25.0
+    box_kg: float = 0.0
     delay_s: float = 17.0
     mixing_s: float = 2.0
     noise_m: float = 0.25
@@ -57,7 +59,8 @@ class FieldWorld:
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineDay:
     """One machine's day. Positions: `time_ns`, `lat_deg`, `lon_deg`, `quality`, (N,) each, with errors. Tubers:
-    `crossed_ns`, `weight_g`, (M,) each: a tuber's weight stands for `1 / shown_share` tubers."""
+    `crossed_ns`, `weight_g`, (M,) each: a tuber's weight stands for `1 / shown_share` tubers; `lifted_m` (M, 2) is
+    where it grew, metres east and north of the corner, `box` (M,) the box that was filled then, from 0."""
 
     time_ns: NDArray[np.int64]
     lat_deg: NDArray[np.float64]
@@ -66,6 +69,8 @@ class MachineDay:
     crossed_ns: NDArray[np.int64]
     weight_g: NDArray[np.float64]
     kg_each: NDArray[np.float64]
+    lifted_m: NDArray[np.float64]
+    box: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,14 +108,15 @@ def _pattern(world: FieldWorld, waves: NDArray[np.float64], xy_m: NDArray[np.flo
 
 def _machine(world: FieldWorld, waves: NDArray[np.float64], *, number: int, rng: np.random.Generator) -> MachineDay:
     xy_m, lifting = _drive(world, number=number)
+    kg = _lifted_kg(world, waves, xy_m, lifting)
+    if world.box_kg:
+        xy_m, kg = _with_box_changes(world, xy_m, kg)
     count = len(xy_m)
-    way = np.diff(xy_m, axis=0, prepend=xy_m[:1])
-    length = np.hypot(way[:, 0], way[:, 1])
-    # The strip that a pass lifts is its width less what the pass before has lifted.
-    kg = np.where(lifting, length * (world.width_m - world.overlap_m) * _pattern(world, waves, xy_m) / 10, 0.0)
+    box = np.floor(np.cumsum(kg) / world.box_kg).astype(np.int64) if world.box_kg else np.zeros(count, np.int64)
     shown = rng.poisson(kg * 1000 / world.tuber_g * world.shown_share)
     weights = np.maximum(rng.normal(world.tuber_g, 0.45 * world.tuber_g, shown.sum()), 10.0)
-    lifted_s = np.repeat(np.arange(count, dtype=float), shown) - rng.uniform(0, 1, shown.sum())
+    second = np.repeat(np.arange(count), shown)
+    lifted_s = second - rng.uniform(0, 1, shown.sum())
     crossed_s = lifted_s + world.delay_s - world.mixing_s + rng.exponential(world.mixing_s, shown.sum())
     order = np.argsort(crossed_s, kind="stable")
     weights = weights[order] * world.scales[number]
@@ -124,7 +130,28 @@ def _machine(world: FieldWorld, waves: NDArray[np.float64], *, number: int, rng:
         crossed_ns=world.start_ns + (crossed_s[order] * 1e9).astype(np.int64),
         weight_g=weights,
         kg_each=weights / 1000 / world.shown_share,
+        lifted_m=xy_m[second][order],
+        box=box[second][order],
     )
+
+
+def _lifted_kg(
+    world: FieldWorld, waves: NDArray[np.float64], xy_m: NDArray[np.float64], lifting: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """(N,) kilograms lifted in each second: the strip is the width less what the pass before has lifted."""
+    way = np.diff(xy_m, axis=0, prepend=xy_m[:1])
+    length = np.hypot(way[:, 0], way[:, 1])
+    return np.where(lifting, length * (world.width_m - world.overlap_m) * _pattern(world, waves, xy_m) / 10, 0.0)
+
+
+def _with_box_changes(
+    world: FieldWorld, xy_m: NDArray[np.float64], kg: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Positions and kilograms with the machine standing for `stop_s` before the second that begins another box."""
+    boxes = np.floor(np.cumsum(kg) / world.box_kg)
+    changes = np.flatnonzero(np.diff(boxes) > 0) + 1
+    stands = np.repeat(changes, int(world.stop_s))
+    return np.insert(xy_m, stands, xy_m[stands - 1], axis=0), np.insert(kg, stands, 0.0)
 
 
 def _drive(world: FieldWorld, *, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -6,6 +6,7 @@ from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
 from conveyor.messages.in_view import TrackInView, TracksInView
 from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
+from conveyor.messages.pictures import Outline, Picture
 from conveyor.messages.positions import Position
 from conveyor.messages.reports import Counters, Totals, Tuber
 from conveyor.messages.sizes import Sizes
@@ -25,6 +26,8 @@ __all__ = [
     "LoadOrder",
     "Mark",
     "Message",
+    "Outline",
+    "Picture",
     "Position",
     "Sizes",
     "Totals",

@@ -113,7 +113,12 @@ class Message:
         return _checked(cls, header.fields, _read_arrays(cls, data, announced))
 
     def _parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any] | None]]:
-        header = {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name not in self.ARRAYS}
+        header = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            # What may be left out and is not known is left out, so that a version without that field can read the rest.
+            if field.name not in self.ARRAYS and not (value is None and field.default is None):
+                header[field.name] = plain(value)
         return header, {name: _as_spec(getattr(self, name), spec) for name, spec in self.ARRAYS.items()}
 
     def _check(self, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | None]) -> None:

@@ -118,7 +118,8 @@ class Totals(Message):
 @dataclass(frozen=True, slots=True)
 class Counters(Message):
     """What a node received, did and dropped. `values` only grow while it lives; `gauges` are levels, among them the
-    balance sheet of the run it works on, which starts again with another run."""
+    balance sheet of the run it works on, which starts again with another run. `status` is 'ok' or 'stalled'; the last
+    one of a node that leaves says 'ended', or 'failed' where an error made it leave."""
 
     role: Name
     name: Name

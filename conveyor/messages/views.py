@@ -23,6 +23,8 @@ from conveyor.messages.sizes import Sizes
 from conveyor.ranges import DepthScale, Id, Model, Name, Nanoseconds, Range, Seq, ViewGrams, Word, Words
 from conveyor.resting import RestingLevel
 
+LATER_PARTS = ("sizes",)
+"""Fields of an answer that version 0.1 refuses to read: they are for those who ask for them."""
 CROP_SIDES = ((0, MAX_SIDE_PIXELS), (0, MAX_SIDE_PIXELS))
 Pixel = Annotated[int, Range(0, MAX_SIDE_PIXELS, "px")]
 
@@ -42,6 +44,7 @@ class View(Message):
         resting_sd_m: how well that is known, standard deviation.
         camera_noise_px: local noise of its camera's depth, pixels of disparity at a baseline of 18 mm; None: not known.
         rank: 0 for the tuber's best view, 1 for the next; under load the high ranks are shed first.
+        takes: which of `LATER_PARTS` its sender understands in the answer; 0.1 says nothing of it.
     """
 
     view_id: Id
@@ -61,6 +64,7 @@ class View(Message):
     resting_offset_m: Annotated[float, Range(-0.2, 0.1, "m")] = 0.0
     resting_sd_m: Annotated[float, Range(0, 0.1, "m")] = 0.0
     camera_noise_px: Annotated[float, Range(0, 100, "px")] | None = None
+    takes: Words = ()
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {
         "depth": ArraySpec("u2", CROP_SIDES),
@@ -140,3 +144,7 @@ class Weight(Message):
     def __post_init__(self) -> None:
         if (self.status == "weighed") != (None not in (self.weight_g, self.low_g, self.high_g)):
             raise MessageError(f"Weight of view {self.view_id} is '{self.status}' with weight_g {self.weight_g}")
+
+    def within(self, takes: tuple[str, ...]) -> Self:
+        """This answer without the later parts that are not among `takes`: what the view's sender can read."""
+        return self if "sizes" in takes else replace(self, sizes=None)

@@ -15,14 +15,20 @@ from pathlib import Path
 
 INSTALLERS = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
 FOR_DEVELOPERS = ("torch/test", "torch/include", "torch/share", "numpy/_core/include")
-UNUSED = tuple(f"scipy/{part}" for part in ("cluster", "datasets", "odr", "signal", "stats"))
+UNUSED = tuple(
+    f"scipy/{part}"
+    for part in (
+        *("cluster", "datasets", "differentiate", "fftpack", "integrate", "interpolate", "misc"),
+        *("odr", "signal", "stats"),
+    )
+)
 """Parts of scipy that nothing here imports; every import of scipy in our sources is tried after they are gone."""
 STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh", "zstandard")
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""
 SOURCES = (".pyi", ".pyx", ".pxd", ".h", ".hpp", ".c", ".a")
 """Endings of what only compilers and type checkers read."""
 OURS = ("conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer", "tuberline")
-LARGE = ("scipy", "numpy", "torch", "sympy", "networkx", "rerun")
+LARGE = ("scipy", "numpy", "torch", "sympy", "networkx", "rerun", "pygments")
 
 
 def size_mb(folder: Path) -> float:

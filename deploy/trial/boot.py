@@ -4,41 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shutil
-import signal
-from itertools import zip_longest
 from pathlib import Path
 from time import monotonic, sleep
 
-from deploy.trial import field
-from deploy.trial.machine import TOOLS, Machine, make_network, remove_network
-from deploy.trial.machineroot import SOURCE, machine_root
-from deploy.trial.tools import TrialError, ended, into_docs, need_root, need_tools, say, table, until, workdir
+from deploy.trial import field, upgrade
+from deploy.trial.machine import Machine
+from deploy.trial.machineroot import machines_on
+from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 SEED = 1616
-INSTALL = f"{SOURCE}/deploy/install.sh"
+PARTS = ("one", "upgrade", "two")
+"""One machine, an upgrade of it that loses its power, two machines of which the second is late."""
 Rows = list[tuple[str, str]]
-
-
-def install(machine: Machine, text: str, roles: str, *options: str) -> str:
-    """Put the line's file in and run install.sh inside the machine."""
-    (machine.disk / "root/field.toml").write_text(text, encoding="utf-8")
-    return machine.run("sh", INSTALL, "--roles", roles, "--run", "monday", *options, "/root/field.toml")
-
-
-def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = 240.0) -> float:
-    """Seconds until every unit is active."""
-    start = monotonic()
-    try:
-        until(lambda: all(machine.active(unit) for unit in units), "all units active", timeout_s=timeout_s)
-    except TrialError as error:
-        states = {unit: machine.says("systemctl", "is-active", unit) for unit in units}
-        raise TrialError(
-            f"{error}: {states}\n{machine.says('journalctl', '--namespace=tuberline', '-n', '20')}"
-        ) from error
-    return monotonic() - start
 
 
 def show(machine: Machine, unit: str, name: str) -> str:
@@ -151,29 +130,16 @@ def crash_loop_is_slowed(machine: Machine) -> tuple[str, str]:
     shutil.rmtree(drop.parent)
     machine.run("systemctl", "daemon-reload")
     machine.says("systemctl", "restart", "--no-block", unit)
-    all_active(machine, (unit,))
+    field.all_active(machine, (unit,))
     if after - before > 2:
         raise TrialError(f"a crash loop went on with {after - before} starts in 45 s")
     return "a regressor that crashes at every start", f"{before} starts, then one each 30 s. The journal: '{told}'"
 
 
-def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0) -> str:
-    """The machine's ledger is finished and that of a replay on this computer."""
-    until(lambda: field.Seen(machine.disk).finished, "the line counted", timeout_s=timeout_s, every_s=3.0)
-    seen = field.Seen(machine.disk)
-    if seen.lines != reference:
-        differ = [pair for pair in zip_longest(seen.lines, reference) if pair[0] != pair[1]]
-        raise TrialError(
-            f"the ledger differs from the replay's: {len(seen.tubers)} tubers, {len(differ)} lines, {seen.fault}\n"
-            f"{differ[0][0]}\ninstead of\n{differ[0][1]}"
-        )
-    return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"
-
-
 def uninstalled(machine: Machine) -> tuple[str, str]:
     """Units and scripts go; ledger, recordings and config stay."""
     ledger = (machine.disk / field.LEDGER / "ledger.db").read_bytes()
-    machine.run("sh", INSTALL, "--uninstall")
+    machine.run("sh", field.INSTALL, "--uninstall")
     left = ("var/lib/tuberline/recordings/new.mcap", "etc/tuberline/lines/field.toml")
     lost = [path for path in left if not (machine.disk / path).exists()]
     units = [str(path) for path in (machine.disk / "etc/systemd/system").glob("*tuberline*")]
@@ -186,24 +152,23 @@ def uninstalled(machine: Machine) -> tuple[str, str]:
 
 def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]) -> Rows:
     """Everything on one computer."""
-    machine = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
     rows: Rows = []
-    try:
+    with Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
         rows.append(("boot of the bare root", f"{machine.booted():.1f} s"))
-        install(machine, field.config(), field.ROLES)
+        field.install(machine, field.config(), field.ROLES)
         rows.append(
             (
                 "`install.sh` in it",
-                f"all {len(field.UNITS)} units active after {all_active(machine, field.UNITS):.0f} s",
+                f"all {len(field.UNITS)} units active after {field.all_active(machine, field.UNITS):.0f} s",
             )
         )
-        again = machine.run("sh", INSTALL, "--roles", field.ROLES, "--run", "monday", "/root/field.toml")
+        again = machine.run("sh", field.INSTALL, "--roles", field.ROLES, "--run", "monday", "/root/field.toml")
         changed = [line for line in again.splitlines() if line.startswith(("created", "updated"))]
         rows.append(("`install.sh` again", f"changes {len(changed)} files"))
         machine.shut_down()
         machine.power_on()
-        took = all_active(machine, field.UNITS)
+        took = field.all_active(machine, field.UNITS)
         rows.append(
             ("shut down, switched on", f"all units active by themselves after {took:.0f} s; {in_order(machine)}")
         )
@@ -211,23 +176,22 @@ def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]
             rows.append(step(machine))
             say(f"{rows[-1][0]}: {rows[-1][1]}")
         rows += services_work(machine)
-        rows.append(("what it counted meanwhile", counted_as(machine, reference)))
+        rows.append(("what it counted meanwhile", field.counted_as(machine, reference)))
         rows.append(uninstalled(machine))
-    finally:
-        machine.remove()
     return rows
 
 
 def two_machines(folder: Path, root: Path, recordings: Path, reference: list[str], minutes: float) -> Rows:
     """Cameras boot first; the machine with the router, the ledger and the regressor minutes later."""
-    harvester = Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}).make()
-    edge = Machine(folder, root, "edge", 2).make()
     text = field.config(router="tcp/10.77.0.2:7447", listen="tcp/0.0.0.0:7447")
     there = tuple(unit for unit in field.UNITS if "camera" in unit or "segmenter" in unit)
-    try:
+    with (
+        Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}) as harvester,
+        Machine(folder, root, "edge", 2) as edge,
+    ):
         harvester.power_on()
         harvester.booted()
-        install(harvester, text, "camera,segmenter", "--no-start")
+        field.install(harvester, text, "camera,segmenter", "--no-start")
         harvester.run("systemctl", "start", "--no-block", "tuberline@field.target")
         sleep(60.0 * minutes)
         restarts = sum(int(show(harvester, unit, "NRestarts")) for unit in there)
@@ -236,16 +200,13 @@ def two_machines(folder: Path, root: Path, recordings: Path, reference: list[str
         )
         edge.power_on()
         edge.booted()
-        install(edge, text, "router,aggregator,regressor", "--no-start")
+        field.install(edge, text, "router,aggregator,regressor", "--no-start")
         start = monotonic()
         edge.run("systemctl", "start", "--no-block", "tuberline@field.target")
-        all_active(edge, tuple(unit for unit in field.UNITS if unit not in there))
-        all_active(harvester, there)
+        field.all_active(edge, tuple(unit for unit in field.UNITS if unit not in there))
+        field.all_active(harvester, there)
         took = monotonic() - start
-        counted = counted_as(edge, reference)
-    finally:
-        harvester.remove()
-        edge.remove()
+        counted = field.counted_as(edge, reference)
     return [
         (
             f"cameras' machine booted {minutes:g} min before the router's",
@@ -258,29 +219,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="make boot", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the installed root for the next time")
     parser.add_argument("--minutes", type=float, default=5.0, help="how long the second machine comes after the first")
-    parser.add_argument("--only", choices=("one", "two"), help="one of the two parts")
+    parser.add_argument("--only", choices=PARTS, help="one of the parts; keeps the root, the last one writes the table")
     given = parser.parse_args()
-    need_tools({**TOOLS, "debootstrap": "debootstrap"})
-    folder = workdir("machine")
-    need_root("make boot", f"it makes a Debian root under {folder}, mounts, boots machines, and adds control groups")
-    os.umask(0o022)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        root = machine_root(folder)
+    with machines_on("make boot", keep=given.keep or given.only is not None) as (folder, root):
+        state = folder / "boot.json"
+        done: dict[str, Rows] = json.loads(state.read_text(encoding="utf-8")) if given.only and state.exists() else {}
         recordings = field.simulate(folder / "recordings", seed=SEED, tubers=24)
         reference = field.replayed(recordings, folder / "reference")
-        make_network()
-        rows = one_machine(folder, root, recordings, reference) if given.only != "two" else []
-        if given.only != "one":
-            rows += two_machines(folder, root, recordings, reference, given.minutes)
-        for what, seen in rows:
-            say(f"{what}: {seen}")
-        if given.only is None:
-            into_docs("boot", table(("what", "seen"), rows))
-    finally:
-        remove_network()
-        if not given.keep:
-            shutil.rmtree(folder, ignore_errors=True)
+        for part in [given.only] if given.only else PARTS:
+            if part == "one":
+                done[part] = one_machine(folder, root, recordings, reference)
+            elif part == "upgrade":
+                done[part] = upgrade.trial(folder, root)
+            else:
+                done[part] = two_machines(folder, root, recordings, reference, given.minutes)
+            for what, seen in done[part]:
+                say(f"{what}: {seen}")
+            state.write_text(json.dumps(done), encoding="utf-8")
+        if all(part in done for part in PARTS):
+            into_docs("boot", table(("what", "seen"), [row for part in PARTS for row in done[part]]))
 
 
 if __name__ == "__main__":

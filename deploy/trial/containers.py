@@ -20,7 +20,7 @@ from aggregator.ledger.export import canonical_lines
 from aggregator.ledger.reader import reading, the_run
 from conveyor.errors import TuberlineError
 from deploy.trial.compose import command_of, podman_words, services
-from deploy.trial.engine import GATEWAY, SPACE, Engine
+from deploy.trial.engine import GATEWAY, LIMITS, SPACE, Engine
 from deploy.trial.tools import ROOT, TrialError, say, table, until
 
 ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page")
@@ -64,7 +64,7 @@ class Line:
         self._engine.podman(
             *("run", "--detach", "--name", self._container(name), "--network", SPACE),
             *podman_words(service, configs={"line": self._site}, project=self._project),
-            *("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096"),
+            *LIMITS,
             *(*entrypoint, self._name_of(IMAGE[service["image"]]), *words),
         )
         if "healthcheck" in service and name != "camera-left":

@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from deploy.trial.engine import Engine
+from deploy.trial.engine import LIMITS, Engine
 from deploy.trial.pipsettings import write_settings
 from deploy.trial.tools import TrialError, say
 
@@ -23,7 +23,7 @@ def bill(engine: Engine, image: str, file: Path) -> tuple[int, int]:
     document: dict[str, Any] = json.loads(made)
     python = len(document.setdefault("components", []))
     listed = engine.podman(
-        *("run", "--rm", "--entrypoint", "dpkg-query", image),
+        *("run", "--rm", *LIMITS, "--entrypoint", "dpkg-query", image),
         *("--show", "--showformat", "${Package}\t${Version}\t${Architecture}\n"),
     ).stdout
     debian = [line.split("\t") for line in listed.splitlines()]
@@ -77,8 +77,18 @@ def _tool(engine: Engine, image: str, program: str, *words: str) -> subprocess.C
     """Run a tool of an environment of its own beside the image's; it is made on first use, with the image's Python."""
     tools, conf = engine.folder / "tools", engine.folder / "pip.conf"
     lent = [f"--volume={path}:{path}:ro" for path in write_settings(conf)] + [f"--volume={conf}:/etc/pip.conf:ro"]
-    limits = ("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096", "--network", "host")
-    base = ("run", "--rm", "--user", "0", *limits, f"--volume={tools}:{TOOLS}", *lent, "--entrypoint")
+    base = (
+        "run",
+        "--rm",
+        "--user",
+        "0",
+        *LIMITS,
+        "--network",
+        "host",
+        f"--volume={tools}:{TOOLS}",
+        *lent,
+        "--entrypoint",
+    )
     if not (tools / "bin/pip-audit").exists():
         tools.mkdir(exist_ok=True)
         engine.podman(*base, "/usr/bin/env", image, "python3", "-m", "venv", TOOLS)

@@ -19,8 +19,10 @@ TOOLS = {
     "nsenter": "util-linux",
     "ip": "iproute2",
 }
-SPACE = "tuberline-trial"
+SPACE = "tuberline-containers"
 """Of the network namespace, and of the network in it."""
+LIMITS = ("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096")
+"""Podman's own are higher than a machine may allow it to set."""
 GATEWAY = "10.78.0.1"
 """What compose calls host-gateway: where a published port of the host is reached from a container."""
 

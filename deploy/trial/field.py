@@ -1,4 +1,4 @@
-"""The line that the booted machines run: its config, its recording, its ledger and what the ledger should be."""
+"""The line that the booted machines run: config, recording, installing it, its ledger and what that should be."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import sqlite3
 import sys
 import tempfile
 from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
+from time import monotonic
 
 from aggregator.ledger.export import canonical_lines
 from aggregator.ledger.reader import read_marks, read_runs, reading, the_run
 from conveyor.errors import TuberlineError
-from deploy.trial.tools import TrialError, run
+from deploy.trial.machine import Machine
+from deploy.trial.machineroot import SOURCE
+from deploy.trial.tools import TrialError, run, until
 
 LEDGER = "var/lib/tuberline/field/ledger"
 UNITS = (
@@ -23,6 +27,7 @@ UNITS = (
     "tuberline-camera@field:front.service",
 )
 ROLES = "router,aggregator,camera,segmenter,regressor"
+INSTALL = f"{SOURCE}/deploy/install.sh"
 TUBERLINE = (sys.executable, "-m", "tuberline")
 
 
@@ -119,3 +124,35 @@ class Seen:
     @property
     def tubers(self) -> list[str]:
         return [line for line in self.lines if '"tuber":' in line]
+
+
+def install(machine: Machine, text: str, roles: str, *options: str) -> str:
+    """Put the line's file in and run install.sh inside the machine."""
+    (machine.disk / "root/field.toml").write_text(text, encoding="utf-8")
+    return machine.run("sh", INSTALL, "--roles", roles, "--run", "monday", *options, "/root/field.toml")
+
+
+def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = 240.0) -> float:
+    """Seconds until every unit is active."""
+    start = monotonic()
+    try:
+        until(lambda: all(machine.active(unit) for unit in units), "all units active", timeout_s=timeout_s)
+    except TrialError as error:
+        states = {unit: machine.says("systemctl", "is-active", unit) for unit in units}
+        raise TrialError(
+            f"{error}: {states}\n{machine.says('journalctl', '--namespace=tuberline', '-n', '20')}"
+        ) from error
+    return monotonic() - start
+
+
+def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0) -> str:
+    """The machine's ledger is finished and that of a replay on this computer."""
+    until(lambda: Seen(machine.disk).finished, "the line counted", timeout_s=timeout_s, every_s=3.0)
+    seen = Seen(machine.disk)
+    if seen.lines != reference:
+        differ = [pair for pair in zip_longest(seen.lines, reference) if pair[0] != pair[1]]
+        raise TrialError(
+            f"the ledger differs from the replay's: {len(seen.tubers)} tubers, {len(differ)} lines, {seen.fault}\n"
+            f"{differ[0][0]}\ninstead of\n{differ[0][1]}"
+        )
+    return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"

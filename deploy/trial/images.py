@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 from pathlib import Path
 from time import monotonic
 
 from deploy.trial import base, containers, contents
-from deploy.trial.engine import TOOLS, Engine
+from deploy.trial.engine import LIMITS, TOOLS, Engine
 from deploy.trial.pipsettings import write_settings
 from deploy.trial.tools import ROOT, TrialError, ended, into_docs, need_root, need_tools, say, table, version, workdir
 
@@ -22,7 +21,6 @@ FOR = {
     "viewer": "viewer",
 }
 MOST_MB = {"edge": 700}
-LIMITS = ("--ulimit", "nofile=8192:8192", "--ulimit", "nproc=4096:4096")
 SHUT = ("--read-only", "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--tmpfs", "/tmp:size=64m", *LIMITS)
 INSIDE = """
 import os, pathlib
@@ -109,32 +107,36 @@ def demo(engine: Engine) -> tuple[str, float]:
     return line.strip(), monotonic() - start
 
 
+def make_images(engine: Engine) -> str:
+    """Build, check and look into each image; the table."""
+    base_image = make_base(engine)
+    rows = []
+    for target, image in IMAGES.items():
+        seconds = build(engine, target, base_image)
+        check_image(engine, target)
+        found = contents.bill(engine, name_of(target), engine.folder / f"{image}.cdx.json")
+        rows.append((f"`{image}`", FOR[target], engine.size_mb(name_of(target)), round(seconds), *found))
+        say(f"{name_of(target)}: {rows[-1][2]} MB in {seconds:.0f} s")
+    say(contents.audit(engine, name_of("node"), engine.folder / "audit.json"))
+    return table(("image", "for", "size MB", "built in s", "Python packages", "Debian packages"), rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="make images", description=__doc__)
     parser.add_argument("--keep", action="store_true", help="keep the storage, so that a next build is quick")
-    parser.add_argument("--no-line", action="store_true", help="build and check, run no line of containers")
+    parser.add_argument("--only", choices=("images", "line"), help="build and look into the images, or run them")
     given = parser.parse_args()
     need_tools({**TOOLS, "debootstrap": "debootstrap"})
     folder = workdir("images")
     need_root("make images", f"it builds under {folder} and runs containers in a network namespace of its own")
     engine = Engine(folder)
     try:
-        base_image = make_base(engine)
-        rows = []
-        for target, image in IMAGES.items():
-            seconds = build(engine, target, base_image)
-            check_image(engine, target)
-            found = contents.bill(engine, name_of(target), folder / f"{image}.cdx.json")
-            rows.append((f"`{image}`", FOR[target], engine.size_mb(name_of(target)), round(seconds), *found))
-            say(f"{name_of(target)}: {rows[-1][2]} MB in {seconds:.0f} s")
-        counted, seconds = demo(engine)
-        say(f"demo in the image: {counted} ({seconds:.0f} s)")
-        head = ("image", "for", "size MB", "built in s", "Python packages", "Debian packages")
-        into_docs("images", table(head, rows))
-        say(contents.audit(engine, name_of("node"), folder / "audit.json"))
-        if not given.no_line:
+        if given.only in (None, "images"):
+            into_docs("images", make_images(engine))
+        if given.only in (None, "line"):
+            counted, seconds = demo(engine)
+            say(f"demo in the image: {counted} ({seconds:.0f} s)")
             into_docs("containers", containers.trial(engine, name_of, SHUT))
-        (folder / "images.json").write_text(json.dumps([list(map(str, row)) for row in rows]), encoding="utf-8")
     finally:
         engine.close()
         if not given.keep:

@@ -52,13 +52,23 @@ class Machine:
         self._process: subprocess.Popen[bytes] | None = None
         self._leader = 0
 
-    def make(self) -> Machine:
-        """Put the disk in: what is written goes beside the root."""
+    def __enter__(self) -> Machine:
+        return self.make()
+
+    def __exit__(self, *_: object) -> None:
         self.remove()
+
+    def mount(self) -> None:
+        """Put the disk in: what is written goes beside the root, and what was written before is there."""
         for part in ("disk", "written", "work"):
-            (self._folder / part).mkdir(parents=True)
+            (self._folder / part).mkdir(parents=True, exist_ok=True)
         layers = f"lowerdir={self._base},upperdir={self._folder / 'written'},workdir={self._folder / 'work'}"
         run(["mount", "-t", "overlay", "-o", layers, "tuberline-trial", self.disk])
+
+    def make(self) -> Machine:
+        """Put a new disk in, with the machine's name and address on it."""
+        self.remove()
+        self.mount()
         (self.disk / "etc/hostname").write_text(f"{self.name}\n", encoding="utf-8")
         (self.disk / "etc/machine-id").unlink(missing_ok=True)
         network = f"[Match]\nName=host0\n[Network]\nAddress={self.address}/24\nLinkLocalAddressing=no\n"
@@ -69,10 +79,14 @@ class Machine:
         (wants / "systemd-networkd.service").symlink_to("/lib/systemd/system/systemd-networkd.service")
         return self
 
-    def remove(self) -> None:
-        """Power off without asking, and take the disk away."""
+    def unmount(self) -> None:
+        """Power off without asking, and take the disk out; what is on it stays."""
         self.cut_power()
         run(["umount", "--lazy", self.disk], check=False)
+
+    def remove(self) -> None:
+        """The same, and the disk is thrown away."""
+        self.unmount()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def power_on(self) -> None:
@@ -138,7 +152,7 @@ class Machine:
     def on(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
-    def run(self, *words: str, check: bool = True, timeout_s: float = 120.0) -> str:
+    def run(self, *words: str, check: bool = True, timeout_s: float = 240.0) -> str:
         """What a command said inside the running machine."""
         enter = ["nsenter", f"--target={self._leader}", "--mount", "--uts", "--ipc", "--net", "--pid", "--root", "--wd"]
         environment = ["env", "-i", "PATH=/opt/tuberline/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL=C.UTF-8"]
@@ -176,6 +190,10 @@ class Machine:
             if group.parent.name == "cpuset":
                 for name in ("cpuset.cpus", "cpuset.mems"):
                     (group / name).write_text((group.parent / name).read_text(encoding="utf-8"), encoding="utf-8")
+            # All of a group's processes share what one process of nice 0 would get: a line has five.
+            for name, normal in (("cpu.shares", 1024), ("cpu.weight", 100)):
+                if (group / name).exists():
+                    (group / name).write_text(str(round(5 * normal * 1.25 ** -os.nice(0))), encoding="utf-8")
 
     def _enter_cgroups(self) -> None:
         for group in self._cgroups():

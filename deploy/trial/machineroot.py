@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Sequence
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.trial import base
+from deploy.trial.machine import TOOLS, make_network, remove_network
 from deploy.trial.pipsettings import write_settings
-from deploy.trial.tools import ROOT, output, run, say
+from deploy.trial.tools import ROOT, need_root, need_tools, output, run, say, workdir
 
 SOURCE = "/usr/src/tuberline"
 TORCH = "torch==2.13.0"
+
+
+@contextmanager
+def machines_on(what: str, *, keep: bool) -> Iterator[tuple[Path, Path]]:
+    """(folder, root) for machines of the trial `what`, with their network; all of it goes at the end unless `keep`.
+
+    Raises:
+        TrialError: not root, or a tool is missing.
+    """
+    need_tools({**TOOLS, "debootstrap": "debootstrap"})
+    folder = workdir("machine")
+    need_root(what, f"it makes a Debian root under {folder}, mounts, boots machines, kills them, adds control groups")
+    os.umask(0o022)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        root = machine_root(folder)
+        make_network()
+        yield folder, root
+    finally:
+        remove_network()
+        if not keep:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def machine_root(folder: Path) -> Path:

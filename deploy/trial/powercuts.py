@@ -4,6 +4,9 @@ Law: after every cut the line goes on by itself; every tuber that its ledger hel
 same numbers; and the ledger at the end is that of an undisturbed replay of what the camera could see. In the first
 outages the belt runs on: the frames of that piece of belt are taken out of the recording, ahead of what has been looked
 at, so that the camera never shows them and coverage has to tell. In the others it stands still with the power.
+
+The camera begins its recording again after each cut. So a cut comes when the ledger holds a random number of tubers,
+more than at the one before: every run has to pass all that was cut off and to count on from there.
 """
 
 from __future__ import annotations
@@ -11,32 +14,48 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import os
 import random
-import shutil
-import signal
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from dataclasses import field as filled
 from pathlib import Path
 from time import monotonic, sleep
 
 from deploy.trial import field
-from deploy.trial.boot import all_active, counted_as, install
-from deploy.trial.machine import TOOLS, Machine, make_network, remove_network
-from deploy.trial.machineroot import machine_root
-from deploy.trial.tools import TrialError, ended, into_docs, need_root, need_tools, say, table, until, workdir
+from deploy.trial.machine import Machine
+from deploy.trial.machineroot import machines_on
+from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 FPS = 10
 BELT_MPS = 0.1
-SPEED = 1.0
-"""Of the replay. After a cut it begins at its first frame again: this belt of 47 s ends in no run of RUNNING_S."""
 AHEAD_FRAMES = 80
 """Frames beyond the last mark of the ledger that may have been sent already: two seconds at four times its speed."""
 OFF_FRAMES = 40
 """Of one outage: 0.4 m of belt, more than a camera sees at once."""
 MOST_OFF_FRAMES = 5 * OFF_FRAMES
 AT_BOOT_S = (0.05, 4.0)
-RUNNING_S = (8.0, 45.0)
+RUNNING_S = (4.0, 8.0)
+"""The least that a machine is on before a cut of its running line."""
+LAST_CUT = 0.9
+"""Of the belt's tubers."""
+GOES_ON_S = 240.0
+"""Within so long a started line has to have counted the tubers of its next cut."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is cut, and how often."""
+
+    seed: int
+    cuts: int
+    tubers: int
+    speed: float
+
+    def moments(self) -> list[tuple[float, int | None]]:
+        """(seconds after power on, tubers that the ledger must hold or None while booting) of each cut."""
+        rng = random.Random(self.seed)
+        at_boot = [rng.random() < 1 / 3 for _ in range(self.cuts)]
+        counts = iter(sorted(rng.randint(0, int(LAST_CUT * self.tubers)) for _ in range(at_boot.count(False))))
+        return [(rng.uniform(*(AT_BOOT_S if boot else RUNNING_S)), None if boot else next(counts)) for boot in at_boot]
 
 
 @dataclass(slots=True)
@@ -45,11 +64,30 @@ class Cuts:
 
     at_boot: int = 0
     running: int = 0
-    lines_active: int = 0
     unseen_frames: int = 0
+    furthest_m: float = 0.0
+    """That the segmenter has looked at; marks begin again with the camera."""
     tubers_at_cut: list[int] = filled(default_factory=list)
     committed: dict[str, str] = filled(default_factory=dict)
     """Every tuber that a ledger held at any cut, by its number."""
+
+    @property
+    def done(self) -> int:
+        return self.at_boot + self.running
+
+
+def kept(file: Path, plan: Plan) -> Cuts | None:
+    """The cuts of this plan that an earlier call made; None where it has to begin."""
+    if not file.exists():
+        return None
+    said = json.loads(file.read_text(encoding="utf-8"))
+    return Cuts(**said["cuts"]) if said["plan"] == asdict(plan) else None
+
+
+def keep(file: Path, plan: Plan, cuts: Cuts) -> None:
+    draft = file.with_suffix(".draft")
+    draft.write_text(json.dumps({"plan": asdict(plan), "cuts": asdict(cuts)}), encoding="utf-8")
+    draft.replace(file)
 
 
 def belt_runs_on(belt: Path, travelled_m: float) -> int:
@@ -81,57 +119,87 @@ def take_stock(cuts: Cuts, seen: field.Seen) -> None:
     cuts.tubers_at_cut.append(len(now))
 
 
-def cut_again_and_again(machine: Machine, belt: Path, *, seed: int, n: int) -> Cuts:
-    """Switch on, wait for a random while, cut; a third of the cuts fall into the boot."""
-    rng = random.Random(seed)
-    cuts = Cuts()
-    for number in range(1, n + 1):
-        at_boot = rng.random() < 1 / 3
-        after_s = rng.uniform(*(AT_BOOT_S if at_boot else RUNNING_S))
-        machine.power_on()
-        start = monotonic()
-        cuts.at_boot += at_boot
-        cuts.running += not at_boot
-        while monotonic() - start < after_s:
-            sleep(min(0.25, max(0.0, after_s - (monotonic() - start))))
-        if not at_boot:
-            cuts.lines_active += machine.active(field.UNITS[1])
-        machine.cut_power()
-        seen = field.Seen(machine.disk)
-        take_stock(cuts, seen)
-        off = belt_runs_on(belt, seen.travelled_m) if cuts.unseen_frames < MOST_OFF_FRAMES else 0
-        cuts.unseen_frames += off
-        say(
-            f"cut {number}: {after_s:.2f} s after power on, {len(seen.tubers)} tubers, {seen.travelled_m:.2f} m, -{off}"
-        )
-    return cuts
+def cut_once(machine: Machine, belt: Path, cuts: Cuts, moment: tuple[float, int | None]) -> None:
+    """Switch on, wait for the moment, cut, and look at what is on the disk."""
+    least_s, tubers = moment
+    start = monotonic()
+    machine.power_on()
+    sleep(max(0.0, least_s - (monotonic() - start)))
+    if tubers is not None:
+        wanted = max(tubers, len(cuts.committed) + 1)
+        what = f"{wanted} tubers in the ledger after cut {cuts.done}"
+        until(lambda: len(field.Seen(machine.disk).tubers) >= wanted, what, timeout_s=GOES_ON_S, every_s=0.4)
+    on_s = monotonic() - start
+    machine.cut_power()
+    cuts.at_boot += tubers is None
+    cuts.running += tubers is not None
+    seen = field.Seen(machine.disk)
+    take_stock(cuts, seen)
+    cuts.furthest_m = max(cuts.furthest_m, seen.travelled_m)
+    off = belt_runs_on(belt, cuts.furthest_m) if cuts.unseen_frames < MOST_OFF_FRAMES else 0
+    cuts.unseen_frames += off
+    say(
+        f"cut {cuts.done}: {on_s:.2f} s after power on, {len(seen.tubers)} tubers, {seen.travelled_m:.2f} m, "
+        f"{off} frames gone"
+    )
 
 
-def trial(folder: Path, root: Path, *, seed: int, n: int, tubers: int, speed: float) -> list[tuple[object, ...]]:
-    recordings = field.simulate(folder / "cut-recordings", seed=seed, tubers=tubers, fps=FPS, speed_mps=BELT_MPS)
-    machine = Machine(folder, root, "cut", 3, {str(recordings): "/recordings"}).make()
+def begin(machine: Machine, recordings: Path, plan: Plan) -> Cuts:
+    """A new belt, and a machine with the line installed, switched off."""
+    field.simulate(recordings, seed=plan.seed, tubers=plan.tubers, fps=FPS, speed_mps=BELT_MPS)
+    machine.make()
+    machine.power_on()
+    machine.booted()
+    field.install(machine, field.config(speed=plan.speed), field.ROLES, "--no-start")
+    machine.shut_down()
+    return Cuts()
+
+
+def trial(folder: Path, root: Path, plan: Plan, part: int | None) -> list[tuple[object, ...]]:
+    """The table; empty where only a part of the cuts was asked for and more are to come."""
+    recordings, state = folder / "cut-recordings", folder / "cuts.json"
+    machine = Machine(folder, root, "cut", 3, {str(recordings): "/recordings"})
+    cuts = kept(state, plan)
     try:
-        machine.power_on()
-        machine.booted()
-        install(machine, field.config(speed=speed), field.ROLES)
-        all_active(machine, field.UNITS)
-        cuts = cut_again_and_again(machine, recordings / "belt", seed=seed, n=n)
-        machine.power_on()
-        went_on_s = all_active(machine, field.UNITS)
-        until(lambda: field.Seen(machine.disk).finished, "the load counted", timeout_s=900, every_s=3.0)
-        last = field.Seen(machine.disk)
-        take_stock(cuts, last)
-        reference = field.replayed(recordings, folder / "cut-reference")
-        counted_as(machine, reference)
+        if cuts is None:
+            cuts = begin(machine, recordings, plan)
+            keep(state, plan, cuts)
+        else:
+            machine.unmount()  # an earlier call may have ended before it could
+            machine.mount()
+        last = plan.cuts if part is None else min(plan.cuts, cuts.done + part)
+        for moment in plan.moments()[cuts.done : last]:
+            cut_once(machine, recordings / "belt", cuts, moment)
+            keep(state, plan, cuts)
+        if last < plan.cuts:
+            say(f"{cuts.done} of {plan.cuts} cuts; call it again for the others")
+            return []
+        rows = the_end(folder, machine, recordings, plan, cuts)
     finally:
-        machine.remove()
+        machine.unmount()
+    state.unlink()
+    machine.remove()
+    return rows
+
+
+def the_end(folder: Path, machine: Machine, recordings: Path, plan: Plan, cuts: Cuts) -> list[tuple[object, ...]]:
+    """Power stays: the load is counted to its end, and compared."""
+    machine.power_on()
+    went_on_s = field.all_active(machine, field.UNITS)
+    until(lambda: field.Seen(machine.disk).finished, "the load counted", timeout_s=900, every_s=3.0)
+    last = field.Seen(machine.disk)
+    at_cuts = list(cuts.tubers_at_cut)
+    take_stock(cuts, last)
+    reference = field.replayed(recordings, folder / "cut-reference")
+    field.counted_as(machine, reference)
     summary = json.loads((folder / "cut-reference/summary.json").read_text(encoding="utf-8"))
     coverage = summary["totals"]["coverage"]
     if cuts.unseen_frames and coverage >= 1.0:
         raise TrialError(f"{cuts.unseen_frames} frames were never seen and coverage is {coverage}")
+    booting = f"{cuts.at_boot} within {AT_BOOT_S[1]:g} s of power on"
     return [
-        ("power cuts", f"{n}, seed {seed}: {cuts.at_boot} within {AT_BOOT_S[1]:g} s of power on, {cuts.running} later"),
-        ("tubers in the ledger at the cuts", ", ".join(map(str, cuts.tubers_at_cut[:-1]))),
+        ("power cuts", f"{cuts.done}, seed {plan.seed}: {booting}, {cuts.running} later"),
+        ("tubers in the ledger at the cuts", ", ".join(map(str, at_cuts))),
         ("after the last cut", f"all units active by themselves after {went_on_s:.0f} s"),
         ("acknowledged and lost, or changed", "0"),
         ("belt that ran on while the power was off", f"{cuts.unseen_frames} frames; coverage {100 * coverage:.1f} %"),
@@ -144,25 +212,17 @@ def main() -> None:
     parser.add_argument("--keep", action="store_true", help="keep the installed root for the next time")
     parser.add_argument("--seed", type=int, default=1630, help="of the belt and of the moments of the cuts")
     parser.add_argument("--cuts", type=int, default=30)
-    parser.add_argument("--tubers", type=int, default=72)
-    parser.add_argument("--speed", type=float, default=SPEED, help="of the replay: faster for fewer cuts")
+    parser.add_argument("--part", type=int, help="at most so many cuts now, the next call goes on; keeps the root")
+    parser.add_argument("--tubers", type=int, default=150)
+    parser.add_argument("--speed", type=float, default=4.0, help="of the replay")
     given = parser.parse_args()
-    need_tools({**TOOLS, "debootstrap": "debootstrap"})
-    folder = workdir("machine")
-    need_root("make powercuts", f"it makes a Debian root under {folder}, mounts, and boots a machine that it kills")
-    os.umask(0o022)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        root = machine_root(folder)
-        make_network()
-        rows = trial(folder, root, seed=given.seed, n=given.cuts, tubers=given.tubers, speed=given.speed)
+    plan = Plan(seed=given.seed, cuts=given.cuts, tubers=given.tubers, speed=given.speed)
+    with machines_on("make powercuts", keep=given.keep or given.part is not None) as (folder, root):
+        rows = trial(folder, root, plan, given.part)
         for row in rows:
             say(": ".join(map(str, row)))
-        into_docs("powercuts", table(("what", "seen"), rows))
-    finally:
-        remove_network()
-        if not given.keep:
-            shutil.rmtree(folder, ignore_errors=True)
+        if rows:
+            into_docs("powercuts", table(("what", "seen"), rows))
 
 
 if __name__ == "__main__":

@@ -42,7 +42,10 @@ def run(
 ) -> subprocess.CompletedProcess[str]:
     """Run a command with its output kept; a failure is told with the end of what it said."""
     words = [str(word) for word in command]
-    done = subprocess.run(words, capture_output=True, text=True, input=text, check=False, timeout=timeout_s)
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, input=text, check=False, timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        raise TrialError(f"{' '.join(words)[:300]} was not done after {timeout_s:.0f} s") from None
     if check and done.returncode != 0:
         said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-15:])[-1500:]
         raise TrialError(f"{' '.join(words)[:300]} ended with {done.returncode}:\n{said}")

@@ -89,6 +89,7 @@ class Sidecar(_Part):
     volume_rule: dict[str, Any] | None = None
     blend: dict[str, Any] | None = None
     shared_level_share_per_mm: float = Field(0.0, ge=0, le=0.2)
+    shared_other_share: float = Field(0.0, ge=0, le=0.5)
     worlds: tuple[str, ...] = ()
     training: dict[str, Any] = Field(default_factory=dict)
     metrics: dict[str, Any] = Field(default_factory=dict)

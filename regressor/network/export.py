@@ -2,8 +2,9 @@
 
 Inputs (B clouds): `groups` (B, 256, 3) float32: 64 neighbours, 64 first-stage and 128 second-stage centroids, centred,
 metres, as `regressor.network.fast.groups_tensor` lays them out; `height_m` (B,) float32 above the resting level;
-`features` (B, 17) float64 of the visible surface; `belt_sd_m` (B,) float64. Outputs, (B,) float64 grams: `weight_g`
-with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of, `network_g` and `volume_g`.
+`features` (B, 17) float64 of the visible surface; `belt_sd_m` and `noise_px` (B,) float64. Outputs, (B,) float64
+grams: `weight_g` with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of, `network_g`
+and `volume_g`.
 Clouds whose radius binds (`grouping.GatheredGroups`) are not for this form.
 """
 
@@ -33,7 +34,8 @@ PREPARATION = (
     "that looks straight down. groups (256, 3): of the cleaned cloud, centred on the mean of its points, z away from "
     "the camera, farthest-point sampling from the first point gives 64 neighbours, the first 64 centroids and the "
     "first 128 centroids, one after the other. height_m: of the highest point above the level where undersides lie. "
-    "features: of the visible surface, in the order that 'features' names. belt_sd_m: standard deviation of that level."
+    "features: of the visible surface, in the order that 'features' names. belt_sd_m: standard deviation of that "
+    "level. noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known."
 )
 OUTPUTS_TOLD = (
     "grams, one per cloud. weight_g with its 90 % interval low_g to high_g as a ledger has a single view; network_g is "
@@ -85,6 +87,7 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
         torch.zeros(count, 2 * NEIGHBOURS + CENTROIDS_2, 3),
         torch.zeros(count),
         torch.ones(count, len(NAMES), dtype=torch.float64),
+        torch.zeros(count, dtype=torch.float64),
         torch.zeros(count, dtype=torch.float64),
     )
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -112,7 +112,7 @@ class _Worker:
             self._answered[key] = weight
             self._count(weight)
         for key, view in zip(keys, views, strict=True):
-            self._publisher(view.camera).put(self._answered[key])
+            self._publisher(view.camera).put(self._answered[key].within(view.takes))
         while len(self._answered) > REMEMBERED_ANSWERS:
             self._answered.popitem(last=False)
 

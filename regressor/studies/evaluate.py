@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_flags import CAMERA_UNLIKE
 from conveyor.errors import InputError
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
@@ -46,8 +48,9 @@ class Evaluation:
         weight_g: (n,) truth. tuber, recording, and `groups` (name of a grouping to (n,) labels): (n,) str.
         level_sd_m: (n,) how well the resting level is known, standard deviation.
         flags: how many views carried each. refused: views that could not be weighed, by reason.
-        shared_sd_share, shared_bias_share, shared_level_share_per_mm: of the weights' sidecar, for the intervals of
-            fused tubers and of loads.
+        unlike: (n,) whether a view was flagged as one of a camera unlike those that the weights were trained for.
+        shared_sd_share, shared_bias_share, shared_level_share_per_mm, shared_other_share: of the weights' sidecar, for
+            the intervals of fused tubers and of loads.
     """
 
     predicted: dict[str, NDArray[np.float64]]
@@ -57,12 +60,14 @@ class Evaluation:
     tuber: NDArray[np.str_]
     recording: NDArray[np.str_]
     level_sd_m: NDArray[np.float64]
+    unlike: NDArray[np.bool_]
     groups: dict[str, NDArray[np.str_]]
     flags: dict[str, int]
     refused: dict[str, int]
     shared_sd_share: float
     shared_bias_share: float
     shared_level_share_per_mm: float
+    shared_other_share: float
     model: str
     target: str = "weight_g"
 
@@ -151,12 +156,14 @@ def _collect(
         tuber=tuber,
         recording=np.array([view.recording for view in views]),
         level_sd_m=np.array([view.level_sd_m for view in views]),
+        unlike=np.array([CAMERA_UNLIKE in answer.flags for answer in answers]),
         groups=_groups(views),
         flags=dict(Counter(flag for answer in answers for flag in answer.flags)),
         refused=refused,
         shared_sd_share=weigher.sidecar.shared_sd_share,
         shared_bias_share=weigher.sidecar.shared_bias_share,
         shared_level_share_per_mm=weigher.sidecar.shared_level_share_per_mm,
+        shared_other_share=weigher.sidecar.shared_other_share,
         model=weigher.sidecar.model_id,
         target=weigher.sidecar.target,
     )
@@ -237,9 +244,11 @@ def load_half_share(result: Evaluation, rows: NDArray[np.bool_]) -> float:
     By the ledger's rule for a load before any ticket, with the resting level as well known as these rows say, and never
     less than what the weights' own calibration found in its recordings.
     """
-    level_mm = 1e3 * float(np.sqrt(np.mean(result.level_sd_m[rows] ** 2)))
-    found = float(np.hypot(result.shared_bias_share, result.shared_level_share_per_mm * level_mm))
-    return max(NORMAL_90 * shared_sd_share(level_mm), found)
+    level_mm, other = 1e3 * float(np.sqrt(np.mean(result.level_sd_m[rows] ** 2))), float(result.unlike[rows].mean())
+    found = math.hypot(
+        result.shared_bias_share, result.shared_level_share_per_mm * level_mm, result.shared_other_share * other
+    )
+    return max(NORMAL_90 * shared_sd_share(level_mm, other_share=other), found)
 
 
 def fused_tubers(

@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
@@ -23,7 +24,7 @@ from regressor.training.labelled import UNKNOWN
 from regressor.training.train import SWIFT, predict
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
-from regressor.weigh.interval import IntervalRule, calibrate
+from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
@@ -41,6 +42,7 @@ class Calibration:
     shared_sd_share: float
     shared_bias_share: float
     shared_level_share_per_mm: float
+    shared_other_share: float
 
     def sidecar_keys(self) -> dict[str, Any]:
         """As they stand in a sidecar."""
@@ -49,25 +51,48 @@ class Calibration:
             "shared_sd_share": self.shared_sd_share,
             "shared_bias_share": self.shared_bias_share,
             "shared_level_share_per_mm": self.shared_level_share_per_mm,
+            "shared_other_share": self.shared_other_share,
         }
 
 
 def calibration(
-    network_g: NDArray[np.float64], volume_g: NDArray[np.float64], data: CloudSet, *, rule: BlendRule
+    network_g: NDArray[np.float64],
+    volume_g: NDArray[np.float64],
+    data: CloudSet,
+    *,
+    rule: BlendRule,
+    worlds: tuple[str, ...],
 ) -> Calibration:
-    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`."""
+    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`.
+
+    `worlds`: that the weights were trained on; views of others have cameras unlike those.
+    """
     weight_g = rule.weights_g(network_g, volume_g, data.features)
     terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
     recordings = len(np.unique(data.recording))
-    independent = recordings if recordings >= MIN_RECORDINGS else None
-    interval = calibrate(weight_g, data.weight_g, terms, independent=independent)
-    low_g, high_g = interval.bounds_g(weight_g, terms)
-    own, per_mm = load_shares(weight_g, data)
+    unlike = np.isin(data.preset, list(CAMERAS)) & ~np.isin(data.preset, worlds)
+    if all(len(np.unique(data.recording[kind])) >= MIN_RECORDINGS for kind in (unlike, ~unlike)):
+        interval = calibrate_cameras(
+            weight_g,
+            data.weight_g,
+            terms,
+            noise_px=data.noise_px,
+            features=data.features,
+            unlike=unlike,
+            recording=data.recording,
+        )
+    else:
+        independent = recordings if recordings >= MIN_RECORDINGS else None
+        interval = calibrate(weight_g, data.weight_g, terms, independent=independent)
+    chance = interval.unlike(data.noise_px, data.features)
+    low_g, high_g = interval.bounds_g(weight_g, terms, chance)
+    own, per_mm, other = load_shares(weight_g, data, chance)
     return Calibration(
         interval=interval,
         shared_sd_share=fused_share(weight_g, low_g, high_g, data.weight_g, data.tuber, level=interval.level),
         shared_bias_share=own,
         shared_level_share_per_mm=per_mm,
+        shared_other_share=other,
     )
 
 
@@ -97,17 +122,20 @@ def fused_share(
     return round(float(np.sqrt(np.clip(np.quantile(needed, position), 0.0, 1.0))), 4)
 
 
-def load_shares(weight_g: NDArray[np.float64], data: CloudSet) -> tuple[float, float]:
-    """(own, per mm): half of the 90 % interval of what all tubers of a load have in common, as shares of its weight.
+def load_shares(
+    weight_g: NDArray[np.float64], data: CloudSet, unlike: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """(own, per mm, other): half of the 90 % interval of what all tubers of a load share, as shares of its weight.
 
     The bias of the total differs between recordings by more than their tubers' number explains: that part does not
-    shrink with the count. Its square is own^2 plus (per mm times the standard deviation of the resting level)^2; own,
-    camera and cultivar, is at least 1 %. Where recordings are unknown, stock, distance and site stand for them and all
-    of it is the load's own.
+    shrink with the count. Its square is own^2, plus (per mm times the standard deviation of the resting level)^2, plus
+    other^2 as far as the recording's views are of cameras unlike those trained for (`unlike`: (n,) chances); own,
+    cultivar and what the weights misjudge, is at least 1 %. Where recordings are unknown, stock, distance and site
+    stand for them and all of it is the load's own.
     """
     known = not (data.recording == UNKNOWN).all() and len(np.unique(data.recording)) >= MIN_RECORDINGS
     load = data.recording if known else _stocks(data)
-    bias, chance, weight, level_mm = [], [], [], []
+    bias, chance, weight, level_mm, other = [], [], [], [], []
     for name in np.unique(load):
         rows = load == name
         _, owner = np.unique(data.tuber[rows], return_inverse=True)
@@ -120,16 +148,16 @@ def load_shares(weight_g: NDArray[np.float64], data: CloudSet) -> tuple[float, f
         chance.append(len(count) * float(error.var(ddof=1)) / total**2)
         weight.append(len(count))
         level_mm.append(1e3 * float(np.sqrt(np.mean(data.level_sd_m[rows] ** 2))))
+        other.append(float(unlike[rows].mean()))
     if not bias:
-        return 0.05, 0.0
+        return 0.05, 0.0, 0.0
     excess = np.square(bias) - np.array(chance)
     if not known:
         shared = float(np.average(excess, weights=weight))
-        return round(max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(max(shared, 0.0)))), 4), 0.0
-    design = np.column_stack([np.ones(len(excess)), np.square(level_mm)])
-    parts, _ = nnls(design, excess)
-    own, per_mm = max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(parts[0]))), NORMAL_90 * float(np.sqrt(parts[1]))
-    return round(own, 4), round(per_mm, 5)
+        return round(max(LEAST_BIAS, NORMAL_90 * float(np.sqrt(max(shared, 0.0)))), 4), 0.0, 0.0
+    design = np.column_stack([np.ones(len(excess)), np.square(level_mm), np.square(other)])
+    own, per_mm, of_others = NORMAL_90 * np.sqrt(nnls(design, excess)[0])
+    return round(max(LEAST_BIAS, float(own)), 4), round(float(per_mm), 5), round(float(of_others), 4)
 
 
 def _stocks(data: CloudSet) -> NDArray[np.str_]:
@@ -167,7 +195,7 @@ def recalibrate(
     )
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
     rule = sidecar.blend_rule
-    found = calibration(network_g, volume_g, views, rule=rule)
+    found = calibration(network_g, volume_g, views, rule=rule, worlds=sidecar.worlds)
     weight_g = rule.weights_g(network_g, volume_g, views.features)
     metrics = {**sidecar.metrics, "calibration": scores(weight_g, views.weight_g, views.tuber)}
     return save_checkpoint(

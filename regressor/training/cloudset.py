@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
@@ -18,13 +19,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor import depth_noise
 from conveyor.errors import InputError
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
 from regressor.weigh import outline, prepare, surface
-from regressor.weigh.prepare import RefusedCloud
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 
 KEEP = 384
 
@@ -50,6 +52,7 @@ class CloudSet:
         rim_lost, shortest_deg, longest_deg, soil_mm: (n,) as in `LabelledView`, NaN where unknown.
         resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
         tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
+        noise_px: (n,) local noise on the skin, NaN where it is not known (`PreparedCloud.noise_px`).
         points_in_cloud: (n,) how many points the whole cloud had.
         refused: how many views could not be prepared, by reason.
     """
@@ -77,6 +80,7 @@ class CloudSet:
     pose: NDArray[np.str_]
     rim: NDArray[np.str_]
     calibrated: NDArray[np.str_]
+    noise_px: NDArray[np.float64]
     points_in_cloud: NDArray[np.int64]
     refused: dict[str, int]
 
@@ -175,7 +179,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     for path in labelled_files(folder):
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
-    for module in (labelled, prepare, sampling, outline, surface):
+    for module in (labelled, prepare, sampling, outline, surface, depth_noise):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()[:16]
 
@@ -183,7 +187,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
 def _prepare_all(
     views: Iterable[LabelledView], folder: Path, keep: int, progress: Callable[[int], None] | None
 ) -> CloudSet:
-    kept: list[tuple[LabelledView, NDArray[np.float32], float, NDArray[np.float64], int]] = []
+    kept: list[tuple[LabelledView, NDArray[np.float32], PreparedCloud, int]] = []
     refused: Counter[str] = Counter()
     for done, view in enumerate(views, start=1):
         try:
@@ -191,9 +195,9 @@ def _prepare_all(
         except RefusedCloud as error:
             refused[error.reason] += 1
             continue
-        kept.append(
-            (view, _first_points(cloud.points, keep), cloud.height_m, cloud.surface.as_array(), len(cloud.points))
-        )
+        # The whole cloud is let go: its first points are what is kept of it.
+        points = _first_points(cloud.points, keep)
+        kept.append((view, points, replace(cloud, points=cloud.points[:0]), len(cloud.points)))
         if progress is not None and done % 200 == 0:
             progress(done)
     if not kept:
@@ -201,8 +205,9 @@ def _prepare_all(
     labels = [view for view, *_ in kept]
     return CloudSet(
         points=np.stack([points for _, points, *_ in kept]),
-        height_m=np.array([height for _, _, height, *_ in kept]),
-        features=np.stack([features for *_, features, _ in kept]),
+        height_m=np.array([cloud.height_m for *_, cloud, _ in kept]),
+        features=np.stack([cloud.surface.as_array() for *_, cloud, _ in kept]),
+        noise_px=np.array([math.nan if cloud.noise_px is None else cloud.noise_px for *_, cloud, _ in kept]),
         points_in_cloud=np.array([count for *_, count in kept]),
         refused=dict(refused),
         **{name: np.array([getattr(view, name) for view in labels]) for name in LABELS},

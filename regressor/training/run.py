@@ -149,6 +149,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
     by_volume = rule.weights_g(validation.features)
     share = best_share(predicted, by_volume, validation.weight_g)
     blended = blend(predicted, by_volume, share)
+    worlds = tuple(str(name) for name in np.unique(data.preset) if name in CAMERAS)
     return Sidecar(
         name=options.name,
         target=training.settings.target,
@@ -162,9 +163,9 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         belt_distance_m=_range(data.belt_distance_m, 0.02),
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
-        worlds=tuple(str(name) for name in np.unique(data.preset) if name in CAMERAS),
+        worlds=worlds,
         volume_share=share,
-        **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
+        **calibration(predicted, by_volume, validation, rule=BlendRule(share), worlds=worlds).sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,

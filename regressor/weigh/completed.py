@@ -10,6 +10,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 NAMES = ("completed_length_mm", "completed_width_mm", "completed_thickness_mm", "completed_mesh_mm")
@@ -41,13 +42,11 @@ def completed_sizes_mm(
     high = distance_m - points[:, 2] > LEAST_HEIGHT * height_m
     points = points[high] - np.array([middle[0], middle[1], middle_z])
     directions, frames = _directions()
-    along = points @ directions.T
-    extremes = np.unique(np.concatenate([along.argmax(axis=0), along.argmin(axis=0)]))
-    hull = points[extremes]
-    reach = 2000 * np.abs(hull @ directions.T).max(axis=0)
+    hull = points[_extremes(points @ directions.T)]
+    reach = _reach_mm(hull @ directions.T)
     longest = int(reach.argmax())
-    around = _around(directions[longest])
-    across = 2000 * np.abs(hull @ around.T).max(axis=0)
+    around = _around_direction(longest)
+    across = _reach_mm(hull @ around.T)
     thinnest = int(across.argmin())
     widest = (thinnest + len(around) // 2) % len(around)
     mesh = _mesh_mm(hull, frames)
@@ -56,28 +55,69 @@ def completed_sizes_mm(
 
 def _mesh_mm(hull: NDArray[np.float64], frames: NDArray[np.float64]) -> float:
     """The least square hole over all `frames` (n, 2, 3), then refined about the best of them."""
-    side = 2000 * np.abs(hull @ frames.reshape(-1, 3).T).max(axis=0).reshape(-1, 2).max(axis=1)
+    side = _reach_mm(hull @ frames.reshape(-1, 3).T).reshape(-1, 2).max(axis=1)
     best = int(side.argmin())
     here, u, v = float(side[best]), frames[best, 0], frames[best, 1]
     for step in STEPS_RAD:
         tried = _turned(u, v, step)
-        side = 2000 * np.abs(hull @ tried.reshape(-1, 3).T).max(axis=0).reshape(-1, 2).max(axis=1)
+        side = _reach_mm(hull @ tried.reshape(-1, 3).T).reshape(-1, 2).max(axis=1)
         best = int(side.argmin())
         if side[best] < here:
             here, u, v = float(side[best]), tried[best, 0], tried[best, 1]
     return here
 
 
+@njit(cache=True, nogil=True)
 def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """(26, 2, 3) the pair (u, v) turned by about `step` about every sum of its axes and their opposites."""
-    w = np.cross(u, v)
-    a, b, c = (step * n.ravel() for n in np.meshgrid(*[(-1.0, 0.0, 1.0)] * 3))
-    first = u + c[:, None] * v - b[:, None] * w
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = v - c[:, None] * u + a[:, None] * w
-    second -= (second * first).sum(axis=1, keepdims=True) * first
-    second /= np.linalg.norm(second, axis=1, keepdims=True)
-    return np.stack([first, second], axis=1)
+    """(27, 2, 3) the pair (u, v) as it is, and turned by about `step` about sums of its axes and their opposites."""
+    w = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
+    turned = np.empty((27, 2, 3))
+    for n in range(27):
+        b, a, c = (n // 9 - 1) * step, (n // 3 % 3 - 1) * step, (n % 3 - 1) * step
+        first = u + c * v - b * w
+        first /= np.sqrt(first[0] * first[0] + first[1] * first[1] + first[2] * first[2])
+        second = v - c * u + a * w
+        second -= (second[0] * first[0] + second[1] * first[1] + second[2] * first[2]) * first
+        second /= np.sqrt(second[0] * second[0] + second[1] * second[1] + second[2] * second[2])
+        turned[n, 0], turned[n, 1] = first, second
+    return turned
+
+
+@njit(cache=True, nogil=True)
+def _extremes(along: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) which points have the first highest or lowest of their (n, m) places along m directions.
+
+    Point after point, all directions at once: NumPy would jump from row to row for each direction.
+    """
+    highest, lowest = along[0].copy(), along[0].copy()
+    last, first = np.zeros(along.shape[1], np.int64), np.zeros(along.shape[1], np.int64)
+    for n in range(1, len(along)):
+        for k in range(along.shape[1]):
+            value = along[n, k]
+            last[k] = n if value > highest[k] else last[k]
+            highest[k] = value if value > highest[k] else highest[k]
+            first[k] = n if value < lowest[k] else first[k]
+            lowest[k] = value if value < lowest[k] else lowest[k]
+    extreme = np.zeros(len(along), np.bool_)
+    extreme[last] = extreme[first] = True
+    return extreme
+
+
+@njit(cache=True, nogil=True)
+def _reach_mm(along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m,) millimetres across the body along m directions, from the (n, m) places of its points, metres."""
+    reach = np.zeros(along.shape[1])
+    for n in range(len(along)):
+        for k in range(along.shape[1]):
+            away = abs(along[n, k])
+            reach[k] = away if away > reach[k] else reach[k]
+    return 2000 * reach
+
+
+@lru_cache
+def _around_direction(index: int) -> NDArray[np.float64]:
+    """`_around` one of the `_directions`."""
+    return _around(_directions()[0][index])
 
 
 def _around(axis: NDArray[np.float64]) -> NDArray[np.float64]:

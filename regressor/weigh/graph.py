@@ -19,10 +19,11 @@ from regressor.weigh.blend import MOST_CORRECTION, BlendRule
 from regressor.weigh.interval import IntervalRule
 from regressor.weigh.quadratic import UNITS, QuadraticRule
 from regressor.weigh.surface import NAMES
+from regressor.weigh.unlike import HOLES, LEAST_PX, MANY_HOLES, MUCH_PX, TYPICAL_PX, CameraRule
 from regressor.weigh.viewscale import OWN_ERROR, TYPICAL_G, ScaleRule
 from regressor.weigh.volume import TYPICAL_RULE, VolumeRule
 
-INPUTS = ("groups", "height_m", "features", "belt_sd_m")
+INPUTS = ("groups", "height_m", "features", "belt_sd_m", "noise_px")
 OUTPUTS = ("weight_g", "low_g", "high_g", "network_g", "volume_g")
 
 
@@ -38,17 +39,21 @@ class WeighingGraph(nn.Module):
         self._interval = sidecar.interval_rule
         self.eval()
 
-    def forward(self, groups: Tensor, height_m: Tensor, features: Tensor, belt_sd_m: Tensor) -> tuple[Tensor, ...]:
+    def forward(
+        self, groups: Tensor, height_m: Tensor, features: Tensor, belt_sd_m: Tensor, noise_px: Tensor
+    ) -> tuple[Tensor, ...]:
         """(B,) grams each, in the order of `OUTPUTS`.
 
         Args:
             groups: (B, 256, 3) float32, as `groups_tensor` lays them out. height_m: (B,) float32 above the resting
-                level. features: (B, 17) float64 in the order of `surface.NAMES`. belt_sd_m: (B,) float64.
+                level. features: (B, 17) float64 in the order of `surface.NAMES`. belt_sd_m, noise_px: (B,) float64; a
+                noise of 0 is one that is not known.
         """
         network_g = self.network(groups, height_m.clamp(0.0, self._highest_m)).double()
         volume_g = volume_rule(self._volume, features)
         weight_g = blended(self._blend, network_g, volume_g, features)
-        low_g, high_g = self._bounds(weight_g, network_g, volume_g, features, height_m.double(), belt_sd_m)
+        terms = view_terms(weight_g, network_g, volume_g, features, height_m.double(), belt_sd_m)
+        low_g, high_g = self._bounds(weight_g, terms, features, noise_px)
         # A network that fails is not believed: the visible volume weighs alone.
         fine = network_g > 0
         factor = math.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05))
@@ -60,18 +65,17 @@ class WeighingGraph(nn.Module):
             volume_g,
         )
 
-    def _bounds(
-        self, weight_g: Tensor, network_g: Tensor, volume_g: Tensor, features: Tensor, height_m: Tensor, sd_m: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def _bounds(self, weight_g: Tensor, terms: Tensor, features: Tensor, noise_px: Tensor) -> tuple[Tensor, Tensor]:
         rule = self._interval
+        idle = 0.0 * (noise_px + terms[:, 0])  # an input that nothing reads would not be one of the exported graph's
         if rule is None:
-            idle = 0.0 * sd_m  # an input that nothing reads would not be one of the exported graph's
             return 0.7 * weight_g + idle, 1.3 * weight_g
-        scale = _one(weight_g)
-        if rule.scale is not None:
-            terms = view_terms(weight_g, network_g, volume_g, features, height_m, sd_m)
-            scale = scale_rule(rule.scale, terms)
-        return bounds(rule, weight_g, scale)
+        below, above = reach(rule, weight_g, terms)
+        if rule.camera is not None and rule.other is not None:
+            unlike = camera_rule(rule.camera, noise_px, features)
+            others = reach(rule.other, weight_g, terms)
+            below, above = below + unlike * (others[0] - below), above + unlike * (others[1] - above)
+        return (weight_g + below + idle).clamp(min=0.0), weight_g + above
 
 
 def volume_rule(rule: VolumeRule, features: Tensor) -> Tensor:
@@ -121,11 +125,25 @@ def scale_rule(rule: ScaleRule, terms: Tensor) -> Tensor:
     return (rule.intercept + _between(terms, rule.low, rule.high) @ _row(rule.slopes)).exp()
 
 
-def bounds(rule: IntervalRule, weight_g: Tensor, scale: Tensor) -> tuple[Tensor, Tensor]:
-    """((B,), (B,)) grams; as `IntervalRule.bounds_g`."""
-    low = weight_g + (scale * _interpolated(weight_g, rule.at_g, rule.below_g)).clamp(max=0.0)
-    high = weight_g + (scale * _interpolated(weight_g, rule.at_g, rule.above_g)).clamp(min=0.0)
-    return low.clamp(min=0.0), high
+def camera_rule(rule: CameraRule, noise_px: Tensor, features: Tensor) -> Tensor:
+    """(B,) chances; as `CameraRule.chance`."""
+    noise = torch.where(noise_px > 0, noise_px, TYPICAL_PX * _one(noise_px)).clamp(min=LEAST_PX)
+    holes = features[:, HOLES]
+    terms = [
+        (noise / TYPICAL_PX).log(),
+        (noise / MUCH_PX).clamp(min=1.0).log(),
+        holes.sqrt(),
+        (holes / MANY_HOLES).clamp(max=1.0),
+    ]
+    return torch.sigmoid(rule.intercept + torch.stack(terms, dim=1) @ _row(rule.slopes))
+
+
+def reach(rule: IntervalRule, weight_g: Tensor, terms: Tensor) -> tuple[Tensor, Tensor]:
+    """((B,) at most 0, (B,) at least 0) grams from a weight to its bounds; as in `IntervalRule.bounds_g`."""
+    scale = _one(weight_g) if rule.scale is None else scale_rule(rule.scale, terms)
+    below = (scale * _interpolated(weight_g, rule.at_g, rule.below_g)).clamp(max=0.0)
+    above = (scale * _interpolated(weight_g, rule.at_g, rule.above_g)).clamp(min=0.0)
+    return below, above
 
 
 def _interpolated(x: Tensor, at: Sequence[float], values: Sequence[float]) -> Tensor:

@@ -4,29 +4,38 @@ Split conformal prediction on normalised residuals: truth minus prediction, divi
 suggests (`regressor.weigh.viewscale`). Their 5 % and 95 % quantiles per class of the predicted weight (with the
 finite-sample correction) times the scale are added to a prediction; between the classes' centres they are
 interpolated, so that the interval does not jump. Sidecars made before there was a scale hold grams: their scale is 1.
+
+Views of cameras unlike those that the weights were trained for (`regressor.weigh.unlike`) have scale and quantiles of
+their own. Which camera took a view is known with a chance only; the interval lies between the two by that chance.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from regressor.weigh.unlike import CameraRule, fit_camera
 from regressor.weigh.viewscale import ScaleRule, fit_scale
 
 LEVEL = 0.9
 EDGES_G = (0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0, np.inf)
 MIN_IN_CLASS = 40
+ROUNDS, WIDEST = 6, 0.06
+"""Of `calibrate_cameras`, and by how much a level may differ from the one that is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class IntervalRule:
     """Multiples of a view's scale (grams, where there is none) from a prediction to the two ends of its interval.
 
-    `at_g`: the predictions, rising, at which `below` and `above` hold.
+    Attributes:
+        at_g: the predictions, rising, at which `below_g` and `above_g` hold.
+        camera, other: how likely the view is of a camera unlike those trained for, and the interval that it has then;
+            None where only one kind of camera was calibrated.
     """
 
     level: float
@@ -35,31 +44,53 @@ class IntervalRule:
     above_g: tuple[float, ...]
     views: int
     scale: ScaleRule | None = None
+    camera: CameraRule | None = None
+    other: IntervalRule | None = None
+
+    def unlike(self, noise_px: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) chance that a camera unlike those trained for took each view; arguments of `unlike.camera_terms`."""
+        return self.camera.chance(noise_px, features) if self.camera else np.zeros(len(features))
 
     def bounds_g(
-        self, predicted_g: NDArray[np.float64], terms: NDArray[np.float64]
+        self, predicted_g: NDArray[np.float64], terms: NDArray[np.float64], unlike: NDArray[np.float64] | float = 0.0
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(low, high), each (n,) grams, for (n,) predictions; never below zero and never on the wrong side.
 
         Args:
-            terms: (n, 6) of `viewscale.view_terms`.
+            terms: (n, 6) of `viewscale.view_terms`. unlike: (n,) as `unlike` has it.
         """
+        below, above = self._reach_g(predicted_g, terms)
+        if self.other is not None:
+            others = self.other._reach_g(predicted_g, terms)
+            below, above = below + unlike * (others[0] - below), above + unlike * (others[1] - above)
+        return np.maximum(predicted_g + below, 0.0), predicted_g + above
+
+    def _reach_g(
+        self, predicted_g: NDArray[np.float64], terms: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """((n,) at most 0, (n,) at least 0) grams from each prediction to its bounds."""
         scale = 1.0 if self.scale is None else self.scale.scale_g(terms)
         below = scale * np.interp(predicted_g, self.at_g, self.below_g)
         above = scale * np.interp(predicted_g, self.at_g, self.above_g)
-        low = np.maximum(np.minimum(predicted_g + below, predicted_g), 0.0)
-        return low, np.maximum(predicted_g + above, predicted_g)
+        return np.minimum(below, 0.0), np.maximum(above, 0.0)
 
     def to_json(self) -> dict[str, Any]:
-        """For the sidecar of a checkpoint."""
-        return {**asdict(self), "scale": self.scale.to_json() if self.scale else None}
+        """For the sidecar of a checkpoint; of cameras only where there are two kinds."""
+        told = {**asdict(self), "scale": self.scale.to_json() if self.scale else None}
+        del told["camera"], told["other"]
+        if self.camera and self.other:
+            told |= {"camera": self.camera.to_json(), "other": self.other.to_json()}
+        return told
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> IntervalRule:
         """From the sidecar of a checkpoint."""
         values = {name: tuple(float(v) for v in data[name]) for name in ("at_g", "below_g", "above_g")}
         scale = ScaleRule.from_json(data["scale"]) if data.get("scale") else None
-        return cls(level=float(data["level"]), views=int(data["views"]), scale=scale, **values)
+        camera = CameraRule.from_json(data["camera"]) if data.get("camera") else None
+        other = cls.from_json(data["other"]) if data.get("other") else None
+        level, views = float(data["level"]), int(data["views"])
+        return cls(level=level, views=views, scale=scale, camera=camera, other=other, **values)
 
 
 def calibrate(
@@ -92,6 +123,49 @@ def calibrate(
         low, high = _quantiles(residual, level, independent)
         at, below, above = [float(np.median(predicted_g))], [low], [high]
     return IntervalRule(level, tuple(at), tuple(below), tuple(above), len(residual), scale)
+
+
+def calibrate_cameras(
+    predicted_g: NDArray[np.float64],
+    weight_g: NDArray[np.float64],
+    terms: NDArray[np.float64],
+    *,
+    noise_px: NDArray[np.float64],
+    features: NDArray[np.float64],
+    unlike: NDArray[np.bool_],
+    recording: NDArray[np.str_],
+    level: float = LEVEL,
+) -> IntervalRule:
+    """The rule that covers `level` of the views of cameras trained for, and of those of all others.
+
+    Some views of the others look like those trained for: their intervals are too narrow. So the ones that are
+    recognised are given a higher level, the least with which the others hold as a whole; and that makes some of those
+    trained for too wide, which gives theirs a lower one. A few rounds settle both.
+
+    Args:
+        predicted_g, weight_g, terms, level: as for `calibrate`. noise_px, features: as for `unlike.camera_terms`.
+        unlike: (n,) which views cameras took that the weights were not trained for. recording: (n,) of each view.
+    """
+    camera = fit_camera(noise_px, features, unlike)
+    chance = camera.chance(noise_px, features)
+    levels = [level, level]
+    for _ in range(ROUNDS):
+        kinds = [
+            calibrate(
+                predicted_g[rows],
+                weight_g[rows],
+                terms[rows],
+                level=levels[kind],
+                independent=len(np.unique(recording[rows])),
+            )
+            for kind, rows in enumerate((~unlike & (chance <= 0.5), unlike & (chance > 0.5)))
+        ]
+        rule = replace(kinds[0], level=level, camera=camera, other=replace(kinds[1], level=level))
+        low, high = rule.bounds_g(predicted_g, terms, chance)
+        held = (weight_g >= low) & (weight_g <= high)
+        for kind, rows in enumerate((~unlike, unlike)):
+            levels[kind] = float(np.clip(levels[kind] + level - held[rows].mean(), level - WIDEST, level + WIDEST))
+    return rule
 
 
 def _quantiles(residual: NDArray[np.float64], level: float, independent: int | None) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,15 +20,38 @@ def terms_of(
     features: NDArray[np.float64], names: tuple[str, ...], *, known: tuple[str, ...] = NAMES
 ) -> NDArray[np.float64]:
     """(n, k) of (n, m) features as in `known`: the logarithm of a feature with a unit, the feature itself else."""
-    columns = [features[:, known.index(name)] for name in names]
-    logs = [np.log(np.maximum(c, 1e-3)) if n.endswith(UNITS) else c for n, c in zip(names, columns, strict=True)]
-    return np.column_stack(logs)
+    columns, with_unit = _columns(names, known)
+    terms: NDArray[np.float64] = features[:, columns].astype(np.float64)
+    terms[:, with_unit] = np.log(np.maximum(terms[:, with_unit], 1e-3))
+    return terms
+
+
+@lru_cache
+def _columns(names: tuple[str, ...], known: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where `names` stand in `known`, and which of them have a unit."""
+    with_unit = [at for at, name in enumerate(names) if name.endswith(UNITS)]
+    return np.array([known.index(name) for name in names]), np.array(with_unit, np.int64)
+
+
+@lru_cache
+def _pairs(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and second of all pairs of so many terms."""
+    first, second = np.triu_indices(count)
+    return first, second
+
+
+@lru_cache(maxsize=64)
+def array_of(values: tuple[float, ...]) -> NDArray[np.float64]:
+    """The numbers of a rule as an array, made once; not to be written to."""
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
 
 
 def pairs_of(terms: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, k (k + 1) / 2) products of all pairs of terms, clipped to low..high and scaled to -1..1."""
     scaled = 2 * (np.clip(terms, low, high) - low) / np.maximum(high - low, 1e-9) - 1
-    first, second = np.triu_indices(terms.shape[1])
+    first, second = _pairs(terms.shape[1])
     return scaled[:, first] * scaled[:, second]
 
 
@@ -55,10 +79,10 @@ class QuadraticRule:
 
     def values(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) of (n, k) features in the order of `names`."""
-        low, high = np.array(self.low), np.array(self.high)
+        low, high = array_of(self.low), array_of(self.high)
         terms = np.clip(terms_of(features, self.names, known=self.names), low, high)
-        found = self.intercept + terms @ np.array(self.coefficients)
-        found = found + pairs_of(terms, low, high) @ np.array(self.products)
+        found = self.intercept + terms @ array_of(self.coefficients)
+        found = found + pairs_of(terms, low, high) @ array_of(self.products)
         clipped: NDArray[np.float64] = np.clip(found, self.least, self.most)
         return clipped
 

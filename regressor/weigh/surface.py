@@ -123,8 +123,8 @@ def surface_features(
 
 def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
     """Longest width of the outline over 36 directions in the plane and the one across it, metres."""
-    along = level_xy[:: max(1, len(level_xy) // 2000)] @ DIRECTIONS
-    widths = _widths(np.ascontiguousarray(along.T), TRIMMED)
+    along = DIRECTIONS.T @ np.ascontiguousarray(level_xy[:: max(1, len(level_xy) // 2000)].T)
+    widths = _widths(along, TRIMMED)
     longest = int(widths.argmax())
     return float(widths[longest]), float(widths[(longest + 18) % 36])
 
@@ -187,9 +187,9 @@ def _common(a: int, b: int) -> int:
 
 def _rim(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels of the outline that have a neighbour outside it."""
-    padded = np.pad(inside, 1)
-    all_round = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    return inside & ~all_round
+    rim = inside.copy()
+    rim[1:-1, 1:-1] &= ~(inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:])
+    return rim
 
 
 def _hull_m2(rim: NDArray[np.float64]) -> float:
@@ -199,15 +199,34 @@ def _hull_m2(rim: NDArray[np.float64]) -> float:
     return float(cv2.contourArea(cv2.convexHull(around)))
 
 
+@njit(cache=True, nogil=True)
+def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
+    """(6,) of 1, x, y, xx, xy, yy: least squares through heights over (n, 2) places, in units of `unit` about their
+    middle, with a little ridge.
+    """
+    n = len(xy)
+    middle_x, middle_y = xy[:, 0].sum() / n, xy[:, 1].sum() / n
+    normal, right, terms = np.zeros((6, 6)), np.zeros(6), np.empty(6)
+    for k in range(n):
+        x, y = (xy[k, 0] - middle_x) / unit, (xy[k, 1] - middle_y) / unit
+        terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = 1.0, x, y, x * x, x * y, y * y
+        for p in range(6):
+            right[p] += terms[p] * heights[k]
+            for q in range(p, 6):
+                normal[p, q] += terms[p] * terms[q]
+    for p in range(6):
+        normal[p, p] += 1e-6 * n
+        for q in range(p):
+            normal[p, q] = normal[q, p]
+    return np.linalg.solve(normal, right)
+
+
 def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
     """Area of the equator of the ellipsoid that touches the top with its curvature and is as high as the tuber."""
     chosen = np.nonzero(heights > TOP * height_m)[0]
     chosen = chosen[:: max(1, len(chosen) // CURVATURE_POINTS)]
     unit = float(np.sqrt(area_m2 / np.pi))
-    x, y = ((xy[chosen] - xy[chosen].mean(0)) / unit).T
-    design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    normal = design.T @ design + 1e-6 * len(x) * np.eye(6)
-    fit = np.linalg.solve(normal, design.T @ heights[chosen])
+    fit = _quadric(xy[chosen], heights[chosen], unit)
     # Heights fall by (x^2 / a^2 + y^2 / b^2) c / 2 near the top of an ellipsoid with half axes a, b and c.
     determinant = float(4 * fit[3] * fit[5] - fit[4] ** 2) / unit**4
     if fit[3] >= 0 or fit[5] >= 0 or determinant <= 0:

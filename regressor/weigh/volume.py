@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.quadratic import RIDGE, pairs_of, ranges_of, terms_of
+from regressor.weigh.quadratic import RIDGE, array_of, pairs_of, ranges_of, terms_of
 from regressor.weigh.surface import NAMES, SurfaceFeatures
 
 FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
@@ -50,9 +50,9 @@ class VolumeRule:
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) grams of (n, 17) features in the order of `NAMES`."""
         terms = terms_of(features, self.names)
-        ln_g = self.intercept + terms @ np.array(self.coefficients)
+        ln_g = self.intercept + terms @ array_of(self.coefficients)
         if self.products:
-            ln_g = ln_g + pairs_of(terms, np.array(self.low), np.array(self.high)) @ np.array(self.products)
+            ln_g = ln_g + pairs_of(terms, array_of(self.low), array_of(self.high)) @ array_of(self.products)
         weights: NDArray[np.float64] = np.exp(np.clip(ln_g, -5.0, 12.0))
         return weights
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import CAMERA_NOISE
+from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE
 from conveyor.camera_range import camera_range
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
@@ -29,6 +29,8 @@ from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
 VOLUME_MODEL = "volume"
+SURELY_UNLIKE = 0.75
+"""Chance from which on a weight is flagged as one of a camera unlike those trained for."""
 BATCHED = "batched"
 """Flag of a weight whose last digit may depend on the views that it was weighed together with."""
 
@@ -57,7 +59,8 @@ class Weigher:
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise), 'bfloat16', 'centroids_64' and 'batched' (not computed in the exact form).
+    visible volume says otherwise), 'camera_unlike' (noise and holes of a camera that the training did not know),
+    'bfloat16', 'centroids_64' and 'batched' (not computed in the exact form).
     """
 
     def __init__(
@@ -145,7 +148,9 @@ class Weigher:
         parts = np.array([network_g]), np.array([by_volume_g])
         weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
         terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
-        low, high = self._bounds(weight_g, terms)
+        unlike = self._unlike(cloud)
+        low, high = self._bounds(weight_g, terms, unlike)
+        camera = (CAMERA_UNLIKE,) if unlike > SURELY_UNLIKE else ()
         form = self.form.flags if self._together is None else (BATCHED,)
         return Weighed(
             weight_g=round(weight_g, 3),
@@ -155,7 +160,7 @@ class Weigher:
             volume_g=round(by_volume_g, 3),
             method="pointraft",
             model=self.sidecar.model_id,
-            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *form),
+            flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *camera, *form),
             sizes=load_rules().sizes(size_features(cloud), terms),
         )
 
@@ -175,11 +180,18 @@ class Weigher:
             sizes=load_rules().sizes(size_features(cloud), _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
         )
 
-    def _bounds(self, weight_g: float, terms: NDArray[np.float64]) -> tuple[float, float]:
+    def _unlike(self, cloud: PreparedCloud) -> float:
+        """The chance that a camera unlike those trained for took this view."""
+        if self._interval is None:
+            return 0.0
+        noise_px = np.array([np.nan if cloud.noise_px is None else cloud.noise_px])
+        return float(self._interval.unlike(noise_px, cloud.surface.as_array()[None])[0])
+
+    def _bounds(self, weight_g: float, terms: NDArray[np.float64], unlike: float) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None])
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None], np.array([unlike]))
         return float(low[0]), float(high[0])
 
     def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:

@@ -196,13 +196,19 @@ def _from_above(
     inside = np.zeros((SIZE, SIZE), np.float32)
     a, b, c, t = heights
     half = (stride - 1) / 2.0
+    # Tangents of the rays of the columns, and what the slope of the heights has of them: divided once, not per cell.
+    across_z, of_column = np.empty(box[3] - box[2]), np.empty(box[3] - box[2])
+    for j in range(box[2], box[3]):
+        u = j * stride + half
+        across_z[j - box[2]], of_column[j - box[2]] = (u - k[2]) / k[0], a * u
     for i in range(box[0], box[1]):
+        v = i * stride + half
+        along_z, of_row = (v - k[3]) / k[1], b * v
         for j in range(box[2], box[3]):
             if not measured[i, j]:
                 continue
-            u, v = j * stride + half, i * stride + half
-            z = (height_mm[i, j] * 1e-3 - t) / (a * u + b * v + c)
-            x, y = (u - k[2]) / k[0] * z, (v - k[3]) / k[1] * z
+            z = (height_mm[i, j] * 1e-3 - t) / (of_column[j - box[2]] + of_row + c)
+            x, y = across_z[j - box[2]] * z, along_z * z
             along = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + shift[0] - x_m
             across = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + shift[1] - y_m
             row = int(np.floor(along * 1000.0 / CELL_MM + SIZE / 2.0))

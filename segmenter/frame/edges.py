@@ -25,21 +25,23 @@ def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], re
     rows, columns = labels.shape
     touching = np.zeros((n + 1, 4), np.int64)
     for i in range(rows):
-        first, last = -1, -1
-        for j in range(columns):
-            if seen[i, j]:
-                first = j if first < 0 else first
-                last = j
-        if first >= 0:
+        first, last = 0, columns - 1
+        while first < columns and not seen[i, first]:
+            first += 1
+        while last >= 0 and not seen[i, last]:
+            last -= 1
+        if last >= 0:
             _note(labels[i, first : min(first + reach + 1, columns)], touching[:, 2])
             _note(labels[i, max(last - reach, 0) : last + 1], touching[:, 3])
+    # Column by column, but read row by row, as the cells lie in the memory.
+    first_of, last_of = np.full(columns, rows, np.int64), np.full(columns, -1, np.int64)
+    for i in range(rows):
+        for j in range(columns):
+            first_of[j] = min(first_of[j], i if seen[i, j] else rows)
+            last_of[j] = i if seen[i, j] else last_of[j]
     for j in range(columns):
-        first, last = -1, -1
-        for i in range(rows):
-            if seen[i, j]:
-                first = i if first < 0 else first
-                last = i
-        if first >= 0:
+        first, last = first_of[j], last_of[j]
+        if last >= 0:
             _note(labels[first : min(first + reach + 1, rows), j], touching[:, 0])
             _note(labels[max(last - reach, 0) : last + 1, j], touching[:, 1])
     return touching

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -12,68 +13,28 @@ LEVEL_MM = 0.25
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
 MOST_LEVELS = 65535
 """16 m of relief: what is higher is flooded as if it were as high."""
-RELIEF, PARENT = 0, 1
+RELIEF, PEAK = 0, 1
 """Columns of a node. Its relief stands there as its float32 bits, which order as the heights do where none is negative:
-so all that is asked of a neighbour lies in one place of the memory."""
+so all that is asked of a neighbour lies in one place of the memory. Its peak is a row of the table of peaks, -1 before
+it is flooded; few peaks are found, so that their table stays in the cache."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _find(nodes: NDArray[np.int32], node: Any) -> Any:
-    while nodes[node, PARENT] != node:
-        nodes[node, PARENT] = nodes[nodes[node, PARENT], PARENT]
-        node = nodes[node, PARENT]
-    return node
+def _find(parents: NDArray[np.int32], peak: Any) -> Any:
+    while parents[peak] != peak:
+        parents[peak] = parents[parents[peak]]
+        peak = parents[peak]
+    return peak
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _falling(levels: NDArray[np.uint16], counts: NDArray[np.int64], count: int) -> NDArray[np.int32]:
-    """Cells with a level above 0, highest level first: a counting sort. `counts`: cells of each level."""
-    top = len(counts) - 1
-    starts = np.zeros(top + 2, np.int64)
-    for level in range(top, 0, -1):
-        starts[top - level + 1] = starts[top - level] + counts[level]
-    order = np.empty(count, np.int32)
-    for cell in range(len(levels)):
-        height = np.int64(levels[cell])
-        if height > 0:
-            order[starts[top - height]] = cell
-            starts[top - height] += 1
-    return order
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _named(
-    nodes: NDArray[np.int32], peaks: NDArray[np.int32], foreground: NDArray[np.uint8]
-) -> tuple[NDArray[np.int32], int]:
-    """Number the basins 1..n, highest peak first, without the rim of one cell that `flood` works with.
-
-    The first cell of a basin was a peak, so that the peaks alone, in falling order, tell the order of the basins.
-    """
-    rows, columns = foreground.shape
-    width = columns + 2
-    labels = np.zeros((rows, columns), np.int32)
-    names = np.zeros(len(nodes), np.int32)
-    n = 0
-    for peak in peaks:
-        root = _find(nodes, peak)
-        if names[root] == 0:
-            n += 1
-            names[root] = n
-    for i in range(rows):
-        for j in range(columns):
-            if foreground[i, j]:
-                labels[i, j] = names[_find(nodes, (i + 1) * width + j + 1)]
-    return labels, n
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def flood(
     relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
 ) -> tuple[NDArray[np.int32], int]:
     """Basins of a relief, flooded from its peaks downwards.
 
     Two basins that meet become one when the lower peak rises less than max(`least_mm`, `share` * its own height) over
-    the pass between them; this replaces h-maxima and a watershed by one pass over the cells in falling order.
+    the pass between them; this replaces h-maxima and a watershed by one pass over the cells in falling order. Basins of
+    two patches that do not touch never meet, so patch after patch is flooded: what belongs together stays in the cache.
 
     Args:
         relief_mm: (h, w) float32, high inside tubers.
@@ -83,66 +44,153 @@ def flood(
     Returns:
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
+    patches, patch = cv2.connectedComponents(foreground, connectivity=8, ltype=cv2.CV_32S)
+    return _flood(relief_mm, np.asarray(patch, np.int32), patches, least_mm, share)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _level(relief_mm: Any) -> Any:
+    return min(max(0, int(relief_mm / LEVEL_MM)) + 1, MOST_LEVELS)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16], counts: NDArray[np.int64]) -> NDArray[np.int32]:
+    """The cells of a patch, highest level first, in their order within a level: a counting sort. `counts`: zeros."""
+    low, high = np.int64(MOST_LEVELS), np.int64(0)
+    for level in levels:
+        counts[level] += 1
+        low, high = min(low, np.int64(level)), max(high, np.int64(level))
+    before = 0
+    for level in range(high, low - 1, -1):
+        before, counts[level] = before + counts[level], before
+    order = np.empty_like(cells)
+    for n in range(len(cells)):
+        order[counts[levels[n]]] = cells[n]
+        counts[levels[n]] += 1
+    counts[low : high + 1] = 0
+    return order
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _named(
+    nodes: NDArray[np.int32], peaks: NDArray[np.int32], parents: NDArray[np.int32], patch: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], int]:
+    """Number the basins 1..n, highest peak first, without the rim of one cell that `_flood` works with.
+
+    The first cell of a basin was a peak, so that the peaks alone, in falling order, tell the order of the basins.
+    """
+    rows, columns = patch.shape
+    width = columns + 2
+    labels = np.zeros((rows, columns), np.int32)
+    relief = nodes.view(np.float32)
+    falling = np.empty(len(peaks), np.int64)
+    for k in range(len(peaks)):
+        falling[k] = -np.int64(_level(relief[peaks[k], RELIEF])) * len(nodes) + peaks[k]
+    names = np.zeros(len(peaks), np.int32)
+    n = 0
+    for k in np.argsort(falling):
+        root = _find(parents, k)
+        if names[root] == 0:
+            n += 1
+            names[root] = n
+    for k in range(len(peaks)):
+        names[k] = names[_find(parents, k)]
+    for i in range(rows):
+        for j in range(columns):
+            if patch[i, j]:
+                labels[i, j] = names[nodes[(i + 1) * width + j + 1, PEAK]]
+    return labels, n
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _flood(
+    relief_mm: NDArray[np.float32], patch: NDArray[np.int32], patches: int, least_mm: float, share: float
+) -> tuple[NDArray[np.int32], int]:
+    """See `flood`; `patch`: (h, w) which of the `patches` that do not touch a cell belongs to, 0 = background."""
     # A rim of one cell around the image, so that no neighbour needs a check of the border.
     rows, columns = relief_mm.shape
     width = columns + 2
-    highest_mm = np.float32(0.0)
-    for i in range(rows):
-        for j in range(columns):
-            if foreground[i, j]:
-                highest_mm = max(highest_mm, relief_mm[i, j])
-    # `PARENT` is a union-find forest over the basins; a root is the peak of its basin. -1: not flooded yet.
     nodes = np.full(((rows + 2) * width, 2), np.int32(-1), np.int32)
     relief = nodes.view(np.float32)
-    levels = np.zeros((rows + 2) * width, np.uint16)
-    counts = np.zeros(min(int(highest_mm / LEVEL_MM) + 1, MOST_LEVELS) + 1, np.int64)
-    count = 0
+    ends = np.zeros(patches + 1, np.int64)
     for i in range(rows):
         for j in range(columns):
-            if foreground[i, j]:
+            ends[patch[i, j] + 1] += 1
+    ends[1] = 0
+    ends = np.cumsum(ends)
+    cells = np.empty(ends[patches], np.int32)
+    levels = np.empty(ends[patches], np.uint16)
+    for i in range(rows):
+        for j in range(columns):
+            if patch[i, j]:
                 cell = (i + 1) * width + j + 1
                 relief[cell, RELIEF] = relief_mm[i, j]
-                level = min(max(0, int(relief_mm[i, j] / LEVEL_MM)) + 1, MOST_LEVELS)
-                levels[cell] = level
-                counts[level] += 1
-                count += 1
-    order = _falling(levels, counts, count)
-    peaks = np.empty(count, np.int32)
-    found = 0
+                cells[ends[patch[i, j]]] = cell
+                levels[ends[patch[i, j]]] = _level(relief_mm[i, j])
+                ends[patch[i, j]] += 1
+    counts = np.zeros(MOST_LEVELS + 1, np.int64)
+    peaks, parents = np.empty(len(cells), np.int32), np.empty(len(cells), np.int32)
+    found, begin = 0, 0
+    for k in range(1, patches):
+        order = _falling(cells[begin : ends[k]], levels[begin : ends[k]], counts)
+        found = _flood_patch(nodes, order, width, least_mm, share, peaks, parents, found)
+        begin = ends[k]
+    return _named(nodes, peaks[:found], parents[:found], patch)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _flood_patch(
+    nodes: NDArray[np.int32],
+    order: NDArray[np.int32],
+    width: int,
+    least_mm: float,
+    share: float,
+    peaks: NDArray[np.int32],
+    parents: NDArray[np.int32],
+    found: int,
+) -> int:
+    """Flood the cells of a patch in their falling order; returns how many peaks there are then.
+
+    Args:
+        peaks: cell of each peak, written from `found` on.
+        parents: union-find forest over the peaks; a root is the highest peak of its basin.
+    """
+    relief = nodes.view(np.float32)
     for cell in order:
         # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
         home, highest, first, meet = np.int32(-1), np.int32(-1), np.int32(-1), False
         for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
             near = cell + step
-            parent = nodes[near, PARENT]
-            if parent >= 0:
+            peak = nodes[near, PEAK]
+            if peak >= 0:
                 if nodes[near, RELIEF] > highest:
                     highest = nodes[near, RELIEF]
-                    home = near
-                if first >= 0 and parent != first:
-                    meet = True
-                first = parent
+                    home = peak
+                meet |= first >= 0 and peak != first
+                first = peak
         if home < 0:
-            nodes[cell, PARENT] = cell
+            nodes[cell, PEAK] = parents[found] = found
             peaks[found] = cell
             found += 1
             continue
-        root = _find(nodes, home)
-        nodes[cell, PARENT] = root
+        root = _find(parents, home)
+        nodes[cell, PEAK] = root
         if not meet:
             continue
         # Where it touches other basins it is the pass between them: the highest, for cells come in falling order.
         for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-            near = cell + step
-            if nodes[near, PARENT] >= 0 and nodes[near, PARENT] != root:
-                other = _find(nodes, near)
+            peak = nodes[cell + step, PEAK]
+            if peak >= 0 and peak != root:
+                other = _find(parents, peak)
                 if other != root:
-                    low, high = (other, root) if nodes[other, RELIEF] < nodes[root, RELIEF] else (root, other)
+                    lower = nodes[peaks[other], RELIEF] < nodes[peaks[root], RELIEF]
+                    low, high = (other, root) if lower else (root, other)
+                    top = relief[peaks[low], RELIEF]
                     # The lower peak hardly rises over the pass: no tuber of its own.
-                    if relief[low, RELIEF] - relief[cell, RELIEF] < max(least_mm, share * relief[low, RELIEF]):
-                        nodes[low, PARENT] = high
+                    if top - relief[cell, RELIEF] < max(least_mm, share * top):
+                        parents[low] = high
                         root = high
-    return _named(nodes, peaks[:found], foreground)
+    return found
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -153,29 +201,36 @@ def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: 
     fresh = np.empty(rows * columns, np.int32)
     size = 0
     for i in range(rows):
+        above, below = max(i - 1, 0), min(i + 1, rows - 1)  # a cell at the border is its own neighbour: it is labelled
         for j in range(columns):
             if labels[i, j] > 0:
-                edge = False
-                for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                    y, x = i + di, j + dj
-                    if 0 <= y < rows and 0 <= x < columns and labels[y, x] == 0 and height_mm[y, x] > floor_mm:
-                        edge = True
-                if edge:
+                before, after = max(j - 1, 0), min(j + 1, columns - 1)
+                if (
+                    (labels[above, j] == 0 and height_mm[above, j] > floor_mm)
+                    or (labels[below, j] == 0 and height_mm[below, j] > floor_mm)
+                    or (labels[i, before] == 0 and height_mm[i, before] > floor_mm)
+                    or (labels[i, after] == 0 and height_mm[i, after] > floor_mm)
+                ):
                     front[size] = i * columns + j
                     size += 1
+    flat, height = labels.reshape(-1), height_mm.reshape(-1)
+    around = np.array([-columns - 1, -columns, -columns + 1, -1, 1, columns - 1, columns, columns + 1])
     for step in range(steps):
         grown = 0
         for index in range(size):
-            i, j = front[index] // columns, front[index] % columns
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    if step % 2 == 1 and di and dj:
-                        continue
-                    y, x = i + di, j + dj
-                    if 0 <= y < rows and 0 <= x < columns and labels[y, x] == 0 and height_mm[y, x] > floor_mm:
-                        labels[y, x] = labels[i, j]
-                        fresh[grown] = y * columns + x
-                        grown += 1
+            cell = front[index]
+            j = cell % columns
+            inside = columns <= cell < (rows - 1) * columns and 0 < j < columns - 1
+            for n in range(8):
+                if step % 2 == 1 and n in (0, 2, 5, 7):
+                    continue
+                near = cell + around[n]
+                if not inside and not (0 <= near < rows * columns and abs(near % columns - j) <= 1):
+                    continue
+                if flat[near] == 0 and height[near] > floor_mm:
+                    flat[near] = flat[cell]
+                    fresh[grown] = near
+                    grown += 1
         if grown == 0:
             return
         front, fresh = fresh, front

@@ -8,9 +8,11 @@ rims.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.reasons import InstanceRefusal
@@ -104,22 +106,60 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     """The instances on a height map. The raster is worked on in millimetres; what comes out is SI."""
     cell_mm = heights.cell_mm
     quantum_mm = _quantum_mm(heights)
-    quantised = np.minimum(heights.height_mm * (1 / quantum_mm), 255).astype(np.uint8)
+    quantised = _quantised(heights.height_mm, np.float32(1 / quantum_mm))
     quantised = np.asarray(cv2.medianBlur(quantised, 5), np.uint8)
-    foreground = (quantised > settings.foreground_mm / quantum_mm).astype(np.uint8)
-    jump = cv2.morphologyEx(quantised, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    foreground[jump > settings.cut_mm_per_mm * cell_mm / quantum_mm] = 0
+    jump = np.asarray(cv2.morphologyEx(quantised, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)), np.uint8)
+    foreground = _foreground(
+        quantised, jump, settings.foreground_mm / quantum_mm, settings.cut_mm_per_mm * cell_mm / quantum_mm
+    )
     radius = max(1, round(settings.opening_mm / cell_mm))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     foreground = np.asarray(cv2.morphologyEx(foreground, cv2.MORPH_OPEN, disc), np.uint8)
-    smooth_mm = quantised.astype(np.float32) * np.float32(quantum_mm)
-    distance = cv2.distanceTransform(foreground, cv2.DIST_L2, 3)
-    relief = distance * np.float32(cell_mm) + smooth_mm * np.float32(settings.height_share)
+    distance = np.asarray(cv2.distanceTransform(foreground, cv2.DIST_L2, 3), np.float32)
+    smooth_mm, relief = _relief(
+        quantised, distance, np.float32(quantum_mm), np.float32(cell_mm), np.float32(settings.height_share)
+    )
     relief = np.asarray(cv2.GaussianBlur(relief, (5, 5), 0), np.float32)
     labels, n = flood(relief, foreground, settings.least_dynamics_mm, settings.dynamics_share)
     regrow(labels, smooth_mm, settings.rim_mm, max(1, round(settings.regrow_mm / cell_mm)))
     merge_fragments(labels, n, smooth_mm, cell_mm, settings.seam)
     return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _quantised(height_mm: NDArray[np.float32], per_mm: np.float32) -> NDArray[np.uint8]:
+    """(h, w) heights in steps of the 8-bit raster, at most 255."""
+    steps = np.empty(height_mm.shape, np.uint8)
+    for i in range(height_mm.shape[0]):
+        for j in range(height_mm.shape[1]):
+            steps[i, j] = np.uint8(min(height_mm[i, j] * per_mm, np.float32(255)))
+    return steps
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _foreground(
+    quantised: NDArray[np.uint8], jump: NDArray[np.uint8], over: float, steepest: float
+) -> NDArray[np.uint8]:
+    """(h, w) 1 where a cell is higher than `over` and its height jumps by no more than `steepest`, both in steps."""
+    foreground = np.empty(quantised.shape, np.uint8)
+    for i in range(quantised.shape[0]):
+        for j in range(quantised.shape[1]):
+            foreground[i, j] = (quantised[i, j] > over) & (jump[i, j] <= steepest)
+    return foreground
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _relief(
+    quantised: NDArray[np.uint8], distance: NDArray[np.float32], quantum_mm: Any, cell_mm: Any, share: Any
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(h, w) float32 each: heights in millimetres again, and the distance to the background with a share of them."""
+    smooth_mm, relief = np.empty(quantised.shape, np.float32), np.empty(quantised.shape, np.float32)
+    for i in range(quantised.shape[0]):
+        for j in range(quantised.shape[1]):
+            height = np.float32(quantised[i, j]) * quantum_mm
+            smooth_mm[i, j] = height
+            relief[i, j] = distance[i, j] * cell_mm + height * share
+    return smooth_mm, relief
 
 
 def _quantum_mm(heights: HeightMap) -> float:
@@ -169,7 +209,7 @@ def _describe(
         labels, n, height_mm, coefficients_mm=(a, b, c, t), stride=stride, area_factor=area_factor, margin=margin
     )
     cut = np.stack([sums[side] > 0 for side in BORDERS], axis=1)
-    if seen.mean() > LEAST_SEEN_OF_RASTER:
+    if np.count_nonzero(seen) > LEAST_SEEN_OF_RASTER * seen.size:
         cut |= cut_by_unseen(labels, n, seen, margin) >= LEAST_ROWS
     gone = sums["cells"] == 0
     low = ~gone & (sums["area_mm2"] < settings.min_area_mm2) if settings else np.zeros(n + 1, bool)

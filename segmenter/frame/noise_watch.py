@@ -6,9 +6,9 @@ from collections import deque
 from statistics import median
 
 from conveyor.camera_range import BASELINE_M
+from conveyor.depth_noise import disparity, noise_px
 from conveyor.messages import Frame
 from segmenter.frame.constants import CHECK_EVERY
-from segmenter.profile.noise import disparity, noise_px
 
 KEPT = 5
 """Looks that the median is taken of: a hand in one frame is no noisy camera."""

@@ -37,6 +37,7 @@ from segmenter.frame.constants import (
     TILT_OFF_DEG,
     TILT_WORTH_DEG,
 )
+from segmenter.frame.plane_kernels import best_plane, far_samples, trimmed, triples_of
 
 Plane = NDArray[np.float64]
 """(3,) of 1/z = a x + b y + c."""
@@ -112,7 +113,8 @@ def between_cleats(plane: NDArray[np.float64], design: NDArray[np.float64], q: N
     """
     height = _height_over(design, q, plane)
     near = np.abs(height) < BAND_M
-    _, row = np.unique(design[near, 1], return_inverse=True)
+    along = design[near, 1]  # row after row
+    row = np.cumsum(np.diff(along, prepend=along[:1]) != 0)
     count = np.bincount(row)
     mean = np.bincount(row, weights=height[near])[count >= ROW_SAMPLES] / count[count >= ROW_SAMPLES]
     if len(mean) < LEAST_BELT_ROWS:
@@ -122,12 +124,10 @@ def between_cleats(plane: NDArray[np.float64], design: NDArray[np.float64], q: N
 
 
 def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
-    best = _consensus(design, q)
-    for band_m in FIT_BANDS_M:
-        near = np.abs(_height_over(design, q, best)) < band_m
-        if near.sum() < MIN_FIT_SAMPLES:
-            return None
-        best = np.asarray(np.linalg.lstsq(design[near], q[near], rcond=None)[0], np.float64)
+    x, y = np.ascontiguousarray(design[:, 0]), np.ascontiguousarray(design[:, 1])
+    best = trimmed(_consensus(x, y, q), x, y, q, FIT_BANDS_M, MIN_FIT_SAMPLES)
+    if not best.any():
+        return None
     return _summary(between_cleats(best, design, q), design, q)
 
 
@@ -244,33 +244,22 @@ def _samples(
     return x.astype(np.float64), y.astype(np.float64), q
 
 
-def _consensus(design: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
+def _consensus(x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
     """A first plane by consensus among the far points of coarse cells: the belt is what lies behind the tubers."""
-    # The far samples of coarse cells, 0.1 wide in x/z and y/z: what lies behind the tubers, but for holes and noise.
-    cell = np.round(design[:, 0] * 10).astype(int) * 1000 + np.round(design[:, 1] * 10).astype(int)
-    order = np.lexsort((q, cell))
-    starts = np.flatnonzero(np.r_[True, np.diff(cell[order]) != 0])
-    counts = np.diff(np.r_[starts, len(order)])
-    full = counts >= 8
-    far = order[starts[full] + (counts[full] * CONSENSUS_FAR).astype(int)]
+    far = far_samples(x, y, q, CONSENSUS_FAR)
     if len(far) < 3:
-        far = order
+        far = np.arange(len(q))
     # The same draws every time: the same frame gives the same plane.
     rng = np.random.default_rng(20)
     scored = rng.permutation(len(q))[:CONSENSUS_SCORED]
-    triples = np.stack([rng.choice(far, 3, replace=False) for _ in range(CONSENSUS_TRIES)])
+    triples = far[triples_of(rng, len(far), CONSENSUS_TRIES)]
     # Three points nearly in a line fix no plane.
-    triples = triples[np.abs(np.linalg.det(design[triples])) >= 1e-4]
-    planes = np.linalg.solve(design[triples], q[triples][:, :, None])[:, :, 0]
-    scored_design, scored_q = design[scored], q[scored]
-    best, best_score = np.array([0.0, 0.0, float(np.median(q))]), -np.inf
-    for plane in planes:
-        height = _height_over(scored_design, scored_q, plane)
-        # Nothing lies below the belt, so a plane through the tubers' tops loses by all the belt under it.
-        score = float(np.count_nonzero(np.abs(height) < BAND_M)) - float(np.count_nonzero(height < -BELOW_M))
-        if score > best_score:
-            best, best_score = plane, score
-    return best
+    rows = np.stack([x[triples], y[triples], np.ones(triples.shape)], axis=2)
+    clear = np.abs(np.linalg.det(rows)) >= 1e-4
+    planes = np.linalg.solve(rows[clear], q[triples[clear]][:, :, None])[:, :, 0]
+    # Nothing lies below the belt, so a plane through the tubers' tops loses by all the belt under it.
+    best = best_plane(planes, x[scored], y[scored], q[scored], BAND_M, BELOW_M)
+    return np.array([0.0, 0.0, float(np.median(q))]) if best < 0 else np.asarray(planes[best])
 
 
 def _height_over(

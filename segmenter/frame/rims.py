@@ -21,7 +21,8 @@ OUTER_MM = (1.4, 4.0)
 
 RIM_HEIGHTS = ("edge_10", "inner_50", "inner_75", "outer_25", "outer_50", "outer_75")
 """What `rim_heights` gives: percentiles of the heights in each ring, millimetres."""
-_QUANTILES = ((1, 0.10), (0, 0.50), (0, 0.75), (2, 0.25), (2, 0.50), (2, 0.75))
+_RINGS, _SHARES = np.array([1, 0, 0, 2, 2, 2]), np.array([0.10, 0.50, 0.75, 0.25, 0.50, 0.75])
+_BOUNDS_MM = np.array([INNER_MM, EDGE_MM, OUTER_MM])
 
 
 def rim_heights(
@@ -39,16 +40,24 @@ def rim_heights(
     reach = int(np.ceil(OUTER_MM[1] / cell_mm)) + 1
     i0, i1 = max(0, int(box[0]) - reach), min(labels.shape[0], int(box[1]) + reach + 1)
     j0, j1 = max(0, int(box[2]) - reach), min(labels.shape[1], int(box[3]) + reach + 1)
-    bounds = np.array([INNER_MM, EDGE_MM, OUTER_MM]) / cell_mm
-    counts = _rings(labels[i0:i1, j0:j1], height_mm[i0:i1, j0:j1], label, bounds)
-    return np.array([_quantile(counts[ring], share) for ring, share in _QUANTILES])
+    counts = _rings(labels[i0:i1, j0:j1], height_mm[i0:i1, j0:j1], label, _BOUNDS_MM / cell_mm)
+    return _quantiles(counts, _RINGS, _SHARES)
 
 
-def _quantile(counts: NDArray[np.int64], share: float) -> float:
-    total = int(counts.sum())
-    if total == 0:
-        return float("nan")
-    return float(np.searchsorted(np.cumsum(counts), share * total) * STEP_MM)
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _quantiles(counts: NDArray[np.int64], rings: NDArray[np.int64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) the height that share n of the cells in ring n are not higher than; NaN where there are none."""
+    found = np.full(len(rings), np.nan)
+    for n in range(len(rings)):
+        total = counts[rings[n]].sum()
+        below, step = 0, 0
+        while total > 0 and step < counts.shape[1]:
+            below += counts[rings[n], step]
+            if below >= shares[n] * total:
+                found[n] = step * STEP_MM
+                break
+            step += 1
+    return found
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -57,28 +66,14 @@ def _rings(
 ) -> NDArray[np.int64]:
     """(3, STEPS) histograms of the heights in the inner ring, at the edge, and in the outer ring."""
     rows, columns = labels.shape
-    far = 3 * (rows + columns)
-    # Chamfer distance, in thirds of a cell, of each cell to the nearest one on the other side of the outline.
-    away = np.full((rows, columns), far, np.int32)
-    for turn in range(2):
-        for n in range(rows * columns):
-            at = n if turn == 0 else rows * columns - 1 - n
-            i, j = at // columns, at % columns
-            inside = labels[i, j] == label
-            best = away[i, j]
-            for di in range(-1, 2):
-                for dj in range(-1, 2):
-                    y, x = i + di, j + dj
-                    if (di == 0 and dj == 0) or y < 0 or x < 0 or y >= rows or x >= columns:
-                        continue
-                    step = 3 if di == 0 or dj == 0 else 4
-                    best = min(best, step if (labels[y, x] == label) != inside else away[y, x] + step)
-            away[i, j] = best
-    counts = np.zeros((3, 256), np.int64)
+    away = _away(labels, label)
+    counts = np.zeros((3, STEPS), np.int64)
     for i in range(rows):
         for j in range(columns):
-            distance = away[i, j] / 3.0
-            height = min(255, max(0, int(height_mm[i, j])))
+            distance = away[i + 1, j + 1] / 3.0
+            if distance > bounds[0, 1] and distance > bounds[2, 1]:
+                continue
+            height = min(STEPS - 1, max(0, int(height_mm[i, j])))
             if labels[i, j] == label:
                 if bounds[0, 0] < distance <= bounds[0, 1]:
                     counts[0, height] += 1
@@ -87,3 +82,42 @@ def _rings(
             elif bounds[2, 0] < distance <= bounds[2, 1]:
                 counts[2, height] += 1
     return counts
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _away(labels: NDArray[np.int32], label: int) -> NDArray[np.int32]:
+    """(h + 2, w + 2) chamfer distance, in thirds of a cell, of each cell to the nearest one on the other side of the
+    outline of `label`; a rim of one cell all round is far from it.
+
+    Cells beside the outline are 3 or 4 away; two passes carry that on, whichever side a neighbour is on: over the
+    other side no way is shorter (Borgefors 1986, "Distance transformations in digital images").
+    """
+    rows, columns = labels.shape
+    far = 3 * (rows + columns)
+    away = np.full((rows + 2, columns + 2), far, np.int32)
+    for i in range(rows):
+        for j in range(columns):
+            inside = labels[i, j] == label
+            if j + 1 < columns and (labels[i, j + 1] == label) != inside:
+                away[i + 1, j + 1] = away[i + 1, j + 2] = 3
+            if i + 1 == rows:
+                continue
+            if (labels[i + 1, j] == label) != inside:
+                away[i + 1, j + 1] = away[i + 2, j + 1] = 3
+            if j + 1 < columns and (labels[i + 1, j + 1] == label) != inside:
+                away[i + 1, j + 1] = min(away[i + 1, j + 1], 4)
+                away[i + 2, j + 2] = min(away[i + 2, j + 2], 4)
+            if j > 0 and (labels[i + 1, j - 1] == label) != inside:
+                away[i + 1, j + 1] = min(away[i + 1, j + 1], 4)
+                away[i + 2, j] = min(away[i + 2, j], 4)
+    for i in range(1, rows + 1):
+        for j in range(1, columns + 1):
+            beside = min(away[i - 1, j], away[i, j - 1]) + 3
+            askew = min(away[i - 1, j - 1], away[i - 1, j + 1]) + 4
+            away[i, j] = min(away[i, j], beside, askew)
+    for i in range(rows, 0, -1):
+        for j in range(columns, 0, -1):
+            beside = min(away[i + 1, j], away[i, j + 1]) + 3
+            askew = min(away[i + 1, j - 1], away[i + 1, j + 1]) + 4
+            away[i, j] = min(away[i, j], beside, askew)
+    return away

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from segmenter.profile.noise import Disparity
+from conveyor.depth_noise import Disparity
 
 FINE_PX, SLOW_PX = 1.5, 20.0
 """Standard deviations of the two blurs: they halve waves of some 8 and 110 pixels."""

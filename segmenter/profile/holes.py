@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from segmenter.profile.noise import Disparity
+from conveyor.depth_noise import Disparity
 
 OUTLINE_JUMP_PX = 0.75
 """A hole whose two ends differ by more lies at an outline; one on a surface ends where it began."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from conveyor.camera_range import CameraRange
-from segmenter.profile.noise import disparity, window_residuals_px
+from conveyor.depth_noise import disparity, window_residuals_px
 from segmenter.profile.recording import ProfiledCamera
 from segmenter.profile.verdict import own_px
 

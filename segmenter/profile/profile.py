@@ -11,19 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.camera_range import BASELINE_M
-from conveyor.errors import InputError
-from conveyor.messages import Frame
-from segmenter.frame.plane import PlaneFit, fit_plane
-from segmenter.profile.comb import KNOWN_BASELINES_M, Comb, find_comb
-from segmenter.profile.field import FieldError, field_error
-from segmenter.profile.holes import islands, outline_widths_px
-from segmenter.profile.noise import (
+from conveyor.depth_noise import (
     LEAST_WINDOWS,
     Disparity,
     disparity,
     neighbour_steps_px,
     window_residuals_px,
 )
+from conveyor.errors import InputError
+from conveyor.messages import Frame
+from segmenter.frame.plane import PlaneFit, fit_plane
+from segmenter.profile.comb import KNOWN_BASELINES_M, Comb, find_comb
+from segmenter.profile.field import FieldError, field_error
+from segmenter.profile.holes import islands, outline_widths_px
 
 LOAD_ABOVE_M = 0.012
 """What stands out from the plane by more is load, and not looked at for the plane's own error; nor what lies so far

@@ -18,6 +18,12 @@ LEAST_MATCH = 0.35
 SURE_MATCH = 0.8
 """Normalised correlation that two frames reach which show the same load. Where the last speed says that they share no
 belt, only this shows that the belt stood still, or that the clock ran without it."""
+FIRST_MATCH = 0.62
+FIRST_WITHIN_S = 0.3
+"""Normalised correlation below which no shift is believed between frames further apart than so many seconds, before
+any speed is known: they may share no belt. On belts of three kinds those that share some reached 0.64 to 0.88, the
+others 0.57 at most. Lower: of a belt of which every 18th frame was processed, a sixth was told, and 100 % of it seen.
+"""
 LEAST_OVERLAP = 0.2
 """Share of the view that two frames must share: what lies between them is told by the speed alone."""
 FAR_COST = 0.3
@@ -65,6 +71,8 @@ NEAR_M = 0.025
 """Metres. Within this of its wanted position every view is a candidate; farther off, only one this much nearer."""
 PASSED_M = 0.004
 """Metres past its wanted position from which on a view is settled: places still move by that much."""
+SETTLED_M = 0.015
+"""Metres before a track is decided at which its last view is wanted: a frame at 0.2 m/s and 15 a second."""
 LEAST_HEIGHT_M = 0.004
 """Metres. Pixels of a crop lower than this are belt at the rim of the mask; higher trims tubers."""
 ODD_COST_M = 0.2

@@ -8,6 +8,7 @@ counts. What is not counted has a reason.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -79,10 +80,10 @@ def crossing(track: TrackState, tracker: Tracker, history: TravelHistory) -> Cro
     row_m = tracker.belt.row_crossing_x(track.place_y_m, track.height_m / 2)
     good = [h for h in track.hits if not h.ends_cut] or track.hits
     near = [h for h in good if abs(h.x_m - row_m) <= NEAR_ROW_M] or good
-    areas = np.array([h.area_m2 for h in near])
-    usual = [h for h in near if abs(np.log(h.area_m2 / np.median(areas))) < 0.3] or near
-    place_x_m = float(np.median([h.x_m - h.travel_m for h in usual]))
-    y_m = float(np.median([h.y_m for h in usual]))
+    area_m2 = median(h.area_m2 for h in near)
+    usual = [h for h in near if abs(np.log(h.area_m2 / area_m2)) < 0.3] or near
+    place_x_m = median(h.x_m - h.travel_m for h in usual)
+    y_m = median(h.y_m for h in usual)
     x_m = tracker.belt.row_crossing_x(y_m, track.height_m / 2)
     travel_m = x_m - place_x_m
     return Crossing(history.ns_at(travel_m), travel_m, x_m, y_m)
@@ -103,15 +104,16 @@ def refusal(
     in_view = tracker.frames_in_view(track, history, travel_m)
     inner = [h for h in track.hits if not h.ends_cut]
     # Where frames are few, those that showed it cut by a border were no chance to see it whole.
-    if len(inner) < min(settings.min_frames, max(1, in_view - (len(track.hits) - len(inner)))):
+    chances = max(1, in_view - (len(track.hits) - len(inner)))
+    if len(inner) < min(settings.min_frames, chances):
         return TrackRefusal.FEW_FRAMES
-    if len(inner) < settings.min_share * in_view:
+    if len(inner) < settings.min_share * (chances if in_view < 2 * settings.min_frames else in_view):
         return TrackRefusal.FRAGMENT
-    if np.median([h.area_m2 for h in inner]) < settings.min_area_m2:
+    if median(h.area_m2 for h in inner) < settings.min_area_m2:
         return TrackRefusal.SMALL
-    if np.median([h.volume_m3 for h in inner]) < settings.min_volume_m3:
+    if median(h.volume_m3 for h in inner) < settings.min_volume_m3:
         return TrackRefusal.TINY
-    if np.median([h.height_m for h in inner]) < settings.min_height_m:
+    if median(h.height_m for h in inner) < settings.min_height_m:
         return TrackRefusal.FLAT
     u, _ = tracker.belt.project(at.x_m, at.y_m, track.height_m / 2)
     if not -0.5 <= u <= tracker.belt.intrinsics.width - 0.5:
@@ -132,9 +134,9 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
         return TrackRefusal.SLIVER
     if track.covered == 0 and _apart(track) >= settings.steady_share * in_view:
         return None
-    height_m = float(np.median([h.volume_m3 / h.area_m2 for h in track.hits])) / ROUND_FILL
+    height_m = median(h.volume_m3 / h.area_m2 for h in track.hits) / ROUND_FILL
     slender = height_m / width_m
-    contact = float(np.median([h.contact for h in track.hits]))
+    contact = median(h.contact for h in track.hits)
     if height_m < settings.sliver_height_m or track.area_m2 > settings.sliver_area_m2:
         return None
     mostly_seam = contact > settings.seam_share and slender > settings.seam_slender
@@ -144,7 +146,7 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
 
 def _is_fragment(track: TrackState, in_view: int, settings: CountSettings) -> bool:
     """`in_view`: frames that had the track's place in view so far."""
-    contact = float(np.median([h.contact for h in track.hits]))
+    contact = median(h.contact for h in track.hits)
     if track.area_m2 >= settings.fragment_area_m2 or contact <= settings.fragment_contact:
         return False
     swallowed = track.covered >= max(2.0, settings.fragment_share * in_view)

@@ -7,9 +7,11 @@ with it, but for what it logged: only the half of the view beyond the centre row
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from segmenter.track.constants import LONGEST_TUBER_M
+from segmenter.track.travel import EarlierMove
 
 
 @dataclass(slots=True)
@@ -22,6 +24,11 @@ class Coverage:
     _highest_m: float | None = None
     _resumed: bool = False
 
+    @property
+    def _reach_m(self) -> float:
+        """So much may pass between two frames and be whole in one of them."""
+        return max(0.0, self.view_m - LONGEST_TUBER_M)
+
     def step(self, travel_m: float) -> None:
         """Take the travel of one more processed frame. Belt that runs back and forth is counted once."""
         if self._highest_m is None:
@@ -32,9 +39,17 @@ class Coverage:
             return
         self._highest_m = travel_m
         self.travelled_m += moved_m
-        reach_m = max(0.0, self.view_m - LONGEST_TUBER_M)
-        self.looked_at_m += min(moved_m, reach_m / 2 if self._resumed else reach_m)
+        self.looked_at_m += min(moved_m, self._reach_m / 2 if self._resumed else self._reach_m)
         self._resumed = False
+
+    def earlier(self, moves: Iterable[EarlierMove]) -> None:
+        """Belt that had moved before its travel could be told. It was looked at where it was bare: load on it was
+        followed from no frame to the next, and is not counted.
+        """
+        for move in moves:
+            self.travelled_m += move.all_m
+            self.looked_at_m += move.times * min(move.moved_m, self._reach_m) if move.bare else 0.0
+            self._highest_m = (self._highest_m or 0.0) + move.all_m
 
     def resume(self, *, looked_at_m: float, travelled_m: float, travel_m: float) -> None:
         """Carry on from the figures of an earlier process of the same run, which logged all up to `travel_m`."""

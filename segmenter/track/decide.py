@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass, replace
-
-import numpy as np
+from statistics import median
 
 from conveyor.errors import UnsendableError
 from conveyor.messages import Frame, Track, View
 from conveyor.messages.base import check_part
+from conveyor.messages.views import LATER_PARTS
 from conveyor.reasons import TrackRefusal
 from conveyor.resting import RestingLevel
 from segmenter.classify.patch import Patch
@@ -18,7 +18,7 @@ from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
 from segmenter.track.foreign import foreign_kind
-from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers, evidence
+from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
 from segmenter.track.views import Candidate, size_m
@@ -142,7 +142,7 @@ class TrackDecider:
         views = tuple(
             self._view(candidate, rank, track_id, now, high_m=high_m) for rank, candidate in enumerate(chosen)
         )
-        under_m = float(np.median([view.resting_offset_m for view in views]))
+        under_m = median(view.resting_offset_m for view in views)
         message = _message(
             track, at, now, track_id=track_id, length_m=length_m, width_m=width_m, under_m=under_m, high_m=high_m
         )
@@ -167,7 +167,7 @@ class TrackDecider:
         else:
             track.state = State.COUNTED
             self.counted += 1
-            if (said := evidence(track.rims)) is not None:
+            if (said := track.said_by_rims()) is not None:
                 self._layers.learn(said)
         track.shelf.clear()
         track.patch = Patch()
@@ -180,7 +180,7 @@ def _track_id(track: TrackState, now: Moment) -> str:
 def _around(track: TrackState, tracker: Tracker) -> list[float]:
     """Evidence of lying on others of the tracks around one along the belt."""
     near = [t for t in tracker.tracks if t is not track and abs(t.place_x_m - track.place_x_m) <= AROUND_M]
-    said = [evidence(t.rims) for t in near if t.state is not State.DISCARDED]
+    said = [t.said_by_rims() for t in near if t.state is not State.DISCARDED]
     return [one for one in said if one is not None]
 
 
@@ -192,7 +192,7 @@ def _level(resting: RestingLevel, high_m: float) -> RestingLevel:
 def _sides_m(chosen: list[Candidate], tracker: Tracker) -> tuple[float, float]:
     """(length, width): medians over the views that no border cuts, or over all."""
     sizes = [size_m(c, tracker.belt) for c in chosen if c.whole] or [size_m(c, tracker.belt) for c in chosen]
-    length_m, width_m = (float(np.median(side)) for side in zip(*sizes, strict=True))
+    length_m, width_m = (median(side) for side in zip(*sizes, strict=True))
     return length_m, width_m
 
 
@@ -225,8 +225,8 @@ def _message(
         last_seq=track.last_seq,
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
-        height_mm=max(0.0, float(np.median([hit.height_m for hit in usual])) + under_m) * 1e3,
-        visible_volume_ml=max(0.0, float(np.median([hit.volume_m3 for hit in usual])) + under_m * track.area_m2) * 1e6,
+        height_mm=max(0.0, median(hit.height_m for hit in usual) + under_m) * 1e3,
+        visible_volume_ml=max(0.0, median(hit.volume_m3 for hit in usual) + under_m * track.area_m2) * 1e6,
         whole=any(hit.whole for hit in track.hits),
         views_sent=0,
         views=(),
@@ -255,4 +255,5 @@ def _view(candidate: Candidate, rank: int, track_id: str, now: Moment, belt_sd_m
         belt_from_camera=candidate.belt_from_camera,
         belt_sd_m=belt_sd_m,
         camera_noise_px=now.noise_px,
+        takes=LATER_PARTS,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from conveyor.messages import Frame
@@ -10,7 +11,7 @@ from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances
 from segmenter.track.history import TravelHistory
 from segmenter.track.tracker import Tracker
-from segmenter.track.travel import TravelEstimator
+from segmenter.track.travel import EarlierMove, TravelEstimator
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +22,14 @@ class BeltMotion:
         travel_m: how far it has moved since the run began; before_m: the same at the frame before, None at the first.
         moved: it moved since the last frame that counts of its own.
         pairs: (index of track, index of instance) that belong together.
+        earlier: how the belt moved before its speed was known, told once.
     """
 
     travel_m: float
     before_m: float | None
     moved: bool
     pairs: list[tuple[int, int]]
+    earlier: Sequence[EarlierMove] = ()
 
 
 class BeltFollower:
@@ -38,6 +41,7 @@ class BeltFollower:
         self.history = TravelHistory()
         self._estimator = TravelEstimator(belt)
         self._begun = False
+        self._earlier: list[EarlierMove] = []
         if resumed:
             self._estimator.start_at(travel_m)
 
@@ -48,7 +52,8 @@ class BeltFollower:
         follow = self._estimate if frame.travel_m is None else self._measure
         pairs = follow(frame, heights, instances, tracker)
         moved = self.history.step(frame.captured_ns, self.travel_m)
-        return BeltMotion(self.travel_m, before_m, moved, pairs)
+        earlier, self._earlier = self._earlier, []
+        return BeltMotion(self.travel_m, before_m, moved, pairs, earlier)
 
     def _measure(
         self, frame: Frame, _heights: HeightMap, instances: Instances, tracker: Tracker
@@ -63,8 +68,9 @@ class BeltFollower:
     ) -> list[tuple[int, int]]:
         self.travel_m, self.estimated = self._estimator.step(heights, frame.captured_ns), True
         # The speed is known for the first time: the belt moved before there was load to see that by.
-        before_m = self._estimator.look_back_m()
-        if before_m:
+        self._earlier = self._estimator.look_back()
+        if self._earlier:
+            before_m = sum(move.all_m for move in self._earlier)
             tracker.shift(before_m)
             self.history.shift(before_m)
             self.travel_m = self._estimator.travel_m

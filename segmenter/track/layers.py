@@ -49,8 +49,10 @@ KEPT = 9
 def rim_of(instances: Instances, index: int, heights: HeightMap) -> NDArray[np.float64]:
     """(8,) `FEATURES` of instance `index` of a frame; a ring without cells counts as belt."""
     rim_mm = rim_heights(instances.labels, heights.height_mm, index + 1, instances.box[index], heights.cell_mm)
-    top_mm = 1000 * float(instances.height_m[index])
-    return np.asarray(np.r_[np.nan_to_num(rim_mm), top_mm, float(instances.contact[index])], np.float64)
+    reading = np.empty(len(FEATURES))
+    reading[:-2] = np.where(np.isnan(rim_mm), 0.0, rim_mm)
+    reading[-2:] = 1000 * float(instances.height_m[index]), float(instances.contact[index])
+    return reading
 
 
 def evidence(readings: Sequence[NDArray[np.float64]]) -> float | None:

@@ -13,6 +13,7 @@ from conveyor.reasons import TrackRefusal
 from segmenter.classify.evidence import Answer
 from segmenter.classify.patch import Patch
 from segmenter.track.constants import CUT_TRUST, ODD_AREA, ODD_TRUST, TRUST_CAP
+from segmenter.track.layers import evidence
 from segmenter.track.views import ViewShelf
 
 
@@ -56,7 +57,7 @@ class TrackState:
     `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
     frames that did not show it but a much larger instance at its place.
     `sent_early`: wanted positions whose view was given to be weighed before the decision.
-    `rims`: readings of its rim (`segmenter.track.layers.reading`).
+    `rims`: readings of its rim (`segmenter.track.layers.rim_of`).
     `answer` is what the classifier said of its patch; None before, and without a classifier.
     """
 
@@ -81,6 +82,7 @@ class TrackState:
     answer: Answer | None = None
     sent_early: set[int] = field(default_factory=set)
     rims: list[NDArray[np.float64]] = field(default_factory=list)
+    _said: tuple[int, float | None] = (0, None)
 
     def track_id(self, run: str, camera: str) -> str:
         """Unique, and the same in every replay."""
@@ -89,6 +91,12 @@ class TrackState:
     def is_odd(self, area_m2: float) -> bool:
         """A visible area that says: this is a merge, or a part."""
         return max(area_m2 / self.area_m2, self.area_m2 / area_m2) > ODD_AREA and self.frames >= 3
+
+    def said_by_rims(self) -> float | None:
+        """Log-odds of lying on others, from `rims`; None without any."""
+        if self._said[0] != len(self.rims):
+            self._said = len(self.rims), evidence(self.rims)
+        return self._said[1]
 
     def add(self, hit: Hit, *, moved: bool) -> None:
         """Take one more reading; `moved`: the belt moved since the last frame that was counted."""

@@ -21,6 +21,7 @@ from segmenter.track.track import Hit, State, TrackState
 from segmenter.track.views import ViewShelf
 
 NO_MATCH = 1e6
+DECIDE_M = 0.075
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class TrackSettings:
     gate_m: float = 0.022
     cut_gate_m: float = 0.040
     area_weight: float = 0.5
-    decide_m: float = 0.075
+    decide_m: float = DECIDE_M
     edge_m: float = 0.020
     leave_m: float = 0.040
 

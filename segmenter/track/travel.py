@@ -8,7 +8,8 @@ on.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,8 @@ from segmenter.resume import STANDS_AFTER_S
 from segmenter.track.constants import (
     FAR_COST,
     FAR_M,
+    FIRST_MATCH,
+    FIRST_WITHIN_S,
     LEAST_CELLS,
     LEAST_COMMON,
     LEAST_MATCH,
@@ -37,6 +40,22 @@ SPEED_WITHIN_S = 2.0
 OCCUPIED_MM = 12.0
 
 
+@dataclass(frozen=True, slots=True)
+class EarlierMove:
+    """The belt moved by `moved_m` metres between two frames, so often, before its speed was known. `bare`: there was
+    nothing to see on it. Else there was load that was followed from none of these frames to the next.
+    """
+
+    moved_m: float
+    times: int
+    bare: bool
+
+    @property
+    def all_m(self) -> float:
+        """All of them, metres."""
+        return self.moved_m * self.times
+
+
 class TravelEstimator:
     """Travel since the first frame, metres, from one height map after the other."""
 
@@ -50,7 +69,7 @@ class TravelEstimator:
         self._length = 1 << int(np.ceil(np.log2(2 * self._shape[1])))
         self._last: tuple[int, NDArray[np.float32], NDArray[np.complex64]] | None = None
         self._speeds: deque[float] = deque(maxlen=SPEEDS_KEPT)
-        self._blind_s = 0.0
+        self._blind: Counter[tuple[int, bool]] = Counter()
         self._looked_back = False
         self.travel_m = 0.0
 
@@ -74,22 +93,25 @@ class TravelEstimator:
             plausible = 0 < elapsed_s < STANDS_AFTER_S
             expected_m = self.speed_mps * elapsed_s if plausible else 0.0
             reach_m = MAX_SPEED_MPS * elapsed_s if plausible else np.inf
-            shift_m = self._shift(occupied, spectrum, expected_m, reach_m)
+            least = self._least_match(expected_m, elapsed_s)
+            shift_m = self._shift(occupied, spectrum, expected_m, reach_m, least)
             self.travel_m += expected_m if shift_m is None else shift_m
             if shift_m is not None and plausible and elapsed_s < SPEED_WITHIN_S:
                 self._speeds.append(shift_m / elapsed_s)
             elif shift_m is None and plausible and not self._speeds:
-                self._blind_s += elapsed_s
+                bare = min(occupied.sum(), self._last[1].sum()) < LEAST_CELLS
+                self._blind[round(1000 * elapsed_s), bare] += 1
         self._last = (captured_ns, occupied, spectrum)
         return self.travel_m
 
-    def look_back_m(self) -> float:
-        """Once, when the speed is first known: how far the belt moved before there was anything to see; else 0."""
+    def look_back(self) -> list[EarlierMove]:
+        """Once, when the speed is first known: how the belt moved before; else nothing."""
         if self._looked_back or len(self._speeds) < SPEEDS_TO_LOOK_BACK:
-            return 0.0
+            return []
         self._looked_back = True
-        self.travel_m += self.speed_mps * self._blind_s
-        return self.speed_mps * self._blind_s
+        moves = [EarlierMove(self.speed_mps * ms / 1000, n, bare=bare) for (ms, bare), n in self._blind.items()]
+        self.travel_m += sum(move.all_m for move in moves)
+        return moves
 
     def correct(self, residual_m: float) -> float:
         """Move the newest travel by what the tracked tubers say; returns it."""
@@ -106,10 +128,21 @@ class TravelEstimator:
             rotation, m[:2, 3].copy(), self._x0, self._y0, self._shape,
         )  # fmt: skip
 
+    def _least_match(self, expected_m: float, elapsed_s: float) -> float:
+        """Normalised correlation that a shift needs to be believed: more where the frames may share no belt."""
+        if expected_m >= (1 - LEAST_OVERLAP) * self._shape[1] * CELL_M:
+            return SURE_MATCH
+        return FIRST_MATCH if not self._speeds and elapsed_s > FIRST_WITHIN_S else LEAST_MATCH
+
     def _shift(
-        self, occupied: NDArray[np.float32], spectrum: NDArray[np.complex64], expected_m: float, reach_m: float
+        self,
+        occupied: NDArray[np.float32],
+        spectrum: NDArray[np.complex64],
+        expected_m: float,
+        reach_m: float,
+        least: float,
     ) -> float | None:
-        """Shift of this raster against the last one, metres, or None where it cannot be told."""
+        """Shift of this raster against the last one, metres, or None where none matches by `least`."""
         if self._last is None:
             return None
         _, before, before_spectrum = self._last
@@ -132,7 +165,6 @@ class TravelEstimator:
         unlikely = np.minimum(np.abs(shifts * CELL_M - expected_m) / FAR_M, 1.0) * bool(self._speeds)
         preferred = match - FAR_COST * unlikely
         best = int(np.argmax(preferred))
-        least = LEAST_MATCH if expected_m < (1 - LEAST_OVERLAP) * cells * CELL_M else SURE_MATCH
         if match[best] < least or not 0 < best < len(shifts) - 1:
             return None
         # A parabola through the peak and its neighbours finds it between the cells.

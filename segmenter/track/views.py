@@ -18,7 +18,7 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import outline_size_m
-from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE, PASSED_M
+from segmenter.track.constants import KEPT_PER_SLOT, LEAST_HEIGHT_M, NEAR_M, ODD_COST_M, ODD_FREE, PASSED_M, SETTLED_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +111,16 @@ class ViewShelf:
         return (0.0 if candidate.whole else 1.0) + away_m + ODD_COST_M * max(0.0, odd - ODD_FREE), candidate.seq
 
 
-def slot_offsets(views: int, *, half_view_m: float) -> tuple[float, ...]:
-    """Wanted offsets from the centre row, best first: the row itself, then alternately before and behind it."""
+def slot_offsets(views: int, *, half_view_m: float, decide_m: float) -> tuple[float, ...]:
+    """Wanted offsets from the centre row, best first: the row itself, then alternately before and behind it; behind
+    it so far that they are seen before the track is decided, `decide_m` past the row.
+    """
     reach_m = min(0.06, 0.35 * half_view_m)
+    behind_m = min(reach_m, decide_m - SETTLED_M)
     steps = max(1, views // 2)
     offsets = [0.0]
     for step in range(1, steps + 1):
-        offsets += [-reach_m * step / steps, reach_m * step / steps]
+        offsets += [-reach_m * step / steps, behind_m * step / steps]
     return tuple(offsets[:views])
 
 

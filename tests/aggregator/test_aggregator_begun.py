@@ -89,3 +89,22 @@ def test_a_mark_that_holds_a_negative_zero_is_read_as_it_was_written(tmp_path: P
         it.start()
         assert it.core.finished
     assert check_file(tmp_path / "ledger.db") == []
+
+
+@pytest.mark.parametrize(("since_s", "unseen_m"), [(20, 4.0), (-1, 0.0), (3600, 0.0)])
+def test_belt_that_ran_until_a_line_was_stopped_without_its_aggregator_was_not_seen(
+    since_s: int, unseen_m: float
+) -> None:
+    """By the time of the day, which live cameras stamp; not by a clock that stepped, nor of a line long stopped."""
+    before = Cameras(("a",), stall_s=10.0, now_s=0.0)
+    before.info(info(first_s=1, last_s=10), 1.0)
+    for second in range(1, 11):
+        looked_m = 0.2 * (second - 1)
+        place = -looked_m, second == 11, looked_m, looked_m
+        before.marked("a", Mark(second * SECOND_NS, looked_m, True, second * SECOND_NS, *place, {}, {}, {}))
+    cameras = Cameras(("a",), stall_s=10.0, now_s=500.0)
+    cameras.restored("a", marks=before.states["a"].marks, curve=[], sight=before.sights["a"])
+    cameras.ran_until((10 + since_s) * SECOND_NS, 501.0)
+    told = coverage(cameras.sights, seen_by={frozenset(("a",)): 9}, moment=cameras.moment(501.0, over=True))
+    assert told.unseen_m["a"].get(Unseen.AFTER, 0.0) == pytest.approx(unseen_m)
+    assert told.belt_m == pytest.approx(1.8 + unseen_m)

@@ -22,6 +22,7 @@ from tuberline.cli.calibrate_bucket import calibrate_bucket
 from tuberline.cli.calibrate_load import calibrate_load
 from tuberline.cli.calibrate_show import set_aside, show
 from tuberline.cli.calibrate_tubers import calibrate_tubers
+from tuberline.cli.ticket_options import PartOptions, TicketOptions
 
 Line = tuple[Path, list[Tuber]]
 
@@ -52,7 +53,7 @@ def test_a_bucket_is_a_ticket_and_later_loads_are_calibrated_by_it(
     folder, tubers = line
     weighed_g = sum(tuber.weight_g for tuber in tubers)
     path = tmp_path / "tickets.json"
-    calibrate_bucket(folder, kg=1.1 * weighed_g / 1000, count=len(tubers), tickets=path, json=True)
+    calibrate_bucket(folder, kg=1.1 * weighed_g / 1000, count=len(tubers), options=TicketOptions(path), json=True)
     told = printed(capsys)
     assert told["ticket"]["kind"] == "bucket"
     assert told["ticket"]["estimated_g"] == pytest.approx(weighed_g)
@@ -66,23 +67,24 @@ def test_a_bucket_is_a_ticket_and_later_loads_are_calibrated_by_it(
     assert message.as_weighed_g == pytest.approx(weighed_g)
     assert message.calibrated_by.startswith("1 bucket: offset +")
     with pytest.raises(InputError, match="--again"):
-        calibrate_bucket(folder, kg=weighed_g / 1000, tickets=path)
+        calibrate_bucket(folder, kg=weighed_g / 1000, options=TicketOptions(path))
 
 
 def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, tubers = line
     some = [tuber for tuber in tubers if 5 <= tuber.tuber_id <= 24]
     kg = sum(tuber.weight_g for tuber in some) / 1000
-    path = tmp_path / "tickets.json"
-    calibrate_bucket(folder, kg=kg, count=20, first=5, last=24, tickets=path, json=True)
+    options, some_ids = TicketOptions(tmp_path / "tickets.json"), PartOptions(first=5, last=24)
+    calibrate_bucket(folder, kg=kg, count=20, weighed=some_ids, options=options, json=True)
     assert printed(capsys)["ticket"]["part"] == "tubers 5 to 24"
     places = [tuber.place_x_m for tuber in some]
-    calibrate_bucket(folder, kg=kg, tickets=path, from_x=max(places), to_x=min(places), json=True)
+    by_place = PartOptions(from_x=max(places), to_x=min(places))
+    calibrate_bucket(folder, kg=kg, weighed=by_place, options=options, json=True)
     assert printed(capsys)["ticket"]["tubers"] >= 20  # a second ticket of the same run, of another part
     with pytest.raises(InputError, match=r"held 40 tubers, .* counted 20"):
-        calibrate_bucket(folder, kg=kg, count=40, first=5, last=24, tickets=path)
+        calibrate_bucket(folder, kg=kg, count=40, weighed=some_ids, options=options)
     with pytest.raises(InputError, match="none of them among tubers 900 to the last"):
-        calibrate_bucket(folder, kg=kg, first=900, tickets=path)
+        calibrate_bucket(folder, kg=kg, weighed=PartOptions(first=900), options=options)
 
 
 def test_a_count_by_hand_that_differs_by_one_scales_the_sum_and_widens_the_ticket(
@@ -92,7 +94,7 @@ def test_a_count_by_hand_that_differs_by_one_scales_the_sum_and_widens_the_ticke
     tickets = []
     for n, count in enumerate((len(tubers), len(tubers) + 1)):
         kg = sum(tuber.weight_g for tuber in tubers) / 1000
-        calibrate_bucket(folder, kg=kg, count=count, tickets=tmp_path / f"{n}.json", json=True)
+        calibrate_bucket(folder, kg=kg, count=count, options=TicketOptions(tmp_path / f"{n}.json"), json=True)
         tickets.append(printed(capsys)["ticket"])
     assert tickets[1]["estimated_g"] == pytest.approx(tickets[0]["estimated_g"] * (1 + 1 / len(tubers)))
     assert tickets[1]["estimated_sd_g"] > 1.3 * tickets[0]["estimated_sd_g"]
@@ -106,7 +108,7 @@ def test_single_weights_find_their_tubers_though_one_is_missing_and_one_is_extra
     lost = grams[:7] + grams[8:]  # the eighth tuber fell off before it was weighed
     lost.insert(20, 613.0)  # and a stranger came into the bucket
     path = weights_file(tmp_path / "weights.csv", lost)
-    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json", json=True)
+    calibrate_tubers(folder, path, options=TicketOptions(tmp_path / "tickets.json"), json=True)
     told = printed(capsys)
     assert told["left_out"] == {"rows": [22], "tubers": [tubers[7].tuber_id]}
     assert told["ticket"]["tubers"] == len(tubers) - 1
@@ -120,7 +122,7 @@ def test_a_weight_left_empty_is_a_tuber_that_was_not_weighed(line: Line, tmp_pat
     path = tmp_path / "weights.csv"
     rows = [f"{tuber.weight_g:.1f}" for tuber in tubers]
     path.write_text("\n".join([*rows[:3], "-", *rows[4:]]) + "\n", encoding="utf-8")
-    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json")
+    calibrate_tubers(folder, path, options=TicketOptions(tmp_path / "tickets.json"))
     (ticket,) = read_tickets(tmp_path / "tickets.json")
     assert tubers[3].tuber_id not in {one.tuber_id for one in ticket.singles}
     assert len(ticket.singles) == len(tubers) - 1
@@ -130,12 +132,12 @@ def test_weights_of_other_tubers_are_refused(line: Line, tmp_path: Path) -> None
     folder, tubers = line
     backwards = weights_file(tmp_path / "weights.csv", [tuber.weight_g for tuber in reversed(tubers)])
     with pytest.raises(InputError, match="in the order of the belt"):
-        calibrate_tubers(folder, backwards, tickets=tmp_path / "tickets.json")
+        calibrate_tubers(folder, backwards, options=TicketOptions(tmp_path / "tickets.json"))
     assert not (tmp_path / "tickets.json").exists()
     wrong = tmp_path / "kilograms.csv"
     wrong.write_text("0.172\n0.211\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"row 1: '0\.172' is no weight in grams"):
-        calibrate_tubers(folder, wrong, tickets=tmp_path / "tickets.json")
+        calibrate_tubers(folder, wrong, options=TicketOptions(tmp_path / "tickets.json"))
 
 
 def test_weights_of_a_part_need_the_part_named(line: Line, tmp_path: Path) -> None:
@@ -143,8 +145,10 @@ def test_weights_of_a_part_need_the_part_named(line: Line, tmp_path: Path) -> No
     some = sorted((t for t in tubers if 10 <= t.tuber_id <= 30), key=lambda t: (t.crossed_ns, t.tuber_id))
     path = weights_file(tmp_path / "weights.csv", [tuber.weight_g for tuber in some])
     with pytest.raises(InputError, match="Name the part of the run"):
-        calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json")
-    calibrate_tubers(folder, path, tickets=tmp_path / "tickets.json", first=10, last=30)
+        calibrate_tubers(folder, path, options=TicketOptions(tmp_path / "tickets.json"))
+    calibrate_tubers(
+        folder, path, weighed=PartOptions(first=10, last=30), options=TicketOptions(tmp_path / "tickets.json")
+    )
     (ticket,) = read_tickets(tmp_path / "tickets.json")
     assert [one.tuber_id for one in ticket.singles] == [tuber.tuber_id for tuber in some]
 
@@ -163,10 +167,11 @@ def test_the_three_kinds_share_a_file_and_the_table_names_who_contradicts(
     folder, tubers = line
     weighed_kg = sum(tuber.weight_g for tuber in tubers) / 1000
     path = tmp_path / "tickets.json"
-    calibrate_load(folder, ticket_kg=1.25 * weighed_kg, tickets=path)
-    calibrate_bucket(folder, kg=weighed_kg, tickets=path)
-    calibrate_bucket(folder, kg=sum(t.weight_g for t in tubers if t.tuber_id <= 20) / 1000, last=20, tickets=path)
-    calibrate_tubers(folder, weights_file(tmp_path / "w.csv", [t.weight_g for t in tubers]), tickets=path)
+    options, first_20 = TicketOptions(path), [t.weight_g for t in tubers if t.tuber_id <= 20]
+    calibrate_load(folder, ticket_kg=1.25 * weighed_kg, options=options)
+    calibrate_bucket(folder, kg=weighed_kg, options=options)
+    calibrate_bucket(folder, kg=sum(first_20) / 1000, weighed=PartOptions(last=20), options=options)
+    calibrate_tubers(folder, weights_file(tmp_path / "w.csv", [t.weight_g for t in tubers]), options=options)
     assert "contradicts all else that is known: load of run" in capsys.readouterr().out
     show(path, json=True)
     (table,) = printed(capsys)

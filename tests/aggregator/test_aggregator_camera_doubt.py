@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from aggregator.calibration.apply import NOISY_SD, OFF_SD_PER_MM
+from aggregator.calibration.apply import OFF_SD_PER_MM
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from conveyor.camera_flags import CAMERA_NOISE, belt_off_flag
+from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, belt_off_flag
+from conveyor.load_spread import OTHER_CAMERA_SD
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -33,9 +34,10 @@ def _half_width(sums: LoadSums) -> float:
 
 def test_noise_beyond_the_trained_range_widens_by_its_share() -> None:
     plain = _half_width(_load((), ()))
-    for flags, share in (((), 0.0), (("cut",), 0.0), ((CAMERA_NOISE,), 0.5)):
+    both = (CAMERA_NOISE, CAMERA_UNLIKE)
+    for flags, share in (((), 0.0), (("cut",), 0.0), ((CAMERA_NOISE,), 0.5), ((CAMERA_UNLIKE,), 0.5), (both, 0.5)):
         wide = _half_width(_load((), flags))
-        assert wide == pytest.approx(math.hypot(plain, NORMAL_90 * NOISY_SD * share), rel=1e-6), flags
+        assert wide == pytest.approx(math.hypot(plain, NORMAL_90 * OTHER_CAMERA_SD * share), rel=1e-6), flags
 
 
 def test_a_belt_off_for_no_known_cause_covers_a_drift_at_any_distance() -> None:

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from aggregator.calibration.apply import calibrated
 from aggregator.calibration.correction import Prior, prior_told
-from conveyor.load_spread import OFFSET_SD_MM, SHARE_PER_MM, shared_sd_share
+from conveyor.load_spread import (
+    DENSITY_SD,
+    DRIFT_SD,
+    FACTOR_SD,
+    OFFSET_SD_MM,
+    OTHER_CAMERA_SD,
+    SCALE_SD,
+    SHARE_PER_MM,
+    shared_sd_share,
+)
 
 
 @pytest.mark.parametrize("offset_sd_mm", [0.3, 1.5, OFFSET_SD_MM])
@@ -18,6 +29,15 @@ def test_ledger_and_evaluation_state_the_same_width(offset_sd_mm: float) -> None
         prior=Prior(offset_sd_mm=offset_sd_mm),
     )
     assert found.high_sd_g / found.weight_g == pytest.approx(shared_sd_share(offset_sd_mm), rel=1e-6)
+
+
+def test_what_is_known_of_the_camera_decides_the_width_before_any_ticket() -> None:
+    """Rods in view know the drift; a camera unlike those trained for is doubted as a whole; the rest is in between."""
+    rods, width, none = (prior_told({"gauge": gauge}).factor_sd for gauge in ("rods", "belt-width", "none"))
+    assert rods < none == width == FACTOR_SD, "a width tells only what changed since the run began"
+    assert none == pytest.approx(math.hypot(DENSITY_SD, SCALE_SD, DRIFT_SD))
+    plain, half, whole = (shared_sd_share(1.0, other_share=share) for share in (0.0, 0.5, 1.0))
+    assert plain < half < whole == pytest.approx(math.hypot(plain, OTHER_CAMERA_SD))
 
 
 def test_what_is_stated_is_as_well_known_as_the_belt_plane_above_it() -> None:

@@ -30,6 +30,7 @@ from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_ledger import Loads, S
 from tests.aggregator.virtual_line import undisturbed
 from tuberline.cli.calibrate_load import calibrate_load
+from tuberline.cli.ticket_options import TicketOptions
 
 DAY_NS = 86_400 * S
 
@@ -182,10 +183,10 @@ def test_a_ticket_of_a_load_goes_to_the_file_of_tickets(tmp_path: Path) -> None:
     day_of_loads(path)
     raw_kg = {t.label: t.raw_g / 1000 for t in totals_by([path], "load")[0]}["2 B"]
     with pytest.raises(InputError, match=r"load 2 \(B\) has no net ticket"):
-        calibrate_load(path, tickets=tickets, load="B")
+        calibrate_load(path, load="B", options=TicketOptions(tickets))
     with Ledger(path) as ledger:
         Loads(ledger, tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)).order("t", "ticket", load="B", kg=raw_kg)
-    calibrate_load(path, tickets=tickets, load="B")
+    calibrate_load(path, load="B", options=TicketOptions(tickets))
     (ticket,) = read_tickets(tickets)
     assert (ticket.kind, ticket.part, ticket.cultivar, ticket.model) == ("load", "load 2", "Fontane", "m")
     assert ticket.estimated_g == pytest.approx(1000 * raw_kg)

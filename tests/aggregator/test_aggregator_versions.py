@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from aggregator.calibration.load import ticket_of
+from aggregator.core.camera_log import Taken
 from aggregator.ledger.audit import audit_run
 from aggregator.ledger.check import check_file
 from aggregator.ledger.export import canonical_lines
@@ -107,6 +108,8 @@ def test_an_unfinished_run_of_it_is_gone_on_with(tmp_path: Path) -> None:
         it = Aggregator(ledger, tell(11, n=12, cameras=2))
         assert it.core.applied() == {"cam0": 9, "cam1": 9}
         assert (len(it.tubers()), it.core.pending) == (3, 5)
+        again = {it.receive(camera, n) for camera in ("cam0", "cam1") for n in range(1, 10)}
+        assert again == {Taken.DUPLICATE}, "a host upgraded in a load called every entry sent again a conflict"
         it.acknowledged = it.core.applied()
         it.deliver_the_rest()
         assert it.core.finished

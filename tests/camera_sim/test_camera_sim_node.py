@@ -91,6 +91,29 @@ def test_a_replay_that_is_stopped_in_the_middle_has_not_ended_and_goes_on(
             side.wait_for_state("ended")
 
 
+def test_a_live_camera_that_is_stopped_has_not_ended_and_numbers_on(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    """It said so, and its segmenter took no frame of the process that followed."""
+    config = line(link, path=small_recording, waits=False, speed=0.3, starts_at_s=time.time() + 1.0)
+    with other_side(config) as side:
+        with process(config, tmp_path, "camera", "--camera", "front") as camera:
+            wait_until(lambda: side.take(0.1) is not None and side.seen, what="a frame")
+            camera.send_signal(signal.SIGTERM)
+            _, said = camera.communicate(timeout=30)
+            assert camera.returncode == 0
+        assert "ended after" not in said
+        info, before = side.info(), side.seen[-1]
+        assert info is not None
+        assert info.state == "streaming"
+        side.done(before)
+        with process(config, tmp_path, "camera", "--camera", "front"):
+            info = side.wait_for_state("ended")
+            side.take()
+        assert side.seen == sorted(set(side.seen))
+        assert before < side.seen[-1] == info.last_seq == _count(small_recording) - 1
+
+
 def test_without_waiting_nobody_holds_it_up_and_late_joiners_learn_that_it_ended(
     link: LinkConfig, small_recording: Path, tmp_path: Path
 ) -> None:

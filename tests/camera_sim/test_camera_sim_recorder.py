@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from camera_sim.recorder import next_part
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor.config import LinkConfig
+from conveyor.errors import PASSING
 from conveyor.formats import describe_recording, open_source
 from conveyor.formats.mcap.recovery import recover
 from conveyor.messages import Frame
@@ -76,3 +79,35 @@ def test_a_killed_recorder_loses_at_most_its_last_chunk(
     mended = list(open_source(tmp_path / "mended.mcap").frames(run="r"))
     assert [item.seq for item in mended] == sorted({item.seq for item in mended})
     assert all(item.encode() == original[item.seq] for item in mended)
+
+
+def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    """It refused the file that it had begun itself, and a unit that systemd restarts stayed down."""
+    out = tmp_path / "line.mcap"
+    assert next_part(out) == out
+    config = line(link, path=small_recording)
+    with other_side(config) as side:
+        for part in (out, tmp_path / "line-2.mcap"):
+            with process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
+                wait_until(lambda: part.is_file() and side.counters("recorder"), what=f"{part.name}")  # noqa: B023
+                recorder.send_signal(signal.SIGTERM)
+                told, _ = recorder.communicate(timeout=30)
+                assert (recorder.returncode, told) == (0, f"0 frames in {part}\n")
+    assert next_part(out) == tmp_path / "line-3.mcap"
+
+
+def test_a_recorder_without_room_is_tried_again_and_leaves_no_empty_parts(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "line.mcap"
+    config = line(link, path=small_recording)
+    with other_side(config), process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
+        wait_until(out.is_file, what="its file")
+        resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (0, 0))
+        _, said = recorder.communicate(timeout=30)
+    assert recorder.returncode == PASSING, said
+    assert f"recording {out}: File too large" in said
+    assert "Traceback" not in said
+    assert not out.exists()

@@ -8,7 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -23,6 +23,7 @@ from tuberline.processes import line_processes
 from tuberline.replayer import fingerprint, prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor
 
+STARTS = "starts_at_s = "
 Disturbance = Callable[["DisturbedLine"], None]
 
 
@@ -33,6 +34,7 @@ class DisturbedLine:
         self.supervisor = supervisor
         self.observer = observer
         self.watched = [supervisor]
+        self._later = ExitStack()
 
     def poll(self) -> None:
         """Look after all processes once."""
@@ -84,6 +86,19 @@ class DisturbedLine:
         """Send a signal to one of the line's processes."""
         with suppress(ProcessLookupError):
             os.kill(self.pid(process), number)
+
+    def restart(self, spec: ProcessSpec, *, after_s: float) -> None:
+        """SIGTERM, wait until it left, and start it again after a while, as the restart of its unit does."""
+        sys.stdout.write(f"restart {spec.name}\n")
+        before = next(s for s in self.watched if spec.name in s.restarts)
+        self.signal(spec.name, signal.SIGTERM)
+        self.wait(lambda: before.finished(spec.name), what=f"the end of {spec.name}")
+        self.go_on(after_s)
+        self.watched.append(self._later.enter_context(Supervisor([spec])))
+
+    def close(self) -> None:
+        """Stop what was started on the way."""
+        self._later.close()
 
     def kill(self, process: str) -> None:
         """SIGKILL, and wait until the supervisor has started it again."""
@@ -179,11 +194,18 @@ def live_run(
     speed: float = 1.0,
     regressors: int = 2,
     settings: dict[str, Any] | None = None,
+    by_the_clock: bool = False,
     timeout_s: float = 150.0,
 ) -> dict[str, Any]:
-    """Like `disturbed_replay`, with cameras that wait for nobody and start when everybody else is there."""
+    """Like `disturbed_replay`, with cameras that wait for nobody and start when everybody else is there.
+
+    `by_the_clock`: what a camera's process does not take in time is gone, as with a device.
+    """
     names = recording_cameras(recording)
-    cameras = {name: {"path": str(recording.resolve()), "speed": speed, "waits": False} for name in names}
+    camera: dict[str, Any] = {"path": str(recording.resolve()), "speed": speed, "waits": False}
+    if by_the_clock:
+        camera["starts_at_s"] = 1.0  # set when the cameras are started; no one else asks for it
+    cameras = dict.fromkeys(names, camera)
     line_site = site(recording, out, regressors=regressors, settings={**(settings or {}), "cameras": cameras})
     others = line_site.parts("router", "aggregator", "regressor", "segmenter")
     with (
@@ -193,7 +215,10 @@ def live_run(
         line = DisturbedLine(supervisor, observer)
         ready = {f"segmenter/{name}" for name in names} | {f"regressor/r{n}" for n in range(1, regressors + 1)}
         line.wait(lambda: ready <= observer.alive(), what=f"{sorted(ready)}", timeout_s=150)
-        with Supervisor(line_site.parts("camera"), log_dir=out / "logs") as sources:
+        if by_the_clock:
+            config = (out / "line.toml").read_text()
+            (out / "line.toml").write_text(config.replace(f"{STARTS}1.0", f"{STARTS}{time.time() + 0.5}"))
+        with Supervisor(line_site.parts("camera"), log_dir=out / "logs") as sources, closing(line):
             line.watched.append(sources)
             disturb(line)
             line.wait(lambda: supervisor.finished("aggregator"), what="the summary", timeout_s=timeout_s)

@@ -98,12 +98,25 @@ def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_pa
 
     make(DEPLOY / "examples" / "site.toml", out=tmp_path / "certs")
     root = tmp_path / "root"
-    done = install(root, "--roles", "camera=left,regressor=barn", "--certs", str(tmp_path / "certs"))
+    done = install(root, "--roles", "camera=left,regressor=barn,loader", "--certs", str(tmp_path / "certs"))
     assert done.returncode == 0, done.stderr
+    assert "loader@" not in done.stdout, "a loader is a certificate, not a unit"
     folder = root / "etc/tuberline/certs"
-    stems = ("operator", "camera.left", "regressor")
+    stems = ("operator", "camera.left", "regressor", "loader")
     assert {f.name for f in folder.iterdir()} == {"ca.pem"} | {f"{s}.{x}" for s in stems for x in ("pem", "key")}
     assert {stat.S_IMODE(f.stat().st_mode) for f in folder.iterdir()} == {0o600}
+
+
+def test_an_upgrade_is_one_line_of_one_file(tmp_path: Path) -> None:
+    """The program beside the old one is named in the environment; what a person wrote there stays."""
+    environment = tmp_path / "etc/tuberline/environment"
+    environment.parent.mkdir(parents=True)
+    environment.write_text("TUBERLINE=/opt/tuberline/bin/tuberline\nTUBERLINE_PAGE=127.0.0.1:9999\n")
+    done = install(tmp_path, "--program", str(TUBERLINE))
+    assert done.returncode == 0, done.stderr
+    assert environment.read_text().splitlines() == ["TUBERLINE_PAGE=127.0.0.1:9999", f"TUBERLINE={TUBERLINE}"]
+    assert "updated   /etc/tuberline/environment" in done.stdout
+    assert [str(path) for path in tmp_path.rglob("*.part")] == []
 
 
 @pytest.mark.parametrize(
@@ -111,6 +124,8 @@ def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_pa
     [
         (("--roles", "cook"), "role 'cook' is not known; known: router aggregator"),
         (("--roles", "camera=top"), "camera 'top' is not in"),
+        (("--roles", "camera=left,loader"), "role loader is a certificate: give --certs DIR"),
+        (("--program", "/nowhere/tuberline"), "/nowhere/tuberline is not there: install Tuberline into"),
         (("--frobnicate",), "unknown option --frobnicate"),
         (("--certs", "/nowhere"), "/nowhere/operator.pem is not there"),
     ],

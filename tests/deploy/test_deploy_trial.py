@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -106,6 +107,23 @@ def test_belt_that_passes_while_the_power_is_off_leaves_the_recording(tmp_path: 
     assert left == [seq for seq in range(300) if seq not in gone]
     assert {int(file.stem) for file in depth.iterdir()} == set(left)
     assert powercuts.belt_runs_on(tmp_path, travelled_m=1e9) == 0, "what has ended is left alone"
+
+
+def test_power_cuts_in_parts_are_the_same_cuts(tmp_path: Path) -> None:
+    """What an earlier call left is gone on with; of another plan nothing is taken over."""
+    plan = powercuts.Plan(seed=1630, cuts=30, tubers=150, speed=4.0)
+    moments = plan.moments()
+    assert moments == plan.moments()
+    counts = [count for _, count in moments if count is not None]
+    assert counts == sorted(counts), "each cut comes with more in the ledger than the one before"
+    assert 15 <= len(counts) <= 25
+    assert counts[-1] < 150
+    file = tmp_path / "cuts.json"
+    assert powercuts.kept(file, plan) is None
+    cuts = powercuts.Cuts(at_boot=2, running=3, unseen_frames=40, tubers_at_cut=[0, 0, 7], committed={"1": "{}"})
+    powercuts.keep(file, plan, cuts)
+    assert powercuts.kept(file, plan) == cuts
+    assert powercuts.kept(file, replace(plan, seed=1)) is None
 
 
 @pytest.mark.slow

@@ -59,6 +59,7 @@ EXAMPLES: list[m.Message] = [
     m.Counters("segmenter", "c", "r", 1, "host", "0", 1.0, {"a": 1}, {"b": 1.0}),
     TUBER,
     TOTALS,
+    m.Picture("c", "r", 7, 123, 6, 4, np.arange(9, dtype=np.uint8), (m.Outline((0, 0, 5, 3), "counted", 170.0),)),
     m.Position("gnss", "r", 3, 10**18, 10**18, 52.7, 5.75, 4, 0.7, 14),
     m.LoadOrder("r1", "start", "gate", 0.5, fields={"name": "A", "variety": "Agria"}, note="wet", place_x_m=-1.5),
     m.LoadAnswer("r1", True, text="load 1 (A) has begun", load=1, name="A", event=1, place_x_m=-1.5, later=False),
@@ -76,7 +77,8 @@ def changed(good: bytes, change: Any) -> bytes:
 
 
 def test_every_kind_of_message_is_here() -> None:
-    parts = {m.Message, m.LoadNow, m.Track, m.Mark, m.Sizes, m.ClassTotal, m.ForeignTotal, m.WeighedView, m.TrackInView}
+    parts = {m.Message, m.Outline, m.LoadNow, m.Track, m.Mark, m.Sizes, m.ClassTotal, m.ForeignTotal, m.WeighedView}
+    parts |= {m.TrackInView}
     kinds = {getattr(m, name) for name in m.__all__} - parts
     assert kinds == {type(example) for example in EXAMPLES}
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View
+from conveyor.messages.views import LATER_PARTS
 
 D405 = Intrinsics(width=1280, height=720, fx=653.8, fy=652.1, cx=643.5, cy=366.1)
 DENSITY = 1.07
@@ -83,6 +84,7 @@ def ellipsoid_view(
         v0=int(rows[0]),
         depth=depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1],
         belt_from_camera=belt_from_camera,
+        takes=LATER_PARTS,
     )
 
 

@@ -157,12 +157,14 @@ def _evaluation(rng: np.random.Generator) -> Evaluation:
         tuber=tuber.astype(str),
         recording=recording.astype(str),
         level_sd_m=np.full(2400, 0.001),
+        unlike=np.zeros(2400, np.bool_),
         groups={"preset": preset, "rim": rim},
         flags={},
         refused={},
         shared_sd_share=1.0,
         shared_bias_share=1.645 * 0.03,
         shared_level_share_per_mm=0.0,
+        shared_other_share=0.0,
         model="made-up@00000000",
     )
 

@@ -285,6 +285,18 @@ def test_a_replay_ends_though_its_last_frames_could_not_be_read(frames: list[Fra
     assert run.frames.gaps == 2
 
 
+def test_a_live_camera_that_failed_comes_back_to_its_run(frames: list[Frame]) -> None:
+    """A device that was away for a while closed its run: no frame of it was taken after that."""
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    play(run, frames[:30], names={"a"})
+    failed = replace(info(state="failed", last_seq=29, waits=False), live=True)
+    run.info(failed, 60.0)
+    assert not run.ended
+    play(run, frames[40:], names={"a"}, start_s=61.0)
+    assert (run.frames.processed, run.frames.gaps) == (FRAMES - 10, 10)
+
+
 def test_an_empty_recording_ends_with_a_final_mark() -> None:
     run = CameraRun("front", "r1", SETTINGS, None)
     run.open()

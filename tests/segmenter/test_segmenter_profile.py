@@ -17,11 +17,11 @@ from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import simulated_sources
 from conveyor.camera_range import CAMERAS, camera_range
+from conveyor.depth_noise import disparity, window_residuals_px
 from conveyor.formats import open_source
 from conveyor.messages import Frame
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.profile.comb import KNOWN_BASELINES_M, find_comb
-from segmenter.profile.noise import disparity, window_residuals_px
 from segmenter.profile.profile import CameraProfile, profile_frames
 from segmenter.profile.verdict import judge
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import socket
@@ -182,3 +183,30 @@ def _pump(source: socket.socket, target: socket.socket) -> None:
     with suppress(OSError):
         while data := source.recv(65536):
             target.sendall(data)
+
+
+def test_every_query_of_the_dashboard_runs(empty: Postgres, ledger: Path) -> None:
+    """With Grafana's macros and variables filled in as it does; the figures are those of the read model."""
+    board = json.loads((Path(__file__).parents[2] / "deploy" / "grafana" / "fleet.json").read_text())
+    with connect(empty.url) as connection:
+        push(connection, ledger)
+    found: dict[str, tuple[list[str], list[tuple[object, ...]]]] = {}
+    (line,) = (variable for variable in board["templating"]["list"] if variable["name"] == "line")
+    with psycopg.connect(empty.url) as connection:
+        lines = ", ".join(f"'{name}'" for (name,) in connection.execute(line["query"]))
+        for panel in board["panels"]:
+            (target,) = panel["targets"]
+            sql = target["rawSql"].replace("${line:sqlstring}", lines)
+            sql = sql.replace("$__timeFrom()", "'2026-09-01T00:00:00Z'").replace(
+                "$__timeTo()", "'2026-09-30T00:00:00Z'"
+            )
+            cursor = connection.execute(sql)
+            found[panel["title"]] = ([column.name for column in cursor.description or ()], cursor.fetchall())
+            assert found[panel["title"]][1], panel["title"]
+            if target["format"] == "time_series":
+                assert found[panel["title"]][0] == ["time", "metric", "value"]
+        ((kg,),) = connection.execute("SELECT weight_kg FROM tuberline.totals_by_line").fetchall()
+    assert found["Potatoes"][1] == [(kg,)]
+    assert found["Loads, tubers"][1] == [(1, TUBERS)]
+    assert sum(row[2] for row in found["Tubers a minute"][1]) == TUBERS  # type: ignore[misc]
+    assert sum(row[1] for row in found["Weights of tubers"][1]) == TUBERS  # type: ignore[misc]

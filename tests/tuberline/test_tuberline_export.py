@@ -8,7 +8,9 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from datetime import UTC, datetime
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,6 +26,11 @@ from tuberline.cli.export import export
 from tuberline.export.isoxml.archive import read_time_logs
 from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
+from tuberline.export.report.gather import day_facts
+from tuberline.export.report.html import report_html
+from tuberline.export.report.page import Bars, Figures, Grid, Report, Sentences
+from tuberline.export.report.pdf import report_pdf
+from tuberline.export.report.wrong import what_went_wrong
 
 pytest.importorskip("pyproj")
 pa_parquet = pytest.importorskip("pyarrow.parquet")
@@ -221,3 +228,58 @@ def test_what_needs_a_place_says_so_and_nothing_is_left(run: Path, tmp_path: Pat
     assert not list(tmp_path.glob("*out*"))
     export([bare], format="csv", out=tmp_path / "tubers.csv")
     assert "lat_deg" not in (tmp_path / "tubers.csv").read_text().splitlines()[0]
+
+
+def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -> None:
+    text = exported(run, tmp_path, "html").read_text()
+    summary = json.loads((run / "summary.json").read_text())["totals"]
+    assert f"{summary['estimated_weight_g'] / 1000:.1f} kg" in text
+    assert f"{summary['count']:,} tubers".replace(",", " ") in text
+    assert "written@0" in text
+    assert text.count('src="data:image/png;base64,') == 1, "the map"
+    assert not [word for word in ("http:", "https:", "<script", "<link") if word in text]
+    assert "No load was weighed: no ticket calibrates these weights." in text
+    with pytest.raises(InputError, match=r"no load of 2020-01-01: they hold 2026-09-21"):
+        export([run], format="html", day="2020-01-01", out=tmp_path / "no.html", **HOW)  # type: ignore[arg-type]
+
+
+def test_the_pdf_report_takes_no_text_for_markup(tmp_path: Path) -> None:
+    pytest.importorskip("typst")
+    pdftotext = shutil.which("pdftotext")
+    odd = '#panic("x") $ <b>& *bold* \\'
+    grid = Grid("Loads", (("Load", "left"), ("kg", "right")), ((odd, "1.0"), ("all", "1.0")), summed=True)
+    bars = Bars(
+        "Classes", ((odd, "#112233"), ("large", "#445566")), ((odd, odd, (0.25, 0.75)), ("empty", "", (0.0, 0.0)))
+    )
+    report = Report(odd, odd, (Figures(((odd, "1", odd),)), grid, bars, Sentences("Wrong", (odd,), warn=True)), odd)
+    html = report_html(report)
+    assert "<b>&" not in html
+    assert html.count(escape(odd)) == 11
+    (tmp_path / "report.pdf").write_bytes(report_pdf(report))
+    if pdftotext:
+        text = subprocess.run(
+            [pdftotext, tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
+        ).stdout
+        assert text.count("#panic") == 10, "all but the title of the window"
+
+
+def test_what_went_wrong_is_said_in_words(run: Path) -> None:
+    facts = day_facts([run])
+    (load,), (of_run,) = facts.loads, facts.runs
+    missed = replace(
+        load, label="7 trailer", coverage=0.8, unseen_m={"between_frames": 3.21}, ticket_kg=2 * load.high_kg
+    )
+    sheet = {"frames": {"published": 100, "gaps": 7, "dropped_blind": 1}, "views": {"sent": 10, "lost_late": 5}}
+    broken = replace(of_run, summary={"cameras": {"left": sheet}, "differences": ["tubers do not add up"]})
+    told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, replace(of_run, run="b", summary={}))))
+    assert told[0] == (
+        "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
+        "Its weight makes up for that."
+    )
+    assert told[1].startswith("Load 7 trailer: its ticket says ")
+    assert told[3:] == [
+        "The balance sheet of run monday does not hold: tubers do not add up. `tuberline audit` says more.",
+        "Camera left of run monday: of 100 frames 7 lost on the way.",
+        "Camera left of run monday: of 10 views 5 late.",
+        "Run b has not ended, or was cut off: this is what is committed.",
+    ]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.belts import simulate, tuberline
-from tests.chaos.test_chaos_resume import child
+from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
 from tuberline.replayer import free_port
 
@@ -51,18 +51,29 @@ def test_a_line_ends_with_its_load_where_that_is_set(tmp_path: Path) -> None:
     assert summary["totals"]["count"] == 4
 
 
-def test_a_line_stopped_while_its_aggregator_is_down_says_that_there_is_no_summary(tmp_path: Path) -> None:
-    config = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="4"))
+def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_ledger(tmp_path: Path) -> None:
+    """There was none."""
+    config = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="12"))
+    config.write_text(config.read_text().replace("speed = 0", "speed = 0.3\nwaits = false"))
     command = [sys.executable, "-m", "tuberline", "run", str(config), "--run", "monday"]
     line = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    wait_until(lambda: (tmp_path / "run" / "ledger.db").is_file(), what="a ledger", timeout_s=60)
+    wait_until(lambda: tubers(tmp_path / "run") >= 2, what="two tubers in the ledger", timeout_s=90)
     aggregator = child(line.pid, "aggregator")
     assert aggregator is not None
     os.kill(aggregator, signal.SIGKILL)
     line.terminate()
     _, said = line.communicate(timeout=60)
     assert line.returncode == 0
-    assert "tuberline: run monday has no summary" in said
+    assert "the aggregator of run monday was down when the line was stopped" in said
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["run"], summary["final"], summary["state"]) == ("monday", False, "ended")
+    assert summary["totals"]["count"] == tubers(tmp_path / "run") >= 2
+    assert 0 < summary["coverage"] <= 1
+    assert len((tmp_path / "run" / "tubers.csv").read_text().splitlines()) == 1 + summary["totals"]["count"]
+    before = (tmp_path / "run" / "summary.json").read_bytes()
+    (tmp_path / "run" / "summary.json").unlink()
+    assert "of run monday" in tuberline("ledger", "summary", "--config", config).stdout
+    assert json.loads(before)["totals"] == json.loads((tmp_path / "run" / "summary.json").read_text())["totals"]
 
 
 def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_path: Path) -> None:

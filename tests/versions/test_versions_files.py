@@ -121,6 +121,9 @@ def test_the_version_has_one_home_and_is_ahead_of_0_1() -> None:
     ).stdout.strip()
     assert said == conveyor.__version__
     assert tuple(int(part) for part in said.split(".")[:2]) > (0, 1)
+    newest = re.search(r"^## (.*)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert newest is not None
+    assert said in newest[1], "the changelog begins with this version"
     assert 'dynamic = ["version"]' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     for pack in ("views", "belts"):
         assert json.loads((OLD / pack / "meta.json").read_text(encoding="utf-8"))["tuberline"] == "0.1.0"

@@ -9,12 +9,12 @@ import sqlite3
 import subprocess
 import sys
 import time
-import tomllib
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -59,21 +59,21 @@ class Line:
             recording, names, out=out, speed=speed, weights=None, regressors=1, rrd=None, settings={}
         )
         (self.camera,) = names
-        text = dump_toml(config)
-        (out / "line.toml").write_text(text)
-        (out / "old.toml").write_text(tomli_w.dumps(self._known_to_old(tomllib.loads(text))))
+        (out / "line.toml").write_text(dump_toml(config))
+        given = config.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+        (out / "old.toml").write_text(tomli_w.dumps(self._known_to_old(given)))
 
-    def _known_to_old(self, raw: dict[str, Any]) -> dict[str, Any]:
+    def _known_to_old(self, given: dict[str, Any]) -> dict[str, Any]:
+        """What its host's file would say: of what is `given`, the keys that it has."""
         said = self._python(self._old, "-m", "conveyor", "config", "schema").stdout
         known = {name: set(part.get("properties", {})) for name, part in json.loads(said)["$defs"].items()}
-        sections = {name: f"{name.capitalize()}Config" for name in raw}
-        kept: dict[str, Any] = {"name": raw["name"]}
-        for name, section in raw.items():
+        kept: dict[str, Any] = {"name": given["name"]}
+        for name, section in given.items():
             if name == "cameras":
                 keys = known["CameraConfig"]
                 kept[name] = {camera: {k: v for k, v in c.items() if k in keys} for camera, c in section.items()}
-            elif sections[name] in known:
-                kept[name] = {k: v for k, v in section.items() if k in known[sections[name]]}
+            elif (keys := known.get(f"{name.capitalize()}Config")) is not None:
+                kept[name] = {k: v for k, v in section.items() if k in keys}
         return kept
 
     def _environment(self, home: Path) -> dict[str, str]:
@@ -116,6 +116,12 @@ class Line:
         self.stop(*HOSTS[host])
         self.start(*HOSTS[host], version=version)
 
+    def lose_power(self, host: str) -> None:
+        for role in HOSTS[host]:
+            process = self.processes.pop(role)
+            process.kill()
+            process.wait()
+
     def tubers(self) -> dict[int, float]:
         """Place of every tuber in the ledger, by its number."""
         try:
@@ -125,7 +131,12 @@ class Line:
             return {}
 
     def finish(self, timeout_s: float = 200.0) -> dict[str, Any]:
-        wait_until(lambda: self.processes["aggregator"].poll() is not None, what="the summary", timeout_s=timeout_s)
+        def ended() -> bool:
+            refused = [role for role, process in self.processes.items() if process.poll() not in (None, 0)]
+            assert refused == [], "\n".join(self.log(role) for role in refused)
+            return self.processes["aggregator"].poll() is not None
+
+        wait_until(ended, what="the summary", timeout_s=timeout_s)
         assert self.processes["aggregator"].returncode == 0, self.log("aggregator")
         summary: dict[str, Any] = json.loads((self.out / "summary.json").read_text())
         return summary
@@ -144,37 +155,48 @@ def line(belt: Path, old: Path, tmp_path: Path) -> Iterator[Line]:
     made.close()
 
 
-@pytest.mark.parametrize("role", ["camera", "segmenter"])
-def test_a_node_of_0_1_works_on_a_line_of_this_version_and_is_named(line: Line, role: str) -> None:
-    roles = [name for host in HOSTS.values() for name in host]
+@pytest.mark.parametrize("roles", [("camera",), ("segmenter", "camera")])
+def test_nodes_of_0_1_work_on_a_line_of_this_version_and_are_named(line: Line, roles: tuple[str, ...]) -> None:
+    """A camera, and a host of cameras as a whole: its segmenter asks the new regressor, and can read the answers."""
     line.start("router", version="new")
     time.sleep(1.0)  # 0.1 gives up a router that is not there
-    line.start(*(name for name in roles if name not in ("router", role)), version="new")
-    line.start(role, version="old")
+    line.start(*(name for host in HOSTS.values() for name in host if name not in ("router", *roles)), version="new")
+    line.start(*roles, version="old")
     summary = line.finish()
     assert summary["totals"]["count"] == TUBERS
     assert summary["software"] == __version__
-    assert summary["other_versions"] == {f"{role}/{line.camera}": "0.1.0"}
+    assert summary["other_versions"] == {f"{role}/{line.camera}": "0.1.0" for role in roles}
     assert f"runs tuberline 0.1.0, the ledger is kept by {__version__}" in line.log("aggregator")
     assert check_file(line.out / "ledger.db") == []
 
 
-def test_a_regressor_of_0_1_refuses_the_views_of_this_version_in_words(line: Line) -> None:
-    """It knows no resting level, so it would weigh without one: the views wait for a regressor that does."""
+@pytest.mark.parametrize(
+    ("role", "host", "word"), [("regressor", "barn", "View."), ("segmenter", "harvester", "CameraInfo.")]
+)
+def test_what_0_1_cannot_read_it_refuses_in_words(line: Line, role: str, host: str, word: str) -> None:
+    """A regressor knows no resting level, so views wait for one that does; a segmenter knows its own host's camera.
+
+    Upgrading the host is all it takes.
+    """
     line.start("router", version="new")
     time.sleep(1.0)
-    line.start("aggregator", "segmenter", "camera", version="new")
-    line.start("regressor", version="old")
-    wait_until(lambda: "resting_offset_m" in line.log("regressor"), what="the refusal in words", timeout_s=120)
+    line.start(*(name for name in ("aggregator", "regressor", "segmenter", "camera") if name != role), version="new")
+    line.start(role, version="old")
+    wait_until(lambda: word in line.log(role), what="the refusal in words", timeout_s=120)
     wait_until(lambda: "runs tuberline 0.1.0" in line.log("aggregator"), what="it told by the ledger", timeout_s=60)
-    assert "Traceback" not in line.log("regressor")
-    line.upgrade("barn", version="new")
+    assert "Traceback" not in line.log(role)
+    line.upgrade(host, version="new")
     assert line.finish()["totals"]["count"] == TUBERS
 
 
-def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(belt: Path, old: Path, tmp_path: Path) -> None:
-    """First the edge with the ledger, then the regressors, the harvester last; each step with tubers in the ledger."""
-    line = Line(belt, tmp_path, old, speed=0.15)
+def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(
+    belt: Path, old: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """First the edge with the ledger, then the regressors, the harvester last; each step with tubers in the ledger.
+
+    Each host loses its power twice on the way: in its old version, and while the new one starts.
+    """
+    line = Line(belt, tmp_path, old, speed=0.05)
     try:
         for host in HOSTS:
             line.start(*HOSTS[host], version="old")
@@ -182,7 +204,11 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(belt: Path,
         before: dict[int, float] = {}
         for step, host in enumerate(HOSTS, start=1):
             wait_until(lambda n=step: len(line.tubers()) >= n, what=f"{step} tubers", timeout_s=200)  # type: ignore[misc]
-            line.upgrade(host, version="new")
+            line.lose_power(host)
+            line.start(*HOSTS[host], version="new")
+            time.sleep(rng.uniform(0.3, 4.0))
+            line.lose_power(host)
+            line.start(*HOSTS[host], version="new")
             now = line.tubers()
             assert before.items() <= now.items(), f"lost or moved before the upgrade of {host}"
             before = now
@@ -190,19 +216,20 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(belt: Path,
         assert before.items() <= line.tubers().items()
         assert summary["totals"]["count"] == len(line.tubers()) == TUBERS
         assert summary["other_versions"] == {}
+        assert "conflicting" not in line.log("aggregator"), "entries of 0.1 sent again are the same entries"
         assert check_file(tmp_path / "ledger.db") == []
     finally:
         line.close()
 
 
-def test_the_way_back_leaves_the_ledger_where_it_is_and_says_so(belt: Path, old: Path, tmp_path: Path) -> None:
-    """Regressors' hosts go back as the harvester does; 0.1 refuses a ledger of this version, and does not touch it."""
+def test_the_way_back_in_a_load_loses_no_tuber_and_leaves_the_ledger(belt: Path, old: Path, tmp_path: Path) -> None:
+    """0.1 refuses a ledger of this version and does not touch it: that host stays, the two others go back."""
     line = Line(belt, tmp_path, old, speed=0.15)
     try:
         for host in HOSTS:
             line.start(*HOSTS[host], version="new")
             time.sleep(0.5)
-        wait_until(lambda: len(line.tubers()) >= 2, what="2 tubers", timeout_s=200)
+        wait_until(lambda: len(line.tubers()) >= 1, what="a tuber", timeout_s=200)
         line.stop("aggregator")
         held = line.tubers()
         line.start("aggregator", version="old")
@@ -211,8 +238,15 @@ def test_the_way_back_leaves_the_ledger_where_it_is_and_says_so(belt: Path, old:
         assert line.processes["aggregator"].returncode != 0
         assert line.tubers() == held
         line.start("aggregator", version="new")
+        for host in ("harvester", "barn"):
+            line.upgrade(host, version="old")
+            assert held.items() <= line.tubers().items(), f"lost or moved on the way back of {host}"
         summary = line.finish(300)
-        assert summary["totals"]["count"] == TUBERS
         assert held.items() <= line.tubers().items()
+        assert summary["totals"]["count"] == len(line.tubers()) == TUBERS
+        assert set(summary["other_versions"]) == {f"{role}/{line.camera}" for role in ("camera", "segmenter")} | {
+            "regressor/r1"
+        }
+        assert check_file(tmp_path / "ledger.db") == []
     finally:
         line.close()

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import conveyor.messages as messages
 from conveyor.errors import MessageError, Refusal
-from conveyor.wire import SCHEMA_VERSION
+from conveyor.messages.views import LATER_PARTS
+from conveyor.wire import SCHEMA_VERSION, read_header
 
 OLD = Path(__file__).parent / "v0_1" / "messages"
 KINDS = {"TrackEntryMark": "TrackEntry"}
@@ -44,6 +46,18 @@ def test_their_values_are_what_0_1_meant() -> None:
     view = decoded("View")
     assert isinstance(view, messages.View)
     assert (view.resting_offset_m, view.depth.shape) == (0.0, (6, 8))
+
+
+def test_a_segmenter_of_0_1_gets_answers_that_it_can_read() -> None:
+    """It refused weights with sizes, and asked for the same views again and again until its host was upgraded."""
+    view, weight = decoded("View"), decoded("Weight")
+    assert isinstance(view, messages.View)
+    assert isinstance(weight, messages.Weight)
+    sizes = messages.Sizes(80.0, 60.0, 50.0, 55.0, 3.0, 3.0, 4.0, 3.0)
+    answer = replace(weight, sizes=sizes)
+    assert answer.within(LATER_PARTS) == answer
+    told = read_header(answer.within(view.takes).encode()).fields
+    assert set(told) == set(read_header((OLD / "Weight.bin").read_bytes()).fields)
 
 
 def test_a_message_of_another_schema_is_refused_with_both_versions() -> None:

@@ -11,7 +11,7 @@ from tests.viewer.page_states import camera_info, good_state, node, segmenter, t
 from viewer.page.alarms import alarms
 from viewer.page.snapshot import FORGET_GONE_S, MAX_NODES, snapshot
 from viewer.page.state import STALE_S, LineState
-from viewer.page.words import FRAME_DROPS, VIEW_LOSSES, span
+from viewer.page.words import FRAME_DROPS, said, span
 
 
 def texts(state: LineState, level: str) -> list[str]:
@@ -23,7 +23,7 @@ def test_all_is_well() -> None:
     shown = snapshot(good_state())
     assert shown["state"] == "running"
     assert [camera["state"] for camera in shown["cameras"]] == ["ok", "ok"]
-    assert shown["cameras"][0]["drops"] == {"too old": 7}
+    assert shown["cameras"][0]["drops"] == {"too_old": 7}
     assert shown["load"]["seen_g"][1] == pytest.approx(172 * 11590)
     json.dumps(shown, allow_nan=False)
 
@@ -42,7 +42,7 @@ def test_a_dark_camera_is_told_with_how_long_and_what_to_do() -> None:
 def test_drops_that_are_over_are_history_and_no_alarm() -> None:
     state = with_node(good_state(), "segmenter/left", segmenter("left", gauges={"frames_dropped_blind": 360.0}))
     assert alarms(state) == ()
-    assert snapshot(state)["cameras"][0]["drops"] == {"dark or covered": 360, "too old": 7}
+    assert snapshot(state)["cameras"][0]["drops"] == {"blind": 360, "too_old": 7}
 
 
 def test_nodes_of_another_version_are_told_with_both() -> None:
@@ -100,12 +100,40 @@ def test_a_reason_without_words_is_shown_by_its_name() -> None:
 def test_views_that_are_left_out_ask_for_more_regressors() -> None:
     state = with_node(good_state(), "segmenter/left", segmenter("left", growing_s={"views_lost_shed": 9.0}))
     (alarm,) = alarms(state)
-    assert (alarm.level, alarm.fix) == ("warning", VIEW_LOSSES["shed"].fix)
+    assert (alarm.level, alarm.fix) == ("warning", said("lost.shed.todo"))
 
 
 def test_a_camera_without_frames() -> None:
     state = with_node(good_state(), "segmenter/left", segmenter("left", resting_s={"frames_processed": 8.0}))
     assert texts(state, "trouble") == ["No frames have come from camera left for 8 s."]
+
+
+def test_a_dead_camera_is_told_by_the_belt_that_its_segmenter_no_longer_sees_move() -> None:
+    heard = good_state(frame_s={"left": 1.9, "right": 0.1})
+    assert texts(heard, "trouble") == ["No frames have come from camera left for 1 s."]
+    assert snapshot(heard)["cameras"][0]["state"] == "trouble"
+    assert alarms(good_state(frame_s={"left": 1.7})) == ()
+    waits = {"left": camera_info("left", waits=True), "right": camera_info("right")}
+    assert alarms(replace(heard, cameras=waits)) == (), "a replay may wait"
+    silent = with_node(heard, "segmenter/left", segmenter("left", age_s=2.1))
+    assert alarms(silent) == (), "nothing is heard of its segmenter either: that is the link, and told as such"
+    dropping = segmenter("left", growing_s={"frames_dropped_too_old": 1.0})
+    assert alarms(with_node(heard, "segmenter/left", dropping)) == (), "frames come, too late"
+
+
+def test_a_recorder_that_ended_on_purpose_is_no_trouble() -> None:
+    ended = node("recorder/rec", alive=False, gone_s=20.0)
+    assert ended.report is not None
+    ended = replace(ended, report=replace(ended.report, status="ended"))
+    state = with_node(good_state(), "recorder/rec", ended)
+    shown = snapshot(state)
+    assert (shown["state"], [alarm["level"] for alarm in shown["alarms"]]) == ("running", [])
+    assert shown["health"] == {"processes": 8, "well": 7, "ended": ["recorder/rec"], "ill": {}}
+    killed = with_node(state, "recorder/rec", node("recorder/rec", alive=False, gone_s=20.0))
+    assert snapshot(killed)["health"]["ill"] == {"recorder/rec": "gone"}
+    camera = replace(ended, report=replace(ended.report, role="camera", name="left"))
+    stopped = with_node(good_state(), "camera/left", camera)
+    assert texts(stopped, "trouble") == ["Camera left stopped 20 s ago."], "the load misses its belt, on purpose or not"
 
 
 def test_processes_that_are_gone_hang_or_start() -> None:
@@ -172,7 +200,7 @@ def test_no_contact_is_the_one_thing_to_say_and_nothing_flows() -> None:
     assert alarm.text == "No contact with line north for 14 s."
     shown = snapshot(state)
     assert (shown["state"], shown["heard_s"], shown["flow"]) == ("no contact", 14.0, None)
-    never = LineState("north", trouble="No router answers at tcp/10.0.0.1:7447")
+    never = LineState("north", no_router="tcp/10.0.0.1:7447")
     assert alarms(never)[0].text == "No contact with line north. No router answers at tcp/10.0.0.1:7447."
 
 

@@ -97,6 +97,7 @@ def test_a_line_is_shown_grows_old_and_comes_back(link: LinkConfig) -> None:
             lambda: shown.lines()["north"]["state"] == "no contact", what="the line's silence", timeout_s=PATIENCE_S
         )
         assert shown.lines()["north"]["heard_s"] >= 3.5
+        assert shown.lines()["north"]["health"]["ended"] == ["aggregator/aggregator"], "it went on purpose, and said so"
         with Node("aggregator", "aggregator", config=config, run=RUN) as node:
             kept = KeptPublisher(node, topics.TOTALS)
 

@@ -60,7 +60,7 @@ def _camera(key: str, names: Sequence[str]) -> str:
 def _lost_regressors(state: LineState, config: LineConfig) -> Iterator[Seen]:
     own = {*(f"r{n}" for n in range(1, config.regressor.processes + 1)), *config.access.regressors}
     for name, node in state.role("regressor").items():
-        if node.state == "gone" and (name in own or node.away_s < FORGOTTEN_AFTER_S):
+        if node.left and (name in own or node.away_s < FORGOTTEN_AFTER_S):
             yield Seen(
                 f"regressor-{name}-lost",
                 "warning",

@@ -85,6 +85,8 @@ class NetworkInputs:
             share their neighbours; such a cloud is not for the exported network.
         features: (17,) float64, what the visible surface measures: volume, outline, how it lies.
         standing_m: height_m before it is clamped.
+        noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known, as of
+            a cloud that came without its image.
     """
 
     points: NDArray[np.float32]
@@ -92,6 +94,7 @@ class NetworkInputs:
     groups: NDArray[np.float32] | None
     features: NDArray[np.float64]
     standing_m: float
+    noise_px: float = 0.0
 
     def feed(self, *, belt_sd_mm: float = 2.0, resting_sd_mm: float = 0.0) -> dict[str, NDArray[np.floating]]:
         """The inputs of a network of `tuberline export-onnx`, by name, for a batch of one; concatenate them for more.
@@ -111,6 +114,7 @@ class NetworkInputs:
             "height_m": np.array([self.standing_m], np.float32),
             "features": self.features[None],
             "belt_sd_m": np.array([np.hypot(belt_sd_mm, resting_sd_mm) / 1000]),
+            "noise_px": np.array([self.noise_px]),
         }
 
 
@@ -255,6 +259,7 @@ def prepare(
         groups=groups_tensor(groups) if isinstance(groups, SharedGroups) else None,
         features=prepared.surface.as_array(),
         standing_m=prepared.height_m,
+        noise_px=prepared.noise_px or 0.0,
     )
 
 

@@ -6,6 +6,8 @@ import json as json_module
 import sys
 from pathlib import Path
 
+from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, WHOLE_RUN, PartOptions, TicketOptions
+
 SCALE_SHARE = 0.002
 LEAST_SCALE_KG = 0.01
 
@@ -16,16 +18,9 @@ def calibrate_bucket(
     *,
     kg: float,
     count: int | None = None,
-    tickets: Path = Path("tickets.json"),
     scale_error_kg: float | None = None,
-    first: int | None = None,
-    last: int | None = None,
-    from_x: float | None = None,
-    to_x: float | None = None,
-    run: str | None = None,
-    again: bool = False,
-    cultivar: str = "",
-    resting_offset_mm: float = 0.0,
+    weighed: PartOptions = WHOLE_RUN,
+    options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,
 ) -> None:
     """Calibrate by one bucket: tubers that passed the line, were caught, and were weighed together.
@@ -38,41 +33,31 @@ def calibrate_bucket(
         What the tubers weigh, net.
     count
         How many they are, counted by hand; default: as many as the run counted.
-    tickets
-        File of tickets; made where it does not exist. Name it as aggregator.tickets in the line's file.
     scale_error_kg
         Standard deviation of the scale; default: 0.2 % of the weight, at least 10 g.
-    first, last
-        Ids of the first and last tuber in the bucket, where it is a part of the run (see tubers.csv).
-    from_x, to_x
-        The same by places on the belt, metres (place_x_m in tubers.csv).
-    run
-        Which run, where the ledger holds several.
-    again
-        Replace the ticket that this part has already.
-    cultivar
-        Name of the cultivar; each gets a factor of its own. Name it as aggregator.cultivar for runs to come.
-    resting_offset_mm
-        Resting offset that the run was weighed with.
+    weighed
+        The part of the run that was in the bucket.
+    options
+        Where the ticket goes.
     json
         Print ticket and correction as JSON on stdout.
     """
-    from aggregator.calibration.load import Part, bucket_ticket
-    from tuberline.cli.calibration_told import add_ticket, after_ticket, as_json
+    from aggregator.calibration.load import bucket_ticket
+    from tuberline.cli.calibration_told import after_ticket, as_json
 
     sd_kg = scale_error_kg if scale_error_kg is not None else max(LEAST_SCALE_KG, SCALE_SHARE * abs(kg))
     ticket = bucket_ticket(
         run_dir,
-        run=run,
-        part=Part(first, last, from_x, to_x),
+        run=options.run,
+        part=weighed.part(),
         ticket_g=1000 * kg,
         ticket_sd_g=1000 * sd_kg,
         count=count,
-        cultivar=cultivar,
-        stated_offset_mm=resting_offset_mm,
+        cultivar=options.cultivar,
+        stated_offset_mm=options.resting_offset_mm,
     )
-    known = add_ticket(tickets, ticket, again=again)
+    known = options.add(ticket)
     if json:
         sys.stdout.write(json_module.dumps(as_json(known, ticket), indent=2) + "\n")
     else:
-        sys.stdout.write(after_ticket(known, ticket, tickets))
+        sys.stdout.write(after_ticket(known, ticket, options.tickets))

@@ -6,19 +6,17 @@ import json as json_module
 import sys
 from pathlib import Path
 
+from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, TicketOptions
+
 
 def calibrate_load(
     run_dir: Path,
     /,
     *,
     ticket_kg: float | None = None,
-    tickets: Path,
     load: str = "",
     scale_error_kg: float | None = None,
-    run: str | None = None,
-    again: bool = False,
-    cultivar: str = "",
-    resting_offset_mm: float = 0.0,
+    options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,
 ) -> None:
     """Add the ticket of a counted load to a file of tickets, which then calibrates the totals of later loads.
@@ -32,45 +30,37 @@ def calibrate_load(
         Folder of the counted run (with its ledger.db), or the ledger itself.
     ticket_kg
         Net weight of the whole run on the scale; where loads were started in it, give --load instead.
-    tickets
-        File of tickets; made where it does not exist. Name it as aggregator.tickets in the line's file.
     load
         A load of that ledger, by number or name, whose ticket was entered with `tuberline load ticket`.
     scale_error_kg
         Standard deviation of the scale and of what is stuck in the trailer; default: 0.5 % of the ticket.
-    run
-        Which run, where the ledger holds several.
-    again
-        Replace the ticket that this run has already.
-    cultivar
-        Name of the cultivar; each gets a factor of its own. Name it as aggregator.cultivar for runs to come.
-    resting_offset_mm
-        Resting offset that the run was weighed with.
+    options
+        Where the ticket goes.
     json
         Print tickets and factor as JSON on stdout.
     """
     from aggregator.calibration.load import ticket_of
     from aggregator.ledger.load_totals import ticket_of_load
     from conveyor.errors import InputError
-    from tuberline.cli.calibration_told import add_ticket, after_ticket, as_json
+    from tuberline.cli.calibration_told import after_ticket, as_json
 
     if (ticket_kg is None) != bool(load):
         raise InputError(
             "give the run's net weight with --ticket-kg, or a load of the ledger that has a ticket, --load"
         )
     if ticket_kg is None:
-        ticket = ticket_of_load(run_dir, load, cultivar=cultivar)
+        ticket = ticket_of_load(run_dir, load, cultivar=options.cultivar)
     else:
         ticket = ticket_of(
             run_dir,
-            run=run,
+            run=options.run,
             ticket_g=1000 * ticket_kg,
             ticket_sd_g=1000 * scale_error_kg if scale_error_kg is not None else 5.0 * abs(ticket_kg),
-            cultivar=cultivar,
-            stated_offset_mm=resting_offset_mm,
+            cultivar=options.cultivar,
+            stated_offset_mm=options.resting_offset_mm,
         )
-    known = add_ticket(tickets, ticket, again=again)
+    known = options.add(ticket)
     if json:
         sys.stdout.write(json_module.dumps(as_json(known, ticket), indent=2) + "\n")
     else:
-        sys.stdout.write(after_ticket(known, ticket, tickets))
+        sys.stdout.write(after_ticket(known, ticket, options.tickets))

@@ -13,19 +13,6 @@ if TYPE_CHECKING:
     from aggregator.calibration.tickets import Ticket
 
 
-def add_ticket(path: Path, ticket: Ticket, *, again: bool) -> tuple[Ticket, ...]:
-    """All tickets in the file at `path`, which is made where it does not exist, with one more.
-
-    Raises:
-        InputError: the file cannot be read, or has this ticket already.
-    """
-    from aggregator.calibration.tickets import read_tickets, with_ticket, write_tickets
-
-    known = with_ticket(read_tickets(path) if path.exists() else (), ticket, again=again)
-    write_tickets(path, known)
-    return known
-
-
 def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
     """The ticket, the factor for a typical load, and the correction."""
     from aggregator.calibration.apply import load_factor

@@ -20,7 +20,7 @@ GROUPS: dict[str, Commands] = {
         "weigh": ("tuberline.cli.weigh:weigh", "Weigh clouds, or the objects of a frame; no line needed."),
         "score": ("tuberline.cli.score:score", "Compare a run with the truth: count, weights, total."),
         "audit": ("tuberline.cli.audit:audit", "The balance sheet of a run: nothing lost silently."),
-        "export": ("tuberline.cli.export:export", "Tubers, loads and maps for other programs: CSV, Parquet, ISOXML."),
+        "export": ("tuberline.cli.export:export", "A day's report (PDF, HTML); CSV, Parquet, ISOXML for programs."),
         "sync": ("tuberline.cli.sync:sync", "Ledgers of many lines into one PostgreSQL."),
         "map": ("tuberline.cli.map:map_field", "The field's yield in t/ha, from runs and positions."),
         "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),

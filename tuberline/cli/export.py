@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
+
+from conveyor.errors import InputError
+
+if TYPE_CHECKING:
+    from conveyor.messages import Tuber
+    from tuberline.maps.field import FieldMap
 
 
 def export(
     runs: Annotated[list[Path], Parameter(name="runs", show_default=False)],
     /,
     *,
-    format: Literal["csv", "parquet", "geojson", "geoparquet", "isoxml", "xlsx"],
+    format: Literal["csv", "parquet", "geojson", "geoparquet", "isoxml", "xlsx", "html", "pdf"],
     what: Literal["tubers", "loads", "cells"] = "tubers",
     out: Path | None = None,
     track: Annotated[list[Path] | None, Parameter(consume_multiple=True)] = None,
@@ -22,11 +28,16 @@ def export(
     delay_s: float | None = None,
     cell_m: float = 10.0,
     track_shift_s: float = 0.0,
+    day: str | None = None,
+    contract: Path | None = None,
 ) -> None:
-    """Write tubers, loads or cells of the map for other programs, with units, calibration, coverage and version.
+    """Write tubers, loads or cells of the map for other programs, or a day's report for a person.
+
+    All files tell units, calibration, coverage, weights and version.
 
     Where positions are known (positions.csv beside the ledger, or --track) each tuber has the place where it grew.
-    ISOXML is TASKDATA with a time log, one record per second.
+    ISOXML is TASKDATA with a time log, one record per second. html and pdf are the report: loads, sizes, foreign
+    matter, map, what went wrong.
 
     Parameters
     ----------
@@ -35,7 +46,7 @@ def export(
     format
         csv has its units in NAME.csv-metadata.json (CSV on the Web); all others hold theirs.
     what
-        Rows of the file: one per tuber, per load, or per cell of the field's map.
+        Rows of the file: one per tuber, per load, or per cell of the field's map. A report has all it needs.
     out
         File to write; default: named after what and format, beside the first ledger.
     track
@@ -50,30 +61,53 @@ def export(
         Side of a cell, metres.
     track_shift_s
         Added to the track's times, where its clock differs from the cameras'.
+    day
+        Of the report, YYYY-MM-DD; default: all that the runs hold.
+    contract
+        Of the report: a buyer's classes of size (TOML); default: that of the line's config.
     """
     from aggregator.ledger.reader import ledger_file
-    from conveyor.formats.positions import POSITIONS_FILE
-    from tuberline.export.write import ENDINGS, Format
+    from tuberline.export.tubers import read_all
+    from tuberline.export.write import ENDINGS, REPORTS, Format
     from tuberline.export.write import export as write
 
     form = Format(format)
-    field = None
-    known = all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs)
-    if what != "loads" and (track or known):
-        from tuberline.maps.field import field_map
-        from tuberline.maps.settings import settings_of
+    # Read once: the map is made of the same tubers as the rows.
+    tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None
+    how = {"width_m": width_m, "overlap_m": overlap_m, "delay_s": delay_s, "antenna_ahead_m": None}
+    field, no_map = None, ""
+    if what != "loads":
+        try:
+            field = _field(runs, track, {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}, tubers)
+        except InputError as error:
+            if form not in REPORTS or track:
+                raise
+            no_map = str(error)  # positions were found, a map was not asked for: the report says why
+    folder = ledger_file(runs[0]).parent
+    if form in REPORTS:
+        from tuberline.export.report.make import write_report
 
-        settings = settings_of(
-            runs,
-            width_m=width_m,
-            overlap_m=overlap_m,
-            delay_s=delay_s,
-            antenna_ahead_m=None,
-            cell_m=cell_m,
-            track_shift_s=track_shift_s,
-        )
-        field = field_map(runs, track or [], settings)
+        target = out or folder / f"report.{form.value}"
+        pdf = form is Format.PDF
+        loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
+        sys.stdout.write(f"report of {loads} loads in {target}\n")
+        return
     name = "taskdata" if form is Format.ISOXML else what
-    target = out or ledger_file(runs[0]).parent / f"{name}.{ENDINGS.get(form, form.value)}"
-    rows = write(runs, target, form=form, what=what, field=field)
+    target = out or folder / f"{name}.{ENDINGS.get(form, form.value)}"
+    rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
     sys.stdout.write(f"{rows} {'records' if form is Format.ISOXML else what} in {target}\n")
+
+
+def _field(
+    runs: list[Path], track: list[Path] | None, how: dict[str, Any], tubers: list[list[Tuber]] | None
+) -> FieldMap | None:
+    """The map of these runs; None where their positions are not known."""
+    from aggregator.ledger.reader import ledger_file
+    from conveyor.formats.positions import POSITIONS_FILE
+
+    if not track and not all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
+        return None
+    from tuberline.maps.field import field_map
+    from tuberline.maps.settings import settings_of
+
+    return field_map(runs, track or [], settings_of(runs, **how), tubers=tubers)

@@ -90,6 +90,32 @@ def export(path: Path, /, *, canonical: bool = False, run: str | None = None) ->
 
 
 @ledger.command
+def summary(*, config: Path, run: str | None = None) -> None:
+    """Write the summary.json and tubers.csv of a run whose aggregator was killed; the line must be stopped.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file: where its results are, and its tickets and contract.
+    run
+        Which run; default: the newest of the ledger.
+    """
+    from aggregator.late_summary import write_late_summary
+    from aggregator.ledger.reader import ledger_file, read_runs, reading
+    from conveyor.config import load_config
+    from conveyor.errors import InputError
+
+    line = load_config(config)
+    file = ledger_file(line.aggregator.out)
+    with reading(file) as view:
+        known = [row.run for row in read_runs(view)]
+    chosen = run or (known[-1] if known else "")
+    if chosen not in known or not write_late_summary(line, chosen):
+        raise InputError(f"ledger {file} holds no run '{chosen}'; it has: {', '.join(known) or 'none'}")
+    sys.stdout.write(f"{line.aggregator.out / 'summary.json'} of run {chosen}\n")
+
+
+@ledger.command
 def classes(path: Path, /, *, contract: Path, run: str | None = None, json: bool = False) -> None:
     """A run by the classes of a contract, and each load of it.
 

@@ -7,13 +7,18 @@ import secrets
 import signal
 import sys
 import threading
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from conveyor.errors import ConfigError
 from tuberline.cli.address import LineAddress
+
+if TYPE_CHECKING:
+    from tuberline.maps.live import LiveMap
+    from viewer.page.maps import FieldMaps
 
 TICK_S = 1.0
 NO_TOKEN = "it was started without a token (tuberline page --token-file FILE)"
@@ -48,7 +53,9 @@ def page(
     from conveyor.notify import notify
     from viewer.page.acting import Acting
     from viewer.page.board import Board
+    from viewer.page.maps import FieldMaps
     from viewer.page.orders import Orders, why_not
+    from viewer.page.pictures import Pictures
     from viewer.page.server import PageServer
     from viewer.page.snapshot import snapshot
     from viewer.page.watch import LineWatch
@@ -56,18 +63,14 @@ def page(
     host, port = _address(listen)
     if config and (connect or line):
         raise ConfigError("give --config (once for each line), or --connect with --line, not both")
-    addresses = (
-        [LineAddress(path) for path in config]
-        if config
-        else [LineAddress(None, connect, name) for name in (line or (None,))]
-    )
+    addresses = [LineAddress(path) for path in config] or [LineAddress(None, connect, name) for name in line or (None,)]
     names = [address.link()[1] for address in addresses]
     if len(set(names)) < len(names):
         raise ConfigError(f"two of the lines have the same name: {', '.join(names)}; give each its own")
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    board = Board(names)
+    board, pictures, maps = Board(names), Pictures(), FieldMaps()
     links = {name: address.link()[0] for address, name in zip(addresses, names, strict=True)}
     token = _token(token_file)
     reasons = {name: why_not(link) if token else NO_TOKEN for name, link in links.items()}
@@ -75,17 +78,22 @@ def page(
         LineWatch(
             address.link()[0],
             line=name,
-            tell=lambda look: board.put({**snapshot(look), "looks_only": reasons[look.line]}),
+            tell=lambda look: board.put(
+                {**snapshot(look), "looks_only": reasons[look.line], "map": maps.number(look.line)}
+            ),
             known=known_nodes(address.loaded()) if address.config else (),
+            pictures=pictures,
+            maps=maps,
         )
         for address, name in zip(addresses, names, strict=True)
     ]
     asks = {watch.line: watch.ask_soon for watch in watches}
     orders = Orders(links, asked=lambda line: asks[line]())
     acting = Acting(orders.carry, lines=tuple(names), token=token) if token else None
-    with PageServer(board, host=host, port=port, acting=acting) as server:
-        for watch in watches:
-            watch.start()
+    kept: list[LineWatch | LiveMap] = [*watches, *_live_maps(addresses, maps)]
+    with PageServer(board, host=host, port=port, acting=acting, pictures=pictures, maps=maps) as server:
+        for each in kept:
+            each.start()
         shown = f"[{host}]" if ":" in host else host
         logging.getLogger("page").info("%s at http://%s:%d/", ", ".join(names), shown, server.port)
         if token and token_file is None:
@@ -96,8 +104,18 @@ def page(
             if not server.serves:
                 raise RuntimeError("the page's server has ended")
             notify("WATCHDOG=1")
-        for watch in watches:
-            watch.stop()
+        for each in kept:
+            each.stop()
+
+
+def _live_maps(addresses: list[LineAddress], maps: FieldMaps) -> list[LiveMap]:
+    """One for each line with a GNSS receiver whose run may be kept on this machine."""
+    configs = [address.loaded() for address in addresses if address.config]
+    if not any(config.gnss for config in configs):
+        return []
+    from tuberline.maps.live import LiveMap
+
+    return [LiveMap(config, partial(maps.put_cells, config.name)) for config in configs if config.gnss]
 
 
 def _token(file: Path | None) -> str:

@@ -60,17 +60,30 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
             raise_if_pointless(supervisor)
         stopped_s, complete = time.time(), supervisor.finished("aggregator")
     if not complete:
-        _tell_without_summary(line.aggregator.out, run_id, stopped_s)
+        summarise_late(line, run_id, stopped_s)
 
 
-def _tell_without_summary(out: Path, run: str, stopped_s: float) -> None:
-    """An aggregator that was down when the line was stopped left no summary, or an old one: never without a word."""
+def summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
+    """An aggregator that was down when the line was stopped left no summary, or an old one: make it from the ledger.
+
+    Args:
+        stopped_s: when that was, seconds since 1970.
+    """
+    from aggregator.late_summary import write_late_summary
+
+    out = line.aggregator.out
     summary = out / "summary.json"
-    if not summary.is_file() or summary.stat().st_mtime < stopped_s - CLOCK_SLACK_S:
-        sys.stderr.write(
-            f"tuberline: run {run} has no summary: its aggregator was down when the line was stopped. The ledger has "
-            f"what was counted (`tuberline audit {out}`); `tuberline run --run {run}` goes on with it\n"
-        )
+    if summary.is_file() and summary.stat().st_mtime >= stopped_s - CLOCK_SLACK_S:
+        return
+    told = f"tuberline: the aggregator of run {run} was down when the line was stopped: "
+    try:
+        if write_late_summary(line, run, stopped_s=stopped_s):
+            told += f"{summary} is made from its ledger, what had not come to it counts as not seen"
+        else:
+            told += f"there is no summary, for {out} holds nothing of it"
+    except TuberlineError as error:
+        told += f"there is no summary: {error}"
+    sys.stderr.write(f"{told}; `tuberline run --run {run}` goes on with it\n")
 
 
 def raise_if_pointless(supervisor: Supervisor) -> None:

@@ -51,17 +51,26 @@ LOAD_COLUMNS = (
 )
 
 
-def tubers_table(runs: Sequence[Path], field: FieldMap | None) -> Table:
+def read_all(runs: Sequence[Path]) -> list[list[Tuber]]:
+    """The tubers of each run."""
+    found = []
+    for path in runs:
+        file = ledger_file(path)
+        with reading(file) as db:
+            found.append(list(read_tubers(db, the_run(db, file, None).run)))
+    return found
+
+
+def tubers_table(runs: Sequence[Path], field: FieldMap | None, read: Sequence[Sequence[Tuber]] | None = None) -> Table:
     """Every tuber of `runs`; with a place where `field` knows the machines' ways.
+
+    `read`: the tubers of each run, where they were read already.
 
     Raises:
         InputError: the runs hold no tuber.
     """
     rows: list[tuple[Any, ...]] = []
-    for number, path in enumerate(runs):
-        file = ledger_file(path)
-        with reading(file) as db:
-            tubers = list(read_tubers(db, the_run(db, file, None).run))
+    for number, tubers in enumerate(read_all(runs) if read is None else read):
         values = [_tuber(tuber) for tuber in tubers]
         if field is not None:
             places = _places(field, number, tubers)

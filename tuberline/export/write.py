@@ -8,6 +8,7 @@ from pathlib import Path
 
 from conveyor.errors import InputError
 from conveyor.files import whole_output
+from conveyor.messages import Tuber
 from tuberline.export.cells import cells_table
 from tuberline.export.table import Table
 from tuberline.export.tubers import about, loads_table, tubers_table
@@ -23,18 +24,29 @@ class Format(StrEnum):
     GEOPARQUET = "geoparquet"
     ISOXML = "isoxml"
     XLSX = "xlsx"
+    HTML = "html"
+    PDF = "pdf"
 
 
+REPORTS = (Format.HTML, Format.PDF)
 ENDINGS = {Format.GEOPARQUET: "parquet", Format.ISOXML: "zip"}
 NEED_PLACES = (Format.GEOJSON, Format.GEOPARQUET, Format.ISOXML)
 
 
-def export(runs: Sequence[Path], out: Path, *, form: Format, what: str, field: FieldMap | None) -> int:
+def export(
+    runs: Sequence[Path],
+    out: Path,
+    *,
+    form: Format,
+    what: str,
+    field: FieldMap | None,
+    tubers: Sequence[Sequence[Tuber]] | None = None,
+) -> int:
     """Write `out`, whole or not at all; returns the rows written.
 
     Args:
         what: 'tubers', 'loads' or 'cells'; ISOXML holds the map's seconds, a workbook tubers and loads.
-        field: the map, where positions are known.
+        field: the map, where positions are known. tubers: those of each run, where they were read already.
 
     Raises:
         InputError: the format needs places and none are known, or a package for it is not installed.
@@ -49,16 +61,16 @@ def export(runs: Sequence[Path], out: Path, *, form: Format, what: str, field: F
         with whole_output(out) as path:
             write_taskdata(field, path, about=about(runs))
         return sum(len(share.points.time_s) for share in field.shares)
-    table = _table(runs, what, field)
+    table = _table(runs, what, field, tubers)
     with whole_output(out) as path:
         _write(table, runs, path, form)
     return len(table.rows)
 
 
-def _table(runs: Sequence[Path], what: str, field: FieldMap | None) -> Table:
+def _table(runs: Sequence[Path], what: str, field: FieldMap | None, tubers: Sequence[Sequence[Tuber]] | None) -> Table:
     if what == "cells" and field is not None:
         return cells_table(runs, field)
-    return loads_table(runs) if what == "loads" else tubers_table(runs, field)
+    return loads_table(runs) if what == "loads" else tubers_table(runs, field, tubers)
 
 
 def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> None:

@@ -32,7 +32,7 @@ from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
 from aggregator.yield_map.track import Path as Way
 from conveyor.errors import InputError
 from conveyor.formats.positions import POSITIONS_FILE, read_positions
-from conveyor.messages import Totals
+from conveyor.messages import Totals, Tuber
 from conveyor.messages.base import plain
 from conveyor.statistics import NORMAL_90
 
@@ -114,12 +114,21 @@ class FieldMap:
         }
 
 
-def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) -> FieldMap:
+def field_map(
+    runs: Sequence[Path],
+    tracks: Sequence[Path],
+    settings: Settings,
+    *,
+    run: str | None = None,
+    tubers: Sequence[Sequence[Tuber]] | None = None,
+) -> FieldMap:
     """The map of one field.
 
     Args:
         runs: folders of runs, or ledgers, with one run each.
+        run: which one of a ledger that holds several.
         tracks: one file of positions per run, in their order; empty: each run's own positions.csv.
+        tubers: those of each run, where they were read already.
 
     Raises:
         InputError: a run without positions or without tubers, or positions that cannot be used.
@@ -130,7 +139,9 @@ def field_map(runs: Sequence[Path], tracks: Sequence[Path], settings: Settings) 
         raise InputError("name at least one run: `tuberline map RUN`")
     if tracks and len(tracks) != len(runs):
         raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
-    read = [_read(run, track, settings) for run, track in zip(runs, tracks or _own_tracks(runs), strict=True)]
+    known: Sequence[Sequence[Tuber] | None] = tubers or [None] * len(runs)
+    found_tracks = tracks or _own_tracks(runs)
+    read = [_read(file, track, settings, run, own) for file, track, own in zip(runs, found_tracks, known, strict=True)]
     plane = plane_of(read[0].track)
     found = [_points(machine, plane, settings) for machine in read]
     factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
@@ -171,11 +182,12 @@ def _own_tracks(runs: Sequence[Path]) -> list[Path]:
     return tracks
 
 
-def _read(run: Path, track: Path, settings: Settings) -> _Run:
+def _read(run: Path, track: Path, settings: Settings, name: str | None, known: Sequence[Tuber] | None) -> _Run:
     file = ledger_file(run)
     with reading(file) as db:
-        chosen = the_run(db, file, None)
-        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in read_tubers(db, chosen.run)]
+        chosen = the_run(db, file, name)
+        rows = read_tubers(db, chosen.run) if known is None else known
+        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in rows]
         told = read_summary(db, chosen.run)
         totals = json.loads(told)["totals"] if told else plain(_so_far(db, chosen))
     if not tubers:

@@ -24,9 +24,9 @@ MAX_ASKED, ASKED_WITHIN_S = 20, 60.0
 """Orders of one address, right and wrong ones: a hand gives a few an hour."""
 MAX_ADDRESSES = 256
 LEAST_TOKEN = 16
-ACTIONS = ("start", "end", "undo", "ticket")
+ACTIONS = ("start", "end", "undo", "ticket", "note")
 MAX_OPERATOR = 60
-GIVEN = frozenset({"line", "action", "request", "operator", "age_s", "load", "fields", "kg", "net"})
+GIVEN = frozenset({"line", "action", "request", "operator", "age_s", "load", "fields", "kg", "net", "note"})
 
 Carry = Callable[[str, LoadOrder], LoadAnswer]
 """Has a line carry out an order, and waits for the answer; raises TuberlineError where there is none."""
@@ -121,6 +121,8 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
         raise InputError(f"a load is described by {', '.join(FIELDS)}; load the page again")
     if said["action"] == "ticket" and said.get("kg") is None:
         raise InputError("type what the scale said, in kg")
+    if said["action"] == "note" and not str(said.get("note", "")).strip():
+        raise InputError("type what is to be noted")
     order = LoadOrder(
         request=said.get("request", ""),
         action=said["action"],
@@ -130,6 +132,7 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
         fields={name: text.strip() if isinstance(text, str) else text for name, text in fields.items() if text},
         kg=said.get("kg"),
         net=said.get("net", True),
+        note=said.get("note", ""),
     )
     order.check()
     return str(said.get("line", "")), order

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
-from conveyor.layers import layers_in_words
+from conveyor.messages import Totals
 from viewer.page.camera_alarms import camera_alarms
 from viewer.page.state import STALE_S, LineState
-from viewer.page.words import AGGREGATOR_FIX, AGGREGATOR_REFUSALS, span
+from viewer.page.words import AGGREGATOR_REFUSALS, Value, said
 
 Level = Literal["trouble", "warning", "note"]
 LEVELS: tuple[Level, ...] = ("trouble", "warning", "note")
@@ -25,12 +25,23 @@ UNCOMMITTED = 200
 
 @dataclass(frozen=True, slots=True)
 class Alarm:
-    """`key` stays the same while the alarm lasts; `text` may carry how long it has lasted."""
+    """`key` stays the same while the alarm lasts; `say` and `todo` are keys of the table of words, with `values`."""
 
     key: str
     level: Level
-    text: str
-    fix: str
+    say: str
+    todo: str
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """What is wrong, in English; may say how long it has lasted."""
+        return said(self.say, self.values)
+
+    @property
+    def fix(self) -> str:
+        """What to do, in English."""
+        return said(self.todo, self.values)
 
 
 def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
@@ -52,42 +63,33 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
 
 def _no_contact(state: LineState) -> tuple[Alarm, ...]:
     if state.final and state.heard_s is not None:
-        text = f"The run is complete. The line switched off {span(state.heard_s)} ago."
-        return (Alarm("off", "note", text, "Nothing needs to be done."),)
-    since = "" if state.heard_s is None else f" for {span(state.heard_s)}"
-    text = f"No contact with line {state.line}{since}." + (f" {state.trouble}." if state.trouble else "")
-    fix = "The line may still be counting. See that its computer is on and the network cable is plugged in."
-    return (Alarm("no-contact", "trouble", text, fix),)
+        return (Alarm("off", "note", "alarm.off", "todo.off", {"for": state.heard_s}),)
+    values: dict[str, Value] = {"line": state.line, "router": state.no_router}
+    say = "alarm.no_router" if state.no_router else "alarm.no_contact"
+    if state.heard_s is not None:
+        say, values["for"] = f"{say}_for", state.heard_s
+    return (Alarm("no-contact", "trouble", say, "todo.no_contact", values),)
 
 
 def _aggregator(state: LineState) -> Iterator[Alarm]:
     node = state.role("aggregator").get("aggregator")
     if state.totals is None:
-        if node is None or node.state == "gone":
-            yield Alarm(
-                "no-aggregator",
-                "trouble",
-                "The ledger is not kept: the aggregator is not running.",
-                "Start it. Cameras keep what they count on their own disk until it is back.",
-            )
+        if node is None or node.left:
+            yield Alarm("no-aggregator", "trouble", "alarm.no_aggregator", "todo.no_aggregator")
         return
     if state.totals_age_s > STALE_S and not state.final:
-        yield Alarm(
-            "totals-old",
-            "trouble",
-            f"These figures are {span(state.totals_age_s)} old: the aggregator sends none.",
-            "Start the aggregator again. Cameras keep what they count on their own disk until it is back.",
-        )
+        yield Alarm("totals-old", "trouble", "alarm.totals_old", "todo.totals_old", {"for": state.totals_age_s})
     if node is not None:
-        for counter, text in AGGREGATOR_REFUSALS.items():
+        for counter in AGGREGATOR_REFUSALS:
             if counter in node.growing_s:
-                yield Alarm(counter, "trouble", text, AGGREGATOR_FIX)
+                yield Alarm(counter, "trouble", f"alarm.{counter}", "todo.entries")
 
 
 def _cameras(state: LineState) -> Iterator[Alarm]:
     for name in state.camera_names():
-        for key, serious, text, fix in camera_alarms(name, state):
-            yield Alarm(f"camera-{name}-{key}", "trouble" if serious else "warning", text, fix)
+        for key, serious, say, todo, values in camera_alarms(name, state):
+            level: Level = "trouble" if serious else "warning"
+            yield Alarm(f"camera-{name}-{key}", level, say, todo, {"camera": name, **values})
 
 
 def _regressors(state: LineState) -> Iterator[Alarm]:
@@ -95,44 +97,26 @@ def _regressors(state: LineState) -> Iterator[Alarm]:
     segmenters = state.role("segmenter").values()
     waiting = sum(int(node.level("views_outstanding") or 0) for node in segmenters if node.alive)
     if not any(node.alive for node in nodes.values()) and segmenters and not state.final:
-        yield Alarm(
-            "no-regressor",
-            "trouble" if waiting or nodes else "note",
-            f"No regressor is running: {waiting} views wait to be weighed.",
-            "Start a regressor on any computer of the line. Tubers are counted; their weights follow when it runs.",
-        )
+        level: Level = "trouble" if waiting or nodes else "note"
+        yield Alarm("no-regressor", level, "alarm.no_regressor", "todo.no_regressor", {"n": waiting})
     for name, node in nodes.items():
-        if node.state == "gone" and node.away_s < LEFT_NOTED_S and not state.final:
-            yield Alarm(
-                f"regressor-{name}-left",
-                "note",
-                f"Regressor {name} left {span(node.away_s)} ago; the others took over its work.",
-                "If that was not wanted, look at its computer.",
-            )
+        if node.left and node.away_s < LEFT_NOTED_S and not state.final:
+            values: dict[str, Value] = {"name": name, "for": node.away_s}
+            yield Alarm(f"regressor-{name}-left", "note", "alarm.regressor_left", "todo.regressor_left", values)
         if "views_refused_not_finite" in node.growing_s:
-            yield Alarm(
-                f"regressor-{name}-refuses",
-                "warning",
-                f"Regressor {name} gets views that cannot be weighed.",
-                "Read its log; look at the cameras' pictures.",
-            )
+            key = f"regressor-{name}-refuses"
+            yield Alarm(key, "warning", "alarm.regressor_refuses", "todo.regressor_refuses", {"name": name})
 
 
 def _stalled(state: LineState) -> Iterator[Alarm]:
     for name, node in sorted(state.nodes.items()):
         if node.state == "stalled":
-            host = node.report.host if node.report else "its computer"
-            yield Alarm(
-                f"stalled-{name}", "trouble", f"{name} on {host} hangs.", "Restart it; read its log to see what it did."
-            )
+            host = node.report.host if node.report else "?"
+            yield Alarm(f"stalled-{name}", "trouble", "alarm.stalled", "todo.stalled", {"name": name, "host": host})
         waiting = node.level("log_uncommitted")
         if node.alive and waiting is not None and waiting > UNCOMMITTED and not state.final:
-            yield Alarm(
-                f"uncommitted-{name}",
-                "warning",
-                f"{waiting:.0f} entries of {name} wait for the ledger; they are safe on its disk.",
-                "Look at the aggregator and its disk.",
-            )
+            values: dict[str, Value] = {"name": name, "n": int(waiting)}
+            yield Alarm(f"uncommitted-{name}", "warning", "alarm.uncommitted", "todo.uncommitted", values)
 
 
 def _versions(state: LineState) -> Iterator[Alarm]:
@@ -144,35 +128,33 @@ def _versions(state: LineState) -> Iterator[Alarm]:
     usual = found.get("aggregator/aggregator", most)
     others = {name: version for name, version in found.items() if version != usual}
     name, version = next(iter(others.items()))
-    more = f" and {len(others) - 1} more" if len(others) > 1 else ""
+    values: dict[str, Value] = {"other": version, "name": name, "usual": usual, "n": len(others) - 1}
     yield Alarm(
-        "versions",
-        "warning",
-        f"Version {version} on {name}{more}; the line runs {usual}.",
-        "Install the same version on every computer of the line.",
+        "versions", "warning", "alarm.versions" if len(others) > 1 else "alarm.version", "todo.versions", values
     )
 
 
 def _sight(state: LineState) -> Iterator[Alarm]:
     totals = state.totals
     if totals is not None and totals.state == "nothing seen":
-        fix = "Look at the cameras' pictures and their logs; this is no empty load."
-        yield Alarm("nothing-seen", "trouble", f"Nothing was seen: {totals.reason}.", fix)
+        yield Alarm("nothing-seen", "trouble", "alarm.nothing_seen", "todo.nothing_seen", {"why": totals.reason})
     elif totals is not None and totals.state == "starting":
-        fix = "Wait, or see why it does not come."
-        yield Alarm("starting", "warning", f"Starting, not counting: {totals.reason}.", fix)
+        yield Alarm("starting", "warning", "alarm.starting", "todo.starting", {"why": totals.reason})
 
 
 def _layers(state: LineState) -> Iterator[Alarm]:
     totals = state.totals
-    said = "" if totals is None else layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
-    if said:
-        yield Alarm(
-            "layers",
-            "warning",
-            f"{said[0].upper()}{said[1:]}. The estimate makes up for them.",
-            "Run the belt faster, or feed it less, until tubers lie side by side.",
-        )
+    if totals is not None and (values := layers(totals)):
+        yield Alarm("layers", "warning", "alarm.layers", "todo.layers", values)
+
+
+def layers(totals: Totals) -> dict[str, Value]:
+    """Where tubers lie in more than one layer, and how many are hidden; empty where the belt carries one."""
+    if totals.layered_m <= 0:
+        return {}
+    share = 100 * min(1.0, totals.layered_m / totals.belt_m) if totals.belt_m else None
+    where = f"{totals.layered_m:.1f} m" if share is None else f"{share:.0f} %"
+    return {"where": where, "n": round(totals.hidden)}
 
 
 def _coverage(state: LineState) -> Iterator[Alarm]:
@@ -180,9 +162,5 @@ def _coverage(state: LineState) -> Iterator[Alarm]:
     if totals is None or totals.coverage is None or totals.count < ENOUGH_TUBERS:
         return
     if totals.coverage < LITTLE_COVERAGE:
-        yield Alarm(
-            "coverage",
-            "warning",
-            f"{100 * (1 - totals.coverage):.1f} % of the belt was not looked at. The estimate makes up for it.",
-            "See which camera dropped frames or was away, below.",
-        )
+        percent = 100 * (1 - totals.coverage)
+        yield Alarm("coverage", "warning", "alarm.coverage", "todo.coverage", {"percent": percent})

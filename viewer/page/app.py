@@ -1,8 +1,7 @@
-"""What the page answers: its files, the newest snapshot, one stream of events, and orders where it may give them."""
+"""What the page answers: its files, the newest snapshot, events, pictures, and orders where it may give them."""
 
 from __future__ import annotations
 
-import asyncio
 import ipaddress
 import socket
 from collections.abc import Mapping
@@ -16,19 +15,14 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from viewer.page.acting import Acting
 from viewer.page.board import Board
-from viewer.page.connections import abort
 from viewer.page.files import File
+from viewer.page.maps import FieldMaps
+from viewer.page.streams import PictureStreams, Streams
 
-MAX_STREAMS = 64
-"""Browsers that watch at the same time. A stream is some kilobytes a second."""
-SEND_WITHIN_S = 5.0
-"""A frozen browser's connection is closed after this; when it wakes up it asks again."""
-BEAT_S = 2.0
-"""A stream says something at least this often: the browser then knows that this server lives."""
 HEADERS = {
     "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
-        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+        "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; img-src 'self'; "
+        "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
     ),
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -38,8 +32,16 @@ HEADERS = {
 LOCAL_NAMES = frozenset({"localhost", socket.gethostname().lower(), f"{socket.gethostname().lower()}.local"})
 
 
-def page_app(board: Board, files: Mapping[str, File], streams: Streams, *, acting: Acting | None = None) -> ASGIApp:
-    """The page as an ASGI app: every file at its path, /snapshot.json and /events; /order where there is `acting`."""
+def page_app(
+    board: Board,
+    files: Mapping[str, File],
+    streams: Streams,
+    *,
+    pictures: PictureStreams,
+    maps: FieldMaps,
+    acting: Acting | None = None,
+) -> ASGIApp:
+    """The page as an ASGI app: files at their paths, /snapshot.json, /events, /pictures, /map.json; /order, to act."""
 
     async def file(request: Request) -> Response:
         found = files[request.url.path]
@@ -48,91 +50,17 @@ def page_app(board: Board, files: Mapping[str, File], streams: Streams, *, actin
     async def newest(_: Request) -> Response:
         return Response(board.newest()[1], media_type="application/json")
 
+    async def field(request: Request) -> Response:
+        return Response(maps.newest(request.query_params.get("line", "")), media_type="application/json")
+
     routes = [Route(path, file, methods=["GET"]) for path in files]
     routes += [Route("/snapshot.json", newest, methods=["GET"]), Route("/events", streams, methods=["GET"])]
+    routes += [Route("/pictures", pictures, methods=["GET"]), Route("/map.json", field, methods=["GET"])]
     if acting is not None:
         routes.append(Route("/order", acting.__call__, methods=["POST"]))
     app = Starlette(routes=routes)
     app.router.redirect_slashes = False
     return OwnNamesOnly(app)
-
-
-class Streams:
-    """The board as server-sent events, for at most `MAX_STREAMS` browsers; each gets the newest and skips the rest."""
-
-    def __init__(self, board: Board) -> None:
-        self.open = 0
-        self._board = board
-        self._changed = asyncio.Event()
-        self._stopping = False
-        self._loop: asyncio.AbstractEventLoop | None = None
-
-    def start(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Hear of the board's changes, which come from other threads."""
-        self._loop = loop
-
-        def changed() -> None:
-            loop.call_soon_threadsafe(self._wake)
-
-        self._board.on_change = changed
-
-    def stop(self) -> None:
-        """End every stream, from any thread; the board's changes are heard no more."""
-        self._board.on_change = lambda: None
-        self._stopping = True
-        if self._loop is not None:
-            self._loop.call_soon_threadsafe(self._wake)
-
-    def _wake(self) -> None:
-        changed, self._changed = self._changed, asyncio.Event()
-        changed.set()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One browser's stream, until it leaves, freezes, or the server stops."""
-        if scope["method"] != "GET":
-            await PlainTextResponse("Not Found", 404)(scope, receive, send)
-            return
-        if self.open >= MAX_STREAMS:
-            await PlainTextResponse(f"{MAX_STREAMS} browsers watch already", 503)(scope, receive, send)
-            return
-        self.open += 1
-        try:
-            async with asyncio.TaskGroup() as tasks:
-                gone = tasks.create_task(_disconnected(receive))
-                tell = tasks.create_task(self._tell(send))
-                await asyncio.wait((gone, tell), return_when=asyncio.FIRST_COMPLETED)
-                ended = tell.done() and tell.exception() is None
-                gone.cancel()
-                tell.cancel()
-            if ended:
-                await send({"type": "http.response.body", "body": b""})
-        except* TimeoutError:
-            abort(scope["client"])
-        finally:
-            self.open -= 1
-
-    async def _tell(self, send: Send) -> None:
-        headers = [(b"content-type", b"text/event-stream; charset=utf-8"), (b"x-accel-buffering", b"no")]
-        await send({"type": "http.response.start", "status": 200, "headers": headers})
-        await _send(send, b"retry: 1000\n\n")
-        while not self._stopping:
-            changed = self._changed
-            _, text = self._board.newest()
-            await _send(send, f"data: {text}\n\n".encode())
-            try:
-                await asyncio.wait_for(changed.wait(), BEAT_S)
-            except TimeoutError:
-                continue
-
-
-async def _send(send: Send, body: bytes) -> None:
-    """Hand `body` to the connection; TimeoutError where the browser takes nothing."""
-    await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), SEND_WITHIN_S)
-
-
-async def _disconnected(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
 
 
 class OwnNamesOnly:

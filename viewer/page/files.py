@@ -10,7 +10,8 @@ KINDS = {
     "css": "text/css; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "svg": "image/svg+xml",
-    "webmanifest": "application/manifest+json",
+    "json": "application/json",
+    "txt": "text/plain; charset=utf-8",
 }
 
 
@@ -23,11 +24,15 @@ class File:
 
 
 def read_files() -> dict[str, File]:
-    """Every file of viewer/page/static by its path; the page itself also as '/'."""
+    """Every file of viewer/page/static by its path, and of `shipped` below it: others' libraries with their licences.
+
+    The page itself is also '/'.
+    """
     folder = resources.files("viewer.page") / "static"
     found = {
-        f"/{entry.name}": File(KINDS[entry.name.rpartition(".")[2]], entry.read_bytes())
-        for entry in folder.iterdir()
+        f"/{head}{entry.name}": File(KINDS[entry.name.rpartition(".")[2]], entry.read_bytes())
+        for head, place in (("", folder), ("shipped/", folder / "shipped"))
+        for entry in place.iterdir()
         if entry.name.rpartition(".")[2] in KINDS
     }
     return {**found, "/": found["/index.html"]}

@@ -6,7 +6,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from conveyor.messages import Totals, Travel
-from viewer.page.state import Flow
+from viewer.page.state import Flow, Rate
 
 QUIET_S = 15.0
 """No tuber for so long: nothing comes. The totals' own rate stays what it was at the last tuber."""
@@ -15,6 +15,7 @@ LEAST_TUBERS = 5
 SPEED_WINDOW_NS = 2_000_000_000
 TRAVEL_STALE_S = 3.0
 MAX_SOURCES = 32
+STEP_S, STEPS = 10.0, 60
 
 
 @dataclass(slots=True)
@@ -71,6 +72,10 @@ class BeltSpeed:
             points.popleft()
         self._heard_s[travel.source] = now_s
 
+    def since_s(self, now_s: float) -> dict[str, float]:
+        """Since each source last told, seconds."""
+        return {source: now_s - heard_s for source, heard_s in self._heard_s.items()}
+
     def m_per_s(self, now_s: float) -> float | None:
         """The belt's speed; None where no one has told of it for some seconds."""
         told = [
@@ -83,6 +88,33 @@ class BeltSpeed:
             return None
         best = [speed for estimated, speed in told if not estimated] or [speed for _, speed in told]
         return sum(best) / len(best)
+
+
+@dataclass(slots=True)
+class RateHistory:
+    """The flow of the last `STEPS` steps of `STEP_S` seconds, each the mean of what was told in it."""
+
+    _steps: dict[int, tuple[float, float, int]] = field(default_factory=dict)
+
+    def add(self, now: Flow, now_s: float) -> None:
+        """Take the flow of this moment."""
+        if now.tubers_per_min is None or now.kg_per_min is None:
+            return
+        step = int(now_s // STEP_S)
+        tubers, kilograms, n = self._steps.get(step, (0.0, 0.0, 0))
+        self._steps[step] = (tubers + now.tubers_per_min, kilograms + now.kg_per_min, n + 1)
+        for old in [each for each in self._steps if each <= step - STEPS]:
+            del self._steps[old]
+
+    def rate(self, now_s: float) -> Rate:
+        """All steps up to this moment."""
+        newest = int(now_s // STEP_S)
+        found = [self._steps.get(step) for step in range(newest - STEPS + 1, newest + 1)]
+        return Rate(
+            STEP_S,
+            tuple(None if step is None else round(step[0] / step[2], 1) for step in found),
+            tuple(None if step is None else round(step[1] / step[2], 2) for step in found),
+        )
 
 
 def flow(load: LoadFlow, belt: BeltSpeed, now_s: float) -> Flow:

@@ -11,10 +11,13 @@ import uvicorn
 
 from conveyor.errors import LinkError
 from viewer.page.acting import Acting
-from viewer.page.app import Streams, page_app
+from viewer.page.app import page_app
 from viewer.page.board import Board
 from viewer.page.connections import BoundedConnection
 from viewer.page.files import read_files
+from viewer.page.maps import FieldMaps
+from viewer.page.pictures import Pictures
+from viewer.page.streams import PictureStreams, Streams
 
 KEEP_ALIVE_S = 5
 MAX_HEADER_BYTES = 16 * 1024
@@ -27,17 +30,30 @@ class PageServer:
 
     Args:
         acting: takes orders; None: the page only looks.
+        pictures, maps: of the cameras and the field, where some are heard; None: there are none.
 
     Raises:
         LinkError: the port is taken, or the address is not this machine's.
     """
 
-    def __init__(self, board: Board, *, host: str, port: int, acting: Acting | None = None) -> None:
+    def __init__(
+        self,
+        board: Board,
+        *,
+        host: str,
+        port: int,
+        acting: Acting | None = None,
+        pictures: Pictures | None = None,
+        maps: FieldMaps | None = None,
+    ) -> None:
         self.streams = Streams(board)
+        self.pictures = PictureStreams(pictures or Pictures())
         self._socket = _listening(host, port)
         self._server = uvicorn.Server(
             uvicorn.Config(
-                page_app(board, read_files(), self.streams, acting=acting),
+                page_app(
+                    board, read_files(), self.streams, pictures=self.pictures, maps=maps or FieldMaps(), acting=acting
+                ),
                 http=BoundedConnection,
                 ws="none",
                 lifespan="off",
@@ -70,6 +86,7 @@ class PageServer:
 
     def __exit__(self, *_: object) -> None:
         self.streams.stop()
+        self.pictures.stop()
         self._server.should_exit = True
         self._thread.join(STOP_WITHIN_S + 1.0)
         self._socket.close()
@@ -80,6 +97,7 @@ class PageServer:
 
     async def _serve(self) -> None:
         self.streams.start(asyncio.get_running_loop())
+        self.pictures.start(asyncio.get_running_loop())
         await self._server.serve(sockets=[self._socket])
 
 

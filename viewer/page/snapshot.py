@@ -6,12 +6,10 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from conveyor.layers import layers_in_words
 from conveyor.messages import CameraInfo, Totals
 from conveyor.messages.loads import LoadNow
-from viewer.page.alarms import Alarm, alarms
+from viewer.page.alarms import Alarm, alarms, layers
 from viewer.page.state import STALE_S, LineState, NodeState
-from viewer.page.words import dropped, lost
 
 FORGET_GONE_S = 600.0
 MAX_NODES = 64
@@ -25,15 +23,17 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "line": state.line,
         "state": _state(state, troubled=any(alarm.level == "trouble" for alarm in found)),
         "heard_s": None if state.heard_s is None else round(state.heard_s, 1),
-        "alarms": [asdict(alarm) for alarm in found],
+        "alarms": [{**asdict(alarm), "text": alarm.text, "fix": alarm.fix} for alarm in found],
         "load": None if state.totals is None or state.totals.no_number else _load(state.totals, state),
         "now": None if state.totals is None or state.totals.load is None else _now(state.totals.load),
         "contract": "" if state.totals is None else state.totals.contract,
         "changed_s": None if state.changed_s is None else round(state.changed_s, 1),
         "told": [asdict(load) for load in state.told],
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
+        "rate": None if state.rate is None else asdict(state.rate),
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
         "regressors": [_regressor(name, node) for name, node in _kept(state, "regressor").items()],
+        "health": _health(state),
         "others": [_other(name, node) for name, node in _kept(state, "").items() if not _has_own_table(name)],
         "loads": [asdict(load) for load in state.loads if state.totals is None or load.run != state.totals.run],
     }
@@ -54,7 +54,7 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "seen_g": [totals.low_g, totals.weight_g, totals.high_g],
         "estimated_g": [totals.estimated_low_g, totals.estimated_weight_g, totals.estimated_high_g],
         "coverage": totals.coverage,
-        "layers": layers_in_words(totals.hidden, totals.layered_m, totals.belt_m),
+        "layers": layers(totals),
         **_matter(totals),
         "step_g": totals.histogram_step_g,
         "histogram": list(totals.histogram),
@@ -101,7 +101,7 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
     source, segmenter = state.role("camera").get(name), state.role("segmenter").get(name)
     info = state.cameras.get(name)
     ended = state.final or (info is not None and info.state in ("ended", "failed"))
-    states = [node.state for node in (source, segmenter) if node is not None]
+    states = ["gone" if node.left else node.state for node in (source, segmenter) if node is not None]
     well = "trouble" if troubled else "ok" if states else "waiting"
     faulty = next((state for state in states if state != "ok"), well)
     counts = _sheet(segmenter)
@@ -116,8 +116,8 @@ def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
         "per_s": segmenter.per_s.get("frames_processed") if segmenter is not None and segmenter.state == "ok" else None,
         "age_ms": segmenter.level("frame_age_ms") if segmenter is not None else None,
         "drift_mm": segmenter.level("belt_drift_mm") if segmenter is not None else None,
-        "drops": _reasons(counts, "frames_dropped_", dropped),
-        "views_lost": _reasons(counts, "views_lost_", lost),
+        "drops": _reasons(counts, "frames_dropped_"),
+        "views_lost": _reasons(counts, "views_lost_"),
         "refused": dict(info.refused) if info is not None else {},
         "tubers": counts.get("tracks_counted", 0),
     }
@@ -138,15 +138,26 @@ def _sheet(node: NodeState | None) -> dict[str, int]:
     return {name: int(value) for name, value in {**node.report.gauges, **node.report.values}.items()}
 
 
-def _reasons(counts: dict[str, int], head: str, words: Any) -> dict[str, int]:
-    """Counts by reason in words, those that happened."""
-    return {words(name.removeprefix(head)): n for name, n in sorted(counts.items()) if name.startswith(head) and n}
+def _reasons(counts: dict[str, int], head: str) -> dict[str, int]:
+    """Counts by reason, those that happened."""
+    return {name.removeprefix(head): n for name, n in sorted(counts.items()) if name.startswith(head) and n}
 
 
 def _kept(state: LineState, role: str) -> dict[str, NodeState]:
     nodes = state.role(role) if role else state.nodes
     kept = {name: node for name, node in nodes.items() if node.alive or node.away_s < FORGET_GONE_S}
     return dict(sorted(kept.items(), key=lambda item: (not item[1].alive, item[0]))[:MAX_NODES])
+
+
+def _health(state: LineState) -> dict[str, Any]:
+    """How many processes there are, and the states of those that are not well; who ended on purpose is told apart."""
+    nodes = {name: node.state for name, node in _kept(state, "").items()}
+    return {
+        "processes": len(nodes),
+        "well": sum(found == "ok" for found in nodes.values()),
+        "ended": [name for name, found in nodes.items() if found == "ended"],
+        "ill": {name: found for name, found in nodes.items() if found not in ("ok", "ended", "starting")},
+    }
 
 
 def _regressor(name: str, node: NodeState) -> dict[str, Any]:

@@ -49,9 +49,16 @@ class NodeState:
         return self.age_s if self.gone_s is None else self.gone_s
 
     @property
+    def left(self) -> bool:
+        """It was there and is no more, on purpose or not."""
+        return self.state in ("gone", "ended")
+
+    @property
     def state(self) -> str:
-        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing) or 'gone'."""
+        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing), 'ended' or 'gone'."""
         if not self.alive:
+            if self.report is not None and self.report.status == "ended":
+                return "ended"
             return "starting" if self.gone_s is None and self.age_s <= STALE_S else "gone"
         if self.report is None or self.age_s > STALE_S:
             return "silent"
@@ -68,8 +75,18 @@ class Flow:
 
 
 @dataclass(frozen=True, slots=True)
+class Rate:
+    """What came along in the last minutes, in steps of `step_s` seconds, oldest first; None where nothing is known."""
+
+    step_s: float
+    tubers_per_min: tuple[float | None, ...]
+    kg_per_min: tuple[float | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ToldLoad:
-    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said."""
+    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said, `notes` what
+    persons did (`by`, `text`)."""
 
     number: int
     name: str
@@ -85,11 +102,13 @@ class ToldLoad:
     net_g: float | None
     gross_g: float | None
     refused: tuple[str, ...]
+    notes: tuple[Mapping[str, str], ...] = ()
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> ToldLoad:
         """What the page shows of it; raises KeyError where an aggregator tells something else."""
-        return cls(**{each.name: told[each.name] for each in fields(cls)})
+        notes = tuple({"by": str(note["by"]), "text": str(note["text"])} for note in told.get("notes", ()))
+        return cls(**{each.name: told[each.name] for each in fields(cls) if each.name != "notes"}, notes=notes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +127,15 @@ class PastLoad:
 
 @dataclass(frozen=True, slots=True)
 class LineState:
-    """A line at one moment. `trouble` says why there is no contact at all; empty where there is a link.
+    """A line at one moment. `no_router` is the endpoint at which none answers; empty where there is a link.
 
     `loads` are the ledger's last runs, `told` the loads that were started, both newest first; `changed_s` is how long
-    ago another load was open, or none; None where the page saw no change.
+    ago another load was open, or none; None where the page saw no change. `frame_s`: by camera, since its segmenter
+    last told where a frame shows the belt; it tells ten times a second.
     """
 
     line: str
-    trouble: str = ""
+    no_router: str = ""
     heard_s: float | None = None
     totals: Totals | None = None
     totals_age_s: float = 0.0
@@ -125,6 +145,8 @@ class LineState:
     loads: tuple[PastLoad, ...] = ()
     told: tuple[ToldLoad, ...] = ()
     changed_s: float | None = None
+    frame_s: Mapping[str, float] = field(default_factory=dict)
+    rate: Rate | None = None
 
     @property
     def in_contact(self) -> bool:

@@ -14,11 +14,14 @@ from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber
 from conveyor.errors import LinkError, TuberlineError
-from conveyor.messages import CameraInfo, Counters, Totals, Travel
+from conveyor.messages import CameraInfo, Counters, Position, Totals, Travel
 from conveyor.observer import Observer
-from viewer.page.flow import BeltSpeed, LoadFlow, flow
+from viewer.page.camera_alarms import DEAD_S
+from viewer.page.flow import BeltSpeed, LoadFlow, RateHistory, flow
 from viewer.page.growth import Growth
-from viewer.page.state import LineState, NodeState, PastLoad, ToldLoad
+from viewer.page.maps import FieldMaps
+from viewer.page.pictures import Pictures, PictureWatch
+from viewer.page.state import STALE_S, LineState, NodeState, PastLoad, ToldLoad
 
 LOOK_EVERY_S = 0.25
 TELL_EVERY_S = 1.0
@@ -49,12 +52,22 @@ class LineWatch:
 
     Args:
         known: nodes ('role/name') of the line's config: they have a place, whatever others announce themselves.
+        pictures: gets those of the cameras that somebody looks at; maps: where the machine is.
     """
 
     def __init__(
-        self, link: LinkConfig, *, line: str, tell: Callable[[LineState], None], known: Collection[str] = ()
+        self,
+        link: LinkConfig,
+        *,
+        line: str,
+        tell: Callable[[LineState], None],
+        known: Collection[str] = (),
+        pictures: Pictures | None = None,
+        maps: FieldMaps | None = None,
     ) -> None:
         self._known = frozenset(known)
+        self._pictures = pictures or Pictures()
+        self._maps = maps or FieldMaps()
         self.line = line
         self._link = link.model_copy(update={"connect_timeout_s": CONNECT_WITHIN_S})
         self._tell = tell
@@ -63,7 +76,7 @@ class LineWatch:
         self._nodes: dict[str, _NodeMemory] = {}
         self._totals: Totals | None = None
         self._totals_s: float | None = None
-        self._load, self._belt = LoadFlow(), BeltSpeed()
+        self._load, self._belt, self._rate = LoadFlow(), BeltSpeed(), RateHistory()
         self._loads: tuple[PastLoad, ...] = ()
         self._told: tuple[ToldLoad, ...] = ()
         self._changed_s: float | None = None
@@ -88,10 +101,11 @@ class LineWatch:
             try:
                 with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
-                    self._observe(observer)
+                    with PictureWatch(observer, self._pictures):
+                        self._observe(observer)
             except TuberlineError as error:
                 self._log.warning("%s", error)
-                self._tell(self._state_of({}, time.monotonic(), trouble=f"No router answers at {self._link.router}"))
+                self._tell(self._state_of({}, time.monotonic(), no_router=self._link.router))
             self._stop.wait(RETRY_S)
 
     def _observe(self, observer: Observer) -> None:
@@ -105,17 +119,23 @@ class LineWatch:
             camera="*",
         )
         travels = LatestSubscriber(observer, topics.TRAVEL, Travel, capacity=TRAVEL_INBOX, source="*")
+        places = LatestSubscriber(observer, topics.POSITION, Position, capacity=TRAVEL_INBOX, receiver="*")
         told_s = -TELL_EVERY_S
+        signs: object = None
         while not self._stop.wait(LOOK_EVERY_S):
             now_s = time.monotonic()
             while len(travels) and (travel := travels.get(0.0)) is not None:
                 self._belt.add(travel, now_s)
+            while len(places) and (place := places.get(0.0)) is not None:
+                if place.quality > 0:
+                    self._maps.add_place(self.line, lat_deg=place.lat_deg, lon_deg=place.lon_deg)
             self._hear(observer, now_s)
-            if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
-                self._ask_loads(observer, now_s)
-            if now_s - told_s >= TELL_EVERY_S:
+            before, signs = signs, (observer.alive(), self._silent(now_s))
+            if now_s - told_s >= TELL_EVERY_S or signs != before:  # who died is told at once
                 told_s = now_s
                 self._tell(self._state_of(_by_camera(infos.latest()), now_s))
+            if self._asked_s is None or now_s - self._asked_s >= LOADS_EVERY_S:
+                self._ask_loads(observer, now_s)
 
     def _hear(self, observer: Observer, now_s: float) -> None:
         """Note what is new. A message is a new object, also where it says the same as the one before."""
@@ -145,6 +165,10 @@ class LineWatch:
                 memory.report, memory.heard_s = report, now_s
                 memory.growth.add(report, now_s)
 
+    def _silent(self, now_s: float) -> set[str]:
+        """Who has not told where the belt is for as long as a camera that is dead."""
+        return {source for source, since_s in self._belt.since_s(now_s).items() if since_s > DEAD_S}
+
     def _ask_loads(self, observer: Observer, now_s: float) -> None:
         """The ledger's last loads, from an aggregator that is there; an older one may not answer."""
         if "aggregator/aggregator" not in observer.alive():
@@ -158,21 +182,26 @@ class LineWatch:
         except (LinkError, TypeError, KeyError) as error:
             self._log.debug("the ledger's loads: %s", error)
 
-    def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, trouble: str = "") -> LineState:
+    def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, no_router: str = "") -> LineState:
         heard = [memory.heard_s for memory in self._nodes.values() if memory.report is not None]
         heard += [] if self._totals_s is None else [self._totals_s]
+        now = flow(self._load, self._belt, now_s)
+        if heard and now_s - max(heard) <= STALE_S and self._totals is not None and not self._totals.final:
+            self._rate.add(now, now_s)
         return LineState(
             line=self.line,
-            trouble=trouble,
+            no_router=no_router,
             heard_s=now_s - max(heard) if heard else None,
             totals=self._totals,
             totals_age_s=0.0 if self._totals_s is None else now_s - self._totals_s,
             nodes={name: _node(memory, now_s) for name, memory in self._nodes.items()},
             cameras=cameras,
-            flow=flow(self._load, self._belt, now_s),
+            flow=now,
+            rate=self._rate.rate(now_s),
             loads=self._loads,
             told=self._told,
             changed_s=None if self._changed_s is None else now_s - self._changed_s,
+            frame_s=self._belt.since_s(now_s),
         )
 
 

@@ -1,95 +1,60 @@
-"""Counters' reasons in plain words: what happened, and what to do about it. Others are shown by their own names."""
+"""The page's words, of one table: static/words.json has each text in each language, for the server and the browser.
+
+A text holds values as `{name}`; `{name:span}` is a time, `{name:1}` a number with one decimal, `{name:+2}` one with two
+and its sign. A reason without words is shown by its own name.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import re
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
 
 from conveyor.reasons import FrameDrop, ViewLoss
 
+LANGUAGES = ("en", "de", "nl", "ja")
+Value = str | int | float
+_VALUE = re.compile(r"\{(\w+)(?::([^}]+))?\}")
+FRAME_DROPS = tuple(sorted(FrameDrop))
+VIEW_LOSSES = tuple(sorted(set(ViewLoss) - {ViewLoss.NOT_CHOSEN, ViewLoss.REFUSED}))
+"""Reasons that have words; what was not chosen is missed by no one."""
+AGGREGATOR_REFUSALS = (
+    "entries_conflicting",
+    "entries_refused_other_run",
+    "entries_refused_unknown_camera",
+    "entries_refused_malformed",
+    "entries_set_aside",
+    "entries_dropped_waiting_full",
+)
 
-@dataclass(frozen=True, slots=True)
-class Words:
-    """`now` follows a camera's name while it happens, `what` stands behind a count, `fix` says what to do."""
 
-    now: str
-    what: str
-    fix: str
+@cache
+def table() -> dict[str, dict[str, str]]:
+    """Text by key and language."""
+    file = resources.files("viewer.page") / "static" / "words.json"
+    found: dict[str, dict[str, str]] = json.loads(file.read_text(encoding="utf-8"))
+    return found
 
 
-FRAME_DROPS: dict[str, Words] = {
-    FrameDrop.BLIND: Words(
-        "is dark",
-        "dark or covered",
-        "Switch its light on, clean the glass, and look for something that covers it.",
-    ),
-    FrameDrop.FROZEN: Words(
-        "shows a still picture while the belt moves",
-        "same picture again",
-        "Unplug the camera, plug it in again, and look at its cable.",
-    ),
-    FrameDrop.CAMERA_CHANGED: Words(
-        "sends frames of another resolution or depth unit than at the start",
-        "of another camera setting",
-        "Set the camera back, or start a new run.",
-    ),
-    FrameDrop.NO_BELT: Words(
-        "sees no belt",
-        "no belt seen",
-        "See that it looks at the belt; give its belt_distance_m in the line's file.",
-    ),
-    FrameDrop.TOO_OLD: Words(
-        "is ahead of this computer: frames are too old when their turn comes",
-        "too old",
-        "Run fewer programs on that computer, or set the camera to a lower resolution.",
-    ),
-    FrameDrop.OVERWRITTEN: Words(
-        "is ahead of this computer: frames are pushed out by newer ones",
-        "pushed out by newer ones",
-        "Run fewer programs on that computer, or set the camera to a lower resolution.",
-    ),
-    FrameDrop.OVERLOAD: Words(
-        "skips frames: too few weighing computers for so many tubers",
-        "skipped: too few weighing computers",
-        "Start another regressor on any computer of the line.",
-    ),
-}
-VIEW_LOSSES: dict[str, Words] = {
-    ViewLoss.SHED: Words(
-        "has too few weighing computers: only some views of each tuber are weighed",
-        "left out: too few weighing computers",
-        "Start another regressor on any computer of the line.",
-    ),
-    ViewLoss.LATE: Words(
-        "has busy weighing computers: some second views of tubers come too late",
-        "left out: answered too late",
-        "Start another regressor on any computer of the line, if it stays so.",
-    ),
-    ViewLoss.OVERLOAD: Words(
-        "has more tubers than can be weighed: the newest are weighed by their volume alone",
-        "not weighed: more tubers than the weighing computers manage",
-        "Start another regressor on any computer of the line, or slow the belt down.",
-    ),
-    ViewLoss.MAX_ATTEMPTS: Words(
-        "has views that no weighing computer answers",
-        "not answered",
-        "Look at the weighing computers and the network between them and the camera.",
-    ),
-    ViewLoss.WEIGH_DEADLINE: Words(
-        "waits too long for weights: some tubers are weighed by their volume alone",
-        "answered too late",
-        "Start another regressor, or look at the network between it and the camera.",
-    ),
-    ViewLoss.RESTART: Words("lost views at a restart", "lost at a restart", "Read the segmenter's log."),
-}
-AGGREGATOR_REFUSALS = {
-    "entries_conflicting": "A camera's log contradicts the ledger: its segmenter lost its state and started again.",
-    "entries_refused_other_run": "A camera sends another run than the one that is counted.",
-    "entries_refused_unknown_camera": "A camera that this line does not know sends tubers.",
-    "entries_refused_malformed": "A camera sends entries that cannot be read.",
-    "entries_set_aside": "A camera sent entries that no one can read: what they said is lost.",
-    "entries_dropped_waiting_full": "Entries come faster than the gap before them is filled.",
-}
-AGGREGATOR_FIX = "Start a new run on every host of the line with the same run id, and read the aggregator's log."
+def said(key: str, values: Mapping[str, Value] | None = None, *, language: str = "en") -> str:
+    """The text `key` with its values."""
+    given = values or {}
+
+    def fill(found: re.Match[str]) -> str:
+        return _told(given[found[1]], found[2] or "", language)
+
+    return _VALUE.sub(fill, table()[key][language])
+
+
+def _told(value: Value, how: str, language: str) -> str:
+    if isinstance(value, str) or not how:
+        return str(value)
+    if how == "span":
+        return span(value, language=language)
+    digits = int(how.removeprefix("+"))
+    return f"{value:+.{digits}f}" if how.startswith("+") else f"{value:.{digits}f}"
 
 
 def plain(reason: str) -> str:
@@ -97,21 +62,11 @@ def plain(reason: str) -> str:
     return reason.replace("_", " ")
 
 
-def dropped(reason: str) -> str:
-    """What happened to frames dropped for `reason`."""
-    return FRAME_DROPS[reason].what if reason in FRAME_DROPS else plain(reason)
-
-
-def lost(reason: str) -> str:
-    """What happened to views lost for `reason`."""
-    return VIEW_LOSSES[reason].what if reason in VIEW_LOSSES else plain(reason)
-
-
-def span(seconds: float) -> str:
+def span(seconds: float, *, language: str = "en") -> str:
     """A time for a person: '12 s', '3 min', '2 h 5 min'."""
     whole = int(seconds)
     if whole < 120:
-        return f"{whole} s"
+        return said("span.s", {"n": whole}, language=language)
     if whole < 7200:
-        return f"{whole // 60} min"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+        return said("span.min", {"n": whole // 60}, language=language)
+    return said("span.h", {"h": whole // 3600, "m": whole % 3600 // 60}, language=language)

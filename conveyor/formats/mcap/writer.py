@@ -51,10 +51,12 @@ class McapFrameWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._writer.finish()
-        self.sync()
-        if self._file is not None:
-            self._file.close()
+        try:
+            self._writer.finish()
+            self.sync()
+        finally:
+            if self._file is not None:
+                self._file.close()
 
     def add_camera(
         self,

@@ -1,29 +1,27 @@
-// Orders of a person: start, end, undo, ticket. Each is confirmed in a dialog and sent once, however often it is tried.
+// Orders of a person: start, end, undo, ticket, note. Each is confirmed in a dialog and sent once, however often it is tried.
+import { chosen, inKilograms, number, t, translate } from "./words.js";
+
 const dialog = document.getElementById("order");
 const form = dialog.querySelector("form");
 const inputs = form.elements;
 const wrong = dialog.querySelector(".wrong");
 const TAKES_MS = 30000;
-const WORDS = {
-  start: ["Start a load", "What lies below the cameras from the moment you press the button belongs to it. The open load ends there.", "Start load now"],
-  end: ["End the load", "What comes from now on belongs to no load, until the next one starts.", "End load now"],
-  undo: ["Undo the last change", "The last start or end of a load is taken back. Its tubers go where they would have gone.", "Undo now"],
-  ticket: ["Enter a ticket", "What the scale said of a load. A second ticket takes the place of the first.", "Enter ticket"],
-};
 let order = null; // what the open dialog is about: {line, action, request, pressedAt, done}
 
 export function ask(line, action, found, done) {
-  const [title, what, yes] = WORDS[action];
   order = { line, action, request: null, pressedAt: 0, done };
   form.reset();
-  dialog.querySelector("h2").textContent = title;
-  dialog.querySelector(".what").textContent = what;
-  dialog.querySelector(".yes").textContent = yes;
-  for (const part of dialog.querySelectorAll("[data-for]")) part.hidden = part.dataset.for !== action;
+  translate(dialog);
+  dialog.querySelector("h2").textContent = t(`ask.${action}`);
+  dialog.querySelector(".what").textContent = t(`ask.${action}.what`);
+  dialog.querySelector(".yes").textContent = t(`ask.${action}.yes`);
+  dialog.querySelector(".unit").textContent = t("ask.kg", { unit: chosen().unit });
+  for (const part of dialog.querySelectorAll("[data-for]")) part.hidden = !part.dataset.for.split(" ").includes(action);
   inputs.kg.required = action === "ticket";
+  inputs.note.required = action === "note";
   const told = found.told ?? [];
   if (action === "start" && told.length) [inputs.field.value, inputs.variety.value] = [told[0].field, told[0].variety];
-  if (action === "ticket") choose(told);
+  if (action === "ticket" || action === "note") choose(told, action);
   inputs.operator.value = kept(localStorage, "operator");
   inputs.token.value = kept(sessionStorage, "token");
   inputs.token.parentElement.hidden = inputs.token.value !== "";
@@ -31,9 +29,11 @@ export function ask(line, action, found, done) {
   dialog.showModal();
 }
 
-// The newest load that has ended and has no ticket yet stands first.
-function choose(told) {
-  inputs.load.replaceChildren(...told.map((load) => new Option(`${load.number}${load.name ? ` · ${load.name}` : ""}${load.open ? " (open)" : ""}`, load.number)));
+// For a ticket the newest load that has ended and has none yet stands first, for a note the open one.
+function choose(told, action) {
+  const named = (load) => [load.number, load.name && `· ${load.name}`, load.open && t("open_load")].filter(Boolean).join(" ");
+  inputs.load.replaceChildren(...told.map((load) => new Option(named(load), load.number)));
+  if (action === "note") return;
   const next = told.find((load) => !load.open && load.net_g === null && load.gross_g === null);
   if (next) inputs.load.value = next.number;
 }
@@ -43,22 +43,25 @@ function said() {
   if (order.request === null) Object.assign(order, { request: newRequest(), pressedAt: performance.now() });
   const found = { line, action, request: order.request, operator: inputs.operator.value.trim(), age_s: Math.min(3600, (performance.now() - order.pressedAt) / 1000) };
   if (action === "start") found.fields = Object.fromEntries(["name", "field", "variety"].map((name) => [name, inputs[name].value.trim()]));
-  if (action === "ticket") Object.assign(found, { load: inputs.load.value, kg: kilograms(inputs.kg.value), net: !inputs.gross.checked });
+  if (action === "ticket") Object.assign(found, { load: inputs.load.value, kg: inKilograms(figure(inputs.kg.value)), net: !inputs.gross.checked });
+  if (action === "note") Object.assign(found, { load: inputs.load.value, note: inputs.note.value.trim() });
   return found;
 }
 
 // A point or a comma before the decimals; NaN where it is no number.
-export function kilograms(text) {
+export function figure(text) {
   const plain = text.replace(/\s/g, "").replace(",", ".");
   return /^\d+(\.\d+)?$/.test(plain) ? Number(plain) : NaN;
 }
 
 async function send() {
-  if (order.action === "ticket" && Number.isNaN(kilograms(inputs.kg.value))) return say("Type the weight in kg as a number, for example 8123 or 8123,5.");
+  const { unit } = chosen();
+  if (order.action === "ticket" && Number.isNaN(figure(inputs.kg.value))) return say(t("ask.number", { unit, example: number(unit === "t" ? 8.123 : 8123.5, unit === "t" ? 3 : 1) }));
+  if (order.action === "note" && !inputs.note.value.trim()) return say(t("ask.empty"));
   const mine = order; // another dialog may be open when the answer comes
   const button = dialog.querySelector(".yes");
   button.disabled = true;
-  say("Asking the line …", "wait");
+  say(t("ask.waiting"), "wait");
   const answer = await post(said(), inputs.token.value);
   button.disabled = false;
   if (mine !== order) return;
@@ -73,11 +76,11 @@ async function send() {
   if (answer.done) {
     order = null;
     dialog.close();
-    mine.done(answer.text);
+    mine.done(t(`done.${mine.action}`, { n: answer.load }));
     return;
   }
   if (!answer.unsure) mine.request = null; // refused: the next try is another order
-  say(answer.error);
+  say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: answer.error }));
 }
 
 async function post(body, token) {
@@ -88,10 +91,10 @@ async function post(body, token) {
       headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
     });
     const known = (found.headers.get("content-type") ?? "").startsWith("application/json");
-    if (!known) return { done: false, error: "At this address the page only looks: its server takes no orders here." };
+    if (!known) return { done: false, told: true, error: t("ask.looks_only") };
     return { ...(found.status === 502 ? unsure : {}), status: found.status, ...(await found.json()) };
   } catch {
-    return { ...unsure, error: "The page's server did not answer. It is not known whether the order arrived: press again, it is carried out once." };
+    return { ...unsure, told: true, error: t("ask.unsure") };
   }
 }
 

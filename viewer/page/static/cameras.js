@@ -1,68 +1,63 @@
-// A card for each camera: what it does now in one row, and everything that ever went wrong below, by reason.
-import { number } from "./words.js";
+// A card for each camera with what it does now; in a table of its own everything that ever went wrong, by reason.
+import { beltPicture, pictureNote } from "./belt.js";
+import { known, number, t } from "./words.js";
 
 const STATES = {
-  ok: ["good", "Working"],
-  streaming: ["good", "Working"],
-  ended: ["good", "Ended"],
-  waiting: ["wait", "Not there yet"],
-  starting: ["wait", "Starting"],
-  silent: ["trouble", "Silent"],
-  gone: ["trouble", "Gone"],
-  stalled: ["trouble", "Hangs"],
-  failed: ["trouble", "Failed"],
-  trouble: ["trouble", "Trouble"],
+  ok: ["good", "ok"],
+  streaming: ["good", "ok"],
+  ended: ["good", "ended"],
+  waiting: ["wait", "waiting"],
+  starting: ["wait", "starting"],
 };
 
-export function cameraCards(place, cameras) {
+export function cameraCards(place, line, cameras) {
   while (place.children.length > cameras.length) place.lastElementChild.remove();
   cameras.forEach((camera, n) => {
     if (!place.children[n]) place.append(blank());
-    draw(place.children[n], camera);
+    draw(place.children[n], line, camera);
   });
 }
 
 function blank() {
   const card = document.createElement("div");
   card.className = "camera";
-  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><dl></dl><p class='lost'></p>";
+  card.innerHTML = "<h4></h4><p class='pill'><span class='sign' aria-hidden='true'></span><span class='text'></span></p><canvas width='16' height='9'></canvas><p class='note'></p><p class='now'></p>";
   return card;
 }
 
-function draw(card, camera) {
-  const [state, text] = STATES[camera.state] ?? ["trouble", camera.state];
+function draw(card, line, camera) {
+  const [state, word] = STATES[camera.state] ?? ["trouble", camera.state];
   put(card.querySelector("h4"), camera.name);
   card.querySelector(".pill").dataset.state = state;
-  put(card.querySelector(".pill .text"), text);
-  const rows = [
-    ["Frames a second", camera.state === "ended" ? "–" : number(camera.per_s, 1)],
-    ["Frames used", number(camera.processed)],
-    ["Frames taken", number(camera.published)],
-    ["Tubers", number(camera.tubers)],
-    ["Frame age", camera.age_ms === null ? "–" : `${number(camera.age_ms)} ms`],
-    ["Belt off by", camera.drift_mm === null ? "–" : `${camera.drift_mm > 0 ? "+" : ""}${number(camera.drift_mm, 1)} mm`],
-  ];
-  const list = card.querySelector("dl");
-  rows.forEach(([name, value], n) => {
-    if (!list.children[n]) {
-      const row = document.createElement("div");
-      row.append(document.createElement("dt"), document.createElement("dd"));
-      list.append(row);
-    }
-    put(list.children[n].firstChild, name);
-    put(list.children[n].lastChild, value);
-  });
-  put(card.querySelector(".lost"), lost(camera));
+  put(card.querySelector(".pill .text"), t(`camera.${word}`));
+  const over = camera.state === "ended";
+  card.querySelector("canvas").hidden = card.querySelector(".note").hidden = over;
+  if (!over) beltPicture(card.querySelector("canvas"), line, camera.name);
+  if (!over) put(card.querySelector(".note"), pictureNote(`${line}/${camera.name}`));
+  const values = { n: camera.tubers, rate: number(camera.per_s, 1) };
+  put(card.querySelector(".now"), t(camera.state === "ok" ? "camera.now_rate" : "camera.now", values));
+}
+
+export function cameraRows(cameras) {
+  return cameras.map((camera) => [
+    camera.name, camera.state === "ended" ? "–" : number(camera.per_s, 1), number(camera.processed), number(camera.published),
+    camera.age_ms === null ? "–" : `${number(camera.age_ms)} ms`,
+    camera.drift_mm === null ? "–" : `${camera.drift_mm > 0 ? "+" : ""}${number(camera.drift_mm, 1)} mm`, lost(camera),
+  ]);
+}
+
+export function why(kind, reason) {
+  return known(`${kind}.${reason}.what`) ? t(`${kind}.${reason}.what`) : reason.replaceAll("_", " ");
 }
 
 function lost(camera) {
   const parts = [
-    ...(camera.gaps ? [`${number(camera.gaps)} frames lost on the way`] : []),
-    ...Object.entries(camera.drops).map(([why, n]) => `${number(n)} frames not used: ${why}`),
-    ...Object.entries(camera.refused).map(([why, n]) => `${number(n)} frames unreadable: ${why.replaceAll("_", " ")}`),
-    ...Object.entries(camera.views_lost).map(([why, n]) => `${number(n)} views not weighed: ${why}`),
+    ...(camera.gaps ? [t("gaps", { n: camera.gaps })] : []),
+    ...Object.entries(camera.drops).map(([reason, n]) => t("drops", { n, why: why("drop", reason) })),
+    ...Object.entries(camera.refused).map(([reason, n]) => t("unreadable", { n, why: reason.replaceAll("_", " ") })),
+    ...Object.entries(camera.views_lost).map(([reason, n]) => t("views_lost", { n, why: why("lost", reason) })),
   ];
-  return parts.length ? `${parts.join("; ")}.` : "No frame lost, none left out.";
+  return parts.length ? `${parts.join("; ")}.` : t("none_lost");
 }
 
 function put(place, text) {

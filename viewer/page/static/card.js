@@ -1,20 +1,14 @@
 // One line: its figures, alarms and tables. Texts are set, never parsed as HTML, and only where they changed.
-import { cameraCards } from "./cameras.js";
+import { cameraCards, cameraRows } from "./cameras.js";
+import { RateChart } from "./charts.js";
 import { histogram } from "./histogram.js";
 import { Loads } from "./loads.js";
+import { FieldMap } from "./map.js";
 import { fill } from "./table.js";
-import { ago, load, loadUnit, number, when } from "./words.js";
+import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate, weight, when } from "./words.js";
 
 const STALE_S = 3.5;
-const STATES = {
-  running: ["good", "Running"],
-  complete: ["good", "Run complete"],
-  waiting: ["wait", "Waiting for the first figures"],
-  starting: ["wait", "Looking for the line"],
-  trouble: ["trouble", "Running, with trouble"],
-  "no contact": ["trouble", "No contact"],
-};
-const LEVELS = { trouble: "Trouble", warning: "Warning", note: "Note" };
+const STATES = { running: "good", complete: "good", waiting: "wait", starting: "wait", trouble: "trouble", "no contact": "trouble" };
 
 export class LineCard {
   constructor(template) {
@@ -23,8 +17,17 @@ export class LineCard {
     const title = this.places.line;
     title.id = `line-${Math.random().toString(36).slice(2)}`;
     this.element.setAttribute("aria-labelledby", title.id);
+    translate(this.element);
     this.found = null;
     this.loads = new Loads(this);
+    this.rate = new RateChart(this.places.rate);
+    this.field = new FieldMap(this.places.field);
+  }
+
+  // In another language or unit.
+  again() {
+    translate(this.element);
+    if (this.found) this.take(this.found);
   }
 
   take(found) {
@@ -33,8 +36,9 @@ export class LineCard {
     this.alarms(found.alarms ?? []);
     this.load(found.load, found.now);
     this.loads.take(found);
-    this.flow(found.flow);
-    cameraCards(this.places.cameras, found.cameras ?? []);
+    this.field.take(found.line, found.map ?? 0);
+    this.flow(found.flow, found.rate);
+    cameraCards(this.places.cameras, found.line, found.cameras ?? []);
     this.tables(found);
   }
 
@@ -47,54 +51,52 @@ export class LineCard {
     const gone = lost || found.state === "no contact" || (!final && heardS !== null && heardS > STALE_S);
     const old = !final && (gone || (found.load?.old ?? false));
     const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
-    const [state, text] = STATES[now] ?? ["wait", found.state];
     this.gone = now === "no contact";
+    this.health(found.health);
     this.loads.contact(!this.gone);
-    this.places.state.dataset.state = state;
+    this.places.state.dataset.state = STATES[now] ?? "wait";
     this.element.dataset.gone = this.gone ? "yes" : "no";
-    this.put("state", text, this.places.state.querySelector(".text"));
+    this.put("state", t(`state.${now.replace(" ", "_")}`), this.places.state.querySelector(".text"));
     this.element.dataset.old = old && found.load ? "yes" : "no";
     this.places.old.hidden = !(old && found.load);
     const loadS = (found.load?.age_s ?? 0) + (found.told_s ?? 0) + (sinceS ?? 0);
-    this.put("old", `Old figures: last heard ${ago(Math.max(heardS ?? 0, loadS))} ago`);
+    this.put("old", t("old", { for: Math.max(heardS ?? 0, loadS) }));
   }
 
+  // Without durations, which would be read out every second.
   said() {
-    return (this.found?.alarms ?? []).filter((alarm) => alarm.level !== "note").map((alarm) => `${this.found.line}: ${alarm.key.replaceAll("-", " ")}`).join(". ");
+    return (this.found?.alarms ?? []).filter((alarm) => alarm.level !== "note").map((alarm) => `${this.found.line}: ${t(alarm.say, { ...alarm.values, for: "…" })}`).join(" ");
   }
 
   alarms(found) {
     const list = this.places.alarms;
-    const items = found.length ? found : [{ key: "none", level: "fine", text: "No alarms.", fix: "" }];
+    const items = found.length ? found : [{ level: "fine", say: "alarms.none", todo: "" }];
     while (list.children.length > items.length) list.lastElementChild.remove();
-    items.forEach((alarm, n) => {
+    items.forEach(({ level, say, todo, values }, n) => {
       let item = list.children[n];
       if (!item) {
         item = document.createElement("li");
         for (const name of ["level", "text", "fix"]) item.append(Object.assign(document.createElement("span"), { className: name }));
         list.append(item);
       }
-      item.dataset.level = alarm.level;
-      ["level", "text", "fix"].forEach((name, at) => {
-        const text = name === "level" ? LEVELS[alarm.level] ?? "Good" : alarm[name];
-        if (item.children[at].textContent !== text) item.children[at].textContent = text;
-      });
+      item.dataset.level = level;
+      [t(`level.${level}`), t(say, values), todo ? t(todo, values) : ""].forEach((text, at) => this.put("alarms", text, item.children[at]));
     });
   }
 
   load(found, now) {
     this.element.dataset.load = found ? "yes" : "no";
     if (!found) return;
-    this.put("run", `run ${found.run}`);
+    this.put("run", t("run", { run: found.run }));
     const { seen_g, estimated_g, coverage, count } = now ?? found;
     this.range("seen", seen_g);
     this.range("estimated", estimated_g);
     const missed = coverage === null ? null : 100 * (1 - coverage);
-    const layers = found.layers ? ` And ${found.layers}.` : "";
-    this.put("estimated-note", missed === null ? "" : (missed < 0.05 ? "All of the belt was looked at." : `Makes up for the ${number(missed, 1)} % of the belt that no camera saw.`) + layers);
+    const seen = missed === null ? "" : missed < 0.05 ? t("load.all_seen") : t("load.made_up", { percent: missed });
+    this.put("estimated-note", [seen, found.layers?.where ? t("load.layers", found.layers) : ""].filter(Boolean).join(" "));
     this.put("count", number(count));
-    this.put("coverage", coverage === null ? "–" : `${number(100 * coverage, 1)} %`);
-    this.put("mean", count ? `${number(seen_g[1] / count)} g` : "–");
+    this.put("coverage", percent(coverage));
+    this.put("mean", count ? small(seen_g[1] / count) : "–");
     histogram(this.places.histogram, this.places.classes, found);
   }
 
@@ -104,32 +106,51 @@ export class LineCard {
     if (!output.firstChild) output.append(document.createElement("b"), document.createElement("span"));
     this.put(name, load(middle, scale), output.firstChild);
     this.put(name, ` ${scale.unit}`, output.lastChild);
-    this.put(`${name}-range`, `90 % sure: ${load(low, scale)} to ${load(high, scale)} ${scale.unit}`);
+    this.put(`${name}-range`, t("load.sure", { low: load(low, scale), high: load(high, scale), unit: scale.unit }));
   }
 
-  flow(found) {
+  flow(found, history) {
+    const now = rate(found?.kg_per_min ?? null);
     this.put("tubers_per_min", number(found?.tubers_per_min ?? null));
-    this.put("kg_per_min", number(found?.kg_per_min ?? null, (found?.kg_per_min ?? 0) < 100 ? 1 : 0));
+    this.put("rate-unit", t(`rate.${chosen().unit}`));
+    this.put("kg_per_min", number(now, (now ?? 0) < 100 ? 1 : 0));
     const speed = found?.belt_m_per_s ?? null;
-    this.put("belt", speed === null ? "–" : Math.abs(speed) < 0.005 ? "stopped" : `${number(speed, 2)} m/s`);
+    this.put("belt", speed === null ? "–" : Math.abs(speed) < 0.005 ? t("belt_stopped") : `${number(speed, 2)} m/s`);
+    this.rate.show(history);
+  }
+
+  // One line for who only wants to know whether all is well; the tables are below it.
+  health(found) {
+    const { processes = 0, well = 0, ended = [], ill = {} } = found ?? {};
+    const over = this.found.load?.final && well === 0;
+    const parts = [
+      t("health.well", { well, all: processes }),
+      ...Object.entries(ill).map(([name, state]) => t("health.ill", { name, state: t(`node.${state}`) })),
+      ...(ended.length ? [t("health.ended", { names: ended.join(", ") })] : []),
+    ];
+    this.put("health", t("health", { what: this.gone ? t("health.unknown") : over ? t("health.over") : parts.join("; ") }));
+    this.places.health.closest("details").dataset.state = this.gone || over || !processes ? "wait" : Object.keys(ill).length ? "trouble" : "good";
   }
 
   tables(found) {
-    fill(this.places.regressors, ["Regressor", "State", "Views a second", "Weighed", "Took", "Refused", "On"], (found.regressors ?? []).map((node) => [
-      node.name, node.state, number(node.per_s, 1), number(node.weighed), node.last_ms === null ? "–" : `${number(node.last_ms)} ms`, number(node.refused), node.host,
-    ]), "Nobody weighs.");
-    fill(this.places.others, ["Process", "State", "On", "Version", "Up"], (found.others ?? []).map((node) => [
-      node.name, node.state, node.host, node.version, node.up_s === null ? "–" : ago(node.up_s),
-    ]), "None seen.");
-    fill(this.places.loads, ["Begun", "Weight as seen", "90 % sure", "Tubers", "Belt looked at", "Run", ""], (found.loads ?? []).map((past) => this.past(past)), "The ledger holds no earlier run.");
+    const heads = (...keys) => keys.map((key) => (key ? t(key) : ""));
+    const state = (node) => ({ text: t(`node.${node.state}`), state: node.state });
+    fill(this.places.frames, heads("col.camera", "col.per_s", "col.used", "col.taken", "col.age", "col.drift", "col.lost"), cameraRows(found.cameras ?? []), t("cameras.none"));
+    fill(this.places.regressors, heads("col.regressor", "col.state", "col.views_per_s", "col.weighed", "col.took", "col.refused", "col.on"), (found.regressors ?? []).map((node) => [
+      node.name, state(node), number(node.per_s, 1), number(node.weighed), node.last_ms === null ? "–" : `${number(node.last_ms)} ms`, number(node.refused), node.host,
+    ]), t("weighing.none"));
+    fill(this.places.others, heads("col.process", "col.state", "col.on", "col.version", "col.up"), (found.others ?? []).map((node) => [
+      node.name, state(node), node.host, node.version, node.up_s === null ? "–" : ago(node.up_s),
+    ]), t("others.none"));
+    fill(this.places.loads, heads("begun", "weight_seen", "sure", "tubers", "belt_seen", "run_name", ""), (found.loads ?? []).map((past) => this.past(past)), t("runs.none"));
   }
 
   past(past) {
     const scale = loadUnit(past.weight_g);
     return [
-      when(past.started_unix_s), past.weight_g === null ? "nothing seen" : `${load(past.weight_g, scale)} ${scale.unit}`,
-      past.low_g === null ? "–" : `${load(past.low_g, scale)} to ${load(past.high_g, scale)}`,
-      number(past.count), past.coverage === null ? "–" : `${number(100 * past.coverage, 1)} %`, past.run, past.final ? "complete" : "open",
+      when(past.started_unix_s), past.weight_g === null ? t("nothing_seen") : weight(past.weight_g),
+      past.low_g === null ? "–" : t("range", { low: load(past.low_g, scale), high: load(past.high_g, scale) }),
+      number(past.count), percent(past.coverage), past.run, t(past.final ? "run.complete" : "run.open"),
     ];
   }
 

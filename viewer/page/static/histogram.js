@@ -1,6 +1,6 @@
 // Bars of tubers per weight class, with the class under them; the same as a table for who cannot see bars.
 import { fill } from "./table.js";
-import { number } from "./words.js";
+import { chosen, number, t } from "./words.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const HIGH = 220, LEFT = 62, RIGHT = 24, BOTTOM = 50, TOP = 24;
@@ -10,7 +10,7 @@ const drawn = new WeakMap(); // what each picture shows already
 export function histogram(svg, table, load) {
   const counts = load.histogram;
   const wide = svg.clientWidth || WIDE_UNSEEN; // one unit is one pixel: words keep their size on a phone
-  const key = JSON.stringify([counts, load.step_g, wide]);
+  const key = JSON.stringify([counts, load.step_g, wide, chosen().language]);
   if (drawn.get(svg) === key) return;
   drawn.set(svg, key);
   svg.setAttribute("viewBox", `0 0 ${wide} ${HIGH}`);
@@ -31,18 +31,19 @@ export function histogram(svg, table, load) {
   add(svg, "line", { x1: LEFT, x2: wide - RIGHT, y1: floor, y2: floor, class: "axis" });
   const every = Math.ceil((last + 1) / Math.min(8, wide / 60));
   for (let at = 0; at <= last + 1; at += every) text(svg, LEFT + at * step, floor + 20, number(at * load.step_g), "middle");
-  text(svg, wide - RIGHT, HIGH - 8, "grams a tuber", "end");
+  text(svg, wide - RIGHT, HIGH - 8, t("histogram.axis"), "end");
   svg.setAttribute("aria-label", summary(counts, load.step_g));
-  fill(table, ["Grams", "Tubers"], counts.map((n, at) => [classOf(at, load.step_g), number(n)]).filter(([, n]) => n !== "0"), "No tubers yet.");
+  fill(table, [t("grams"), t("tubers")], counts.map((n, at) => [classOf(at, load.step_g), number(n)]).filter(([, n]) => n !== "0"), t("histogram.none"));
 }
 
 function summary(counts, step_g) {
   const most = Math.max(0, ...counts);
-  return most ? `Most tubers, ${most}, weigh ${classOf(counts.indexOf(most), step_g)} grams` : "No tubers yet";
+  const at = counts.indexOf(most);
+  return most ? t("histogram.most", { n: most, low: at * step_g, high: (at + 1) * step_g }) : t("histogram.none");
 }
 
 function classOf(at, step_g) {
-  return `${number(at * step_g)} to ${number((at + 1) * step_g)}`;
+  return t("range", { low: number(at * step_g), high: number((at + 1) * step_g) });
 }
 
 function add(svg, name, attributes) {

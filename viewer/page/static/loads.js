@@ -1,15 +1,16 @@
 // The load that is open, the run below it, what the contract's classes hold, the ledger's loads, and who may act.
 import { ask } from "./act.js";
+import { LoadsChart } from "./charts.js";
 import { fill } from "./table.js";
-import { load, loadUnit, number, when } from "./words.js";
+import { load, loadUnit, number, percent, scaled, t, weight, when } from "./words.js";
 
 const UNDO_WITHIN_S = 60;
-const LIMITS = { "": "", kept: "✓ kept", open: "? open", broken: "✕ broken" };
 const SAID_MS = 60000;
 
 export class Loads {
   constructor(card) {
     this.card = card;
+    this.chart = new LoadsChart(card.places.compare);
     for (const button of card.element.querySelectorAll("[data-act]")) {
       button.addEventListener("click", () => ask(card.found.line, button.dataset.act, card.found, (text) => this.said(text)));
     }
@@ -19,12 +20,15 @@ export class Loads {
   take(found) {
     const { now, told = [] } = found;
     const put = (name, text) => this.card.put(name, text);
-    const none = !found.load ? "No figures yet" : told.length ? "No load is open" : "No load was started";
-    put("which", now ? [`Load ${now.number}`, now.name].filter(Boolean).join(" · ") : none);
-    put("known", now ? [`since ${when(now.since_unix_s)}`, ...now.known].join(" · ") : !found.load ? "" : told.length ? "What comes now belongs to no load. These are the figures of the whole run." : "The whole run counts as one load.");
+    const none = !found.load ? "load.no_figures" : told.length ? "load.none_open" : "load.none_started";
+    put("which", now ? [t("load.number", { n: now.number }), now.name].filter(Boolean).join(" · ") : t(none));
+    const below = !found.load ? "" : t(told.length ? "load.belongs_to_none" : "load.whole_run");
+    put("known", now ? [t("load.since", { when: when(now.since_unix_s) }), ...now.known].join(" · ") : below);
     this.below(now ? found.load : null);
     this.matter(now ?? found.load, found.contract);
-    fill(this.card.places.told, ["Load", "Begun", "Weight", "90 % sure", "Tubers", "Belt looked at", "Scale", "Field", "Variety"], told.map((each) => this.row(each)), "No load was started yet.");
+    const heads = ["load", "begun", "weight", "sure", "tubers", "belt_seen", "scale", "field", "variety", "notes"];
+    fill(this.card.places.told, heads.map((key) => t(key)), told.map((each) => this.row(each)), t("loads.none"));
+    this.chart.show(told);
     this.buttons(found, now);
   }
 
@@ -32,7 +36,8 @@ export class Loads {
     this.card.places.below.hidden = !run;
     if (!run) return;
     const scale = loadUnit(run.seen_g[1]);
-    this.card.put("below", `The whole run: ${load(run.seen_g[1], scale)} ${scale.unit} (90 % sure: ${load(run.seen_g[0], scale)} to ${load(run.seen_g[2], scale)} ${scale.unit}), ${number(run.count)} tubers, ${run.coverage === null ? "–" : `${number(100 * run.coverage, 1)} %`} of the belt looked at`);
+    const [low, middle, high] = run.seen_g.map((grams) => load(grams, scale));
+    this.card.put("below", t("below", { weight: middle, low, high, unit: scale.unit, count: run.count, coverage: percent(run.coverage) }));
   }
 
   matter(figures, contract) {
@@ -40,24 +45,26 @@ export class Loads {
     const shares = figures?.foreign_percent ?? null;
     foreign.parentElement.hidden = shares === null;
     if (shares) this.card.put("foreign", `${number(shares[1], 1)} %`);
-    if (shares) this.card.put("foreign-range", `${number(shares[0], 1)} to ${number(shares[2], 1)} % of the weight`);
+    if (shares) this.card.put("foreign-range", t("foreign.range", { low: shares[0], high: shares[2] }));
     const classes = figures?.classes ?? [];
     matter.hidden = classes.length === 0;
-    this.card.put("contract", `Classes of the contract${contract ? `: ${contract}` : ""}`);
-    fill(this.card.places.sizes, ["Class", "Share", "90 % sure", "kg", "Limits"], classes.map((each) => [
-      each.name, `${number(each.percent, 1)} %`, `${number(each.percent_low, 1)} to ${number(each.percent_high, 1)} %`, number(each.weight_g / 1000, each.weight_g < 1e5 ? 1 : 0), LIMITS[each.state] ?? each.state,
+    this.card.put("contract", contract ? t("classes.of", { name: contract }) : t("classes"));
+    const { unit } = loadUnit(classes[0]?.weight_g);
+    fill(this.card.places.sizes, [t("class"), t("share"), t("sure"), unit, t("limits")], classes.map((each) => [
+      each.name, `${number(each.percent, 1)} %`, `${t("range", { low: number(each.percent_low, 1), high: number(each.percent_high, 1) })} %`,
+      load(each.weight_g, loadUnit(each.weight_g)), t(`limit.${each.state}`),
     ]), "");
   }
 
   row(each) {
     const scale = loadUnit(each.weight_g);
-    const scales = [each.net_g === null ? "" : `${number(each.net_g / 1000, 1)} kg`, each.gross_g === null ? "" : `${number(each.gross_g / 1000, 1)} kg gross`].filter(Boolean).join(", ");
+    const scales = [each.net_g === null ? "" : scaled(each.net_g), each.gross_g === null ? "" : t("gross", { weight: scaled(each.gross_g) })].filter(Boolean).join(", ");
     return [
-      `${each.number}${each.name ? ` · ${each.name}` : ""}${each.open ? " (open)" : ""}`, when(each.began_unix_s),
-      each.weight_g === null ? "–" : `${load(each.weight_g, scale)} ${scale.unit}`,
-      each.low_g === null ? "–" : `${load(each.low_g, scale)} to ${load(each.high_g, scale)}`,
-      number(each.count), each.coverage === null ? "–" : `${number(100 * each.coverage, 1)} %`,
+      [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
+      each.low_g === null ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),
+      number(each.count), percent(each.coverage),
       (scales && each.refused.length ? `${scales}: ${each.refused.join("; ")}` : scales) || "–", each.field || "–", each.variety || "–",
+      (each.notes ?? []).map(({ text, by }) => (by ? `${text} (${by.replace(/^page: /, "")})` : text)).join("; ") || "–",
     ];
   }
 
@@ -65,8 +72,9 @@ export class Loads {
     const { acts, only } = this.card.places;
     acts.hidden = Boolean(found.looks_only) || !("looks_only" in found);
     only.hidden = !found.looks_only;
-    this.card.put("only", `Loads cannot be changed from this page: ${found.looks_only}`);
-    const shown = { start: true, end: Boolean(now), undo: this.undoable(found), ticket: (found.told ?? []).length > 0 };
+    this.card.put("only", t("only_looks", { why: found.looks_only ?? "" }));
+    const told = (found.told ?? []).length > 0;
+    const shown = { start: true, end: Boolean(now), undo: this.undoable(found), ticket: told, note: told };
     for (const button of acts.querySelectorAll("[data-act]")) button.hidden = !shown[button.dataset.act];
   }
 

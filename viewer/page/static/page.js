@@ -1,7 +1,7 @@
 // Takes the snapshots as they come and says at every moment how old they are. It asks for nothing else.
 import { LineCard } from "./card.js";
-import { ago } from "./words.js";
-import { light } from "./light.js";
+import { openMenu } from "./menu.js";
+import { ago, t } from "./words.js";
 
 const LOST_S = 4; // the server sends at least every 2 s
 const RETRY_MS = 2000;
@@ -43,20 +43,23 @@ function tick() {
   const gone = [...cards].filter(([, card]) => card.gone).map(([line]) => line);
   const state = sinceS === null ? "wait" : lost || gone.length ? "trouble" : "good";
   contact.dataset.state = state;
-  contact.querySelector(".text").textContent =
-    sinceS === null ? "Connecting" : lost ? `No contact: last heard ${ago(sinceS)} ago` : gone.length ? `No contact with ${gone.join(", ")}` : "Page connected";
+  const text = lost ? t("contact.lost", { for: sinceS }) : gone.length ? t("contact.gone", { lines: gone.join(", ") }) : t(`contact.${state}`);
+  contact.querySelector(".text").textContent = text;
   document.body.dataset.contact = lost ? "lost" : "live";
   say(lost);
 }
 
 // For screen readers: alarms once when they come, not every second with a new duration.
 function say(lost) {
-  const parts = lost ? ["No contact with the page's server, figures are old"] : [...cards.values()].map((card) => card.said());
-  const now = parts.filter(Boolean).join(". ");
-  if (now !== saidBefore) spoken.textContent = now || "No alarms";
+  const parts = lost ? [t("spoken.lost")] : [...cards.values()].map((card) => card.said());
+  const now = parts.filter(Boolean).join(" ");
+  if (now !== saidBefore) spoken.textContent = now || t("alarms.none");
   saidBefore = now;
 }
 
-light(document.getElementById("light"));
+openMenu(() => {
+  for (const card of cards.values()) card.again();
+  tick();
+});
 listen();
 setInterval(tick, 500);

@@ -1,10 +1,13 @@
 // Tables whose rows are kept and refilled, so that a selection or a reader's place in them survives.
+// A cell is a text, or {text, state} where it tells how something is.
 export function fill(table, heads, rows, empty) {
   if (!table.tHead) {
-    const head = table.createTHead().insertRow();
-    for (const text of heads) head.append(Object.assign(document.createElement("th"), { scope: "col", textContent: text }));
+    table.createTHead().insertRow();
     table.createTBody();
   }
+  const head = table.tHead.rows[0];
+  while (head.cells.length < heads.length) head.append(Object.assign(document.createElement("th"), { scope: "col" }));
+  heads.forEach((text, at) => put(head.cells[at], text));
   const body = table.tBodies[0];
   const wanted = rows.length ? rows : [[empty]];
   table.tHead.hidden = rows.length === 0;
@@ -12,11 +15,15 @@ export function fill(table, heads, rows, empty) {
   wanted.forEach((cells, n) => {
     const row = body.rows[n] ?? body.insertRow();
     while (row.cells.length > cells.length) row.deleteCell(-1);
-    cells.forEach((text, at) => {
+    cells.forEach((found, at) => {
       const cell = row.cells[at] ?? row.insertCell();
-      if (cell.textContent !== String(text)) cell.textContent = text;
+      put(cell, String(found?.text ?? found));
       cell.dataset.head = rows.length ? heads[at] : "";
-      if (heads[at] === "State") cell.dataset.state = text;
+      if (found?.state) cell.dataset.state = found.state;
     });
   });
+}
+
+function put(cell, text) {
+  if (cell.textContent !== text) cell.textContent = text;
 }

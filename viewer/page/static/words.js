@@ -1,29 +1,116 @@
-// Numbers as a person reads them.
+// Words, numbers and weights as a person reads them: in their language, and in the unit that they chose.
+const TABLE = await (await fetch("words.json")).json();
+export const LANGUAGES = { en: "English", de: "Deutsch", nl: "Nederlands", ja: "日本語" };
+export const UNITS = ["kg", "t", "lb"];
+const GRAMS = { kg: 1e3, t: 1e6, lb: 453.59237 };
+const COMMA = new Set(["de", "nl"]);
+const VALUE = /\{(\w+)(?::([^}]+))?\}/g;
+let language = firstOf(new URLSearchParams(location.search).get("lang"), remembered("language"), ...(navigator.languages ?? [])) ?? "en";
+let unit = UNITS.includes(remembered("unit")) ? remembered("unit") : "kg";
+document.documentElement.lang = language;
+
+// Of the languages that are asked for, the first one that the table has: 'de-AT' is 'de'.
+function firstOf(...asked) {
+  return asked.map((tag) => (tag ?? "").toLowerCase().split(/[-_]/)[0]).find((tag) => tag in LANGUAGES);
+}
+
+export const chosen = () => ({ language, unit });
+
+export function choose(name, value) {
+  remember(name, value);
+  if (name === "language") document.documentElement.lang = language = value;
+  if (name === "unit") unit = value;
+}
+
+export function remembered(name) {
+  try {
+    return localStorage.getItem(name);
+  } catch {
+    return null; // storage is switched off
+  }
+}
+
+export function remember(name, value) {
+  try {
+    localStorage.setItem(name, value);
+  } catch {
+    // kept until the page is closed
+  }
+}
+
+// The text `key`; `values` fill its {places}. A key without words is shown by its own last part.
+export function t(key, values = {}) {
+  const text = TABLE[key]?.[language] ?? key.split(".").pop().replaceAll("_", " ");
+  return text.replace(VALUE, (_, name, how) => told(values[name] ?? "", how));
+}
+
+export const known = (key) => key in TABLE;
+
+function told(value, how) {
+  if (how === undefined || typeof value !== "number") return typeof value === "number" ? number(value) : String(value);
+  if (how === "span") return ago(value);
+  return `${how.startsWith("+") && value >= 0 ? "+" : ""}${number(value, Number(how.replace("+", "")))}`;
+}
+
 export function ago(seconds) {
   const whole = Math.max(0, Math.floor(seconds));
-  if (whole < 120) return `${whole} s`;
-  if (whole < 7200) return `${Math.floor(whole / 60)} min`;
-  if (whole < 172800) return `${Math.floor(whole / 3600)} h`;
-  return `${Math.floor(whole / 86400)} days`;
+  if (whole < 120) return t("span.s", { n: whole });
+  if (whole < 7200) return t("span.min", { n: Math.floor(whole / 60) });
+  if (whole < 172800) return t("span.h", { h: Math.floor(whole / 3600), m: Math.floor((whole % 3600) / 60) });
+  return t("span.days", { n: Math.floor(whole / 86400) });
 }
 
 export function number(value, digits = 0) {
-  if (value === null || value === undefined) return "–";
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
   // Thin spaces between thousands: neither comma nor point, which mean different things in different countries.
   const [whole, rest] = Math.abs(value).toFixed(digits).split(".");
   const grouped = whole.replace(/\B(?=(\d{3})+(?!\d))/g, "\u2009");
-  return (value < 0 ? "−" : "") + grouped + (rest ? `.${rest}` : "");
+  return (value < 0 ? "−" : "") + grouped + (rest ? `${COMMA.has(language) ? "," : "."}${rest}` : "");
 }
 
-// A load: grams in, [figure, unit] out; one unit for a figure and the interval around it.
+export const percent = (share, digits = 1) => (share === null || share === undefined ? "–" : `${number(100 * share, digits)} %`);
+
+// A load: one unit and one number of decimals for a figure and the interval around it.
 export function loadUnit(grams) {
-  return grams >= 9.9995e6 ? { unit: "t", per: 1e6, digits: 2 } : { unit: "kg", per: 1e3, digits: grams < 1e5 ? 2 : grams < 1e6 ? 1 : 0 };
+  const figure = Math.abs(grams ?? 0) / GRAMS[unit];
+  return { unit, per: GRAMS[unit], digits: unit === "t" ? (figure < 10 ? 3 : 2) : figure < 100 ? 2 : figure < 1000 ? 1 : 0 };
 }
 
 export function load(grams, scale) {
-  return number(grams / scale.per, scale.digits);
+  return grams === null || grams === undefined ? "–" : number(grams / scale.per, scale.digits);
 }
 
+// "206.4 kg"
+export function weight(grams) {
+  const scale = loadUnit(grams);
+  return grams === null || grams === undefined ? "–" : `${load(grams, scale)} ${scale.unit}`;
+}
+
+// What a scale said, to the last figure that it shows.
+export function scaled(grams) {
+  return `${number(grams / GRAMS[unit], unit === "t" ? 4 : 1)} ${unit}`;
+}
+
+// One tuber, whose weight no one says in kilograms.
+export function small(grams) {
+  return unit === "lb" ? `${number(grams / 28.349523125, 1)} oz` : `${number(grams)} g`;
+}
+
+// What comes in a minute, or in an hour for who reckons in tons.
+export function rate(kgPerMin) {
+  if (kgPerMin === null || kgPerMin === undefined) return null;
+  return unit === "t" ? (kgPerMin * 60) / 1000 : (kgPerMin * 1000) / GRAMS[unit];
+}
+
+export const inKilograms = (figure) => (figure * GRAMS[unit]) / 1000;
+
 export function when(unixS) {
-  return new Date(unixS * 1000).toLocaleString(undefined, { dateStyle: "short", timeStyle: "short" });
+  return new Date(unixS * 1000).toLocaleString(language, { dateStyle: "short", timeStyle: "short" });
+}
+
+// Texts that stand in the page itself.
+export function translate(place) {
+  for (const each of place.querySelectorAll("[data-word]")) each.textContent = t(each.dataset.word);
+  for (const each of place.querySelectorAll("[data-label]")) each.setAttribute("aria-label", t(each.dataset.label));
+  for (const each of place.querySelectorAll("[data-example]")) each.placeholder = t(each.dataset.example);
 }

@@ -1,0 +1,107 @@
+"""An upgrade of a running line that loses its power, again and again, and the way back: a part of `make boot`.
+
+The next version is this clone with another number, installed beside the one that runs as docs/deploy.md says.
+Law: after every cut the line comes up by itself, all of it in the old version or all of it in the new one, and its
+ledger holds what it held; at the end it is that of an undisturbed replay.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+from pathlib import Path
+from time import sleep
+
+from deploy.trial import field
+from deploy.trial.machine import Machine
+from deploy.trial.machineroot import copy_clone, in_root
+from deploy.trial.powercuts import Cuts, take_stock
+from deploy.trial.tools import TrialError, say, version
+
+CUTS = 4
+SEED = 1616
+AFTER_S = (0.5, 12.0)
+"""From the upgrade's begin to the cut; undisturbed it takes about ten seconds."""
+TUBERLINE = "/opt/tuberline/bin/tuberline"
+NEXT = "/opt/tuberline-next"
+WHEELS = "/usr/src/tuberline-next"
+PREPARE = f"""set -e
+rm -rf {NEXT}
+python3 -m venv --without-pip {NEXT}
+echo /opt/tuberline/lib/python3.11/site-packages >{NEXT}/lib/python3.11/site-packages/libraries.pth
+/opt/tuberline/bin/pip --python {NEXT}/bin/python install --quiet --no-index --no-deps --ignore-installed {WHEELS}/*.whl
+"""
+"""The libraries are the old one's: what a wheel of ours needs is not to be had without a network."""
+SWITCH = f"sh {field.INSTALL} --roles {field.ROLES} --program {NEXT}/bin/tuberline /root/field.toml"
+BACK = ("sh", field.INSTALL, "--roles", field.ROLES, "--program", TUBERLINE, "/root/field.toml")
+
+
+def next_version() -> str:
+    return f"{version()}+next"
+
+
+def make_wheel(folder: Path, root: Path) -> None:
+    """The next version's wheel, in the root."""
+    source = root / WHEELS.lstrip("/") / "source"
+    copy_clone(source)
+    home = source / "conveyor" / "__init__.py"
+    home.write_text(
+        re.sub(r"(?m)^__version__ = .*$", f'__version__ = "{next_version()}"', home.read_text(encoding="utf-8")),
+        encoding="utf-8",
+    )
+    pip = ("/opt/tuberline/bin/pip", "wheel", "--quiet", "--no-deps", "--no-cache-dir")
+    in_root(folder, root, *pip, "--wheel-dir", WHEELS, f"{WHEELS}/source")
+    shutil.rmtree(source)
+
+
+def runs(machine: Machine) -> str:
+    """The version that the line's units run, all of them."""
+    chosen = machine.run("sh", "-c", ". /etc/tuberline/environment; echo $TUBERLINE")
+    said = machine.run(chosen, "--version")
+    for unit in field.UNITS:
+        pid = machine.run("systemctl", "show", "--value", "--property", "MainPID", unit)
+        words = machine.run("cat", f"/proc/{pid}/cmdline")
+        if str(Path(chosen).parent) not in words:
+            raise TrialError(f"{unit} runs {words} where the environment says {chosen}")
+    return said
+
+
+def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
+    """Rows of the table of `make boot`."""
+    make_wheel(folder, root)
+    recordings = field.simulate(folder / "upgrade-recordings", seed=SEED, tubers=60, speed_mps=0.1)
+    rng, cuts, reached = random.Random(SEED), Cuts(), []
+    with Machine(folder, root, "upgrade", 4, {str(recordings): "/recordings"}) as machine:
+        machine.power_on()
+        machine.booted()
+        field.install(machine, field.config(), field.ROLES)
+        field.all_active(machine, field.UNITS)
+        for _ in range(CUTS):
+            machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) >/root/upgrade.log 2>&1 &")
+            after_s = rng.uniform(*AFTER_S)
+            sleep(after_s)
+            machine.cut_power()
+            take_stock(cuts, field.Seen(machine.disk))
+            machine.power_on()
+            field.all_active(machine, field.UNITS)
+            reached.append(f"{after_s:.1f} s: {runs(machine)}")
+            say(f"upgrade cut after {reached[-1]}, {len(cuts.committed)} tubers")
+        machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) 2>&1", timeout_s=300)
+        field.all_active(machine, field.UNITS)
+        if runs(machine) != next_version():
+            raise TrialError(f"after the upgrade the line runs {runs(machine)}")
+        take_stock(cuts, field.Seen(machine.disk))
+        machine.run(*BACK, timeout_s=300)
+        field.all_active(machine, field.UNITS)
+        if runs(machine) != version():
+            raise TrialError(f"after the way back the line runs {runs(machine)}")
+        counted = field.counted_as(machine, field.replayed(recordings, folder / "upgrade-reference"))
+        take_stock(cuts, field.Seen(machine.disk))
+    return [
+        (
+            f"power lost {CUTS} times during an upgrade, seed {SEED}",
+            f"came back by itself; cut after {', '.join(reached)}",
+        ),
+        ("that upgrade to its end, and the way back, in the load", counted),
+    ]

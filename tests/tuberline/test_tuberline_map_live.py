@@ -1,0 +1,95 @@
+"""The map of a run that goes on, as the page gets it, and as a browser draws it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.written_run import write_run
+from camera_sim.sim.field import FieldWorld, simulate_field
+from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter
+from tests.viewer.page_states import loaded_state
+from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until
+from tests.viewer.test_viewer_page_server import ask
+from tuberline.maps.field import Settings, field_map
+from tuberline.maps.live import features, live_map
+from viewer.page.board import Board
+from viewer.page.maps import MOST_PLACES, FieldMaps
+from viewer.page.server import PageServer
+from viewer.page.snapshot import snapshot
+
+__all__ = ["browser"]
+pytest.importorskip("pyproj")
+WORLD = FieldWorld(size_m=(24.0, 80.0), shown_share=0.1)
+SEED = 7303
+SETTINGS = Settings(3.0, overlap_m=0.1, delay_s=WORLD.delay_s)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One machine's run of a simulated field with its own positions, beside an older run of the same ledger."""
+    sys.stdout.write(f"seed {SEED}\n")
+    out = tmp_path_factory.mktemp("field") / "run"
+    (day,) = simulate_field(replace(WORLD, scales=(1.0,)), seed=SEED).machines
+    write_run(out, run="today", crossed_ns=day.crossed_ns, weight_g=day.kg_each * 1000)
+    with PositionsWriter(out / POSITIONS_FILE) as file:
+        for time_ns, lat, lon, quality in zip(day.time_ns, day.lat_deg, day.lon_deg, day.quality, strict=True):
+            file.write((int(time_ns), int(time_ns), float(lat), float(lon), int(quality), 0.8, 12))
+    return out
+
+
+def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
+    assert live_map(tmp_path, SETTINGS) is None
+    found = live_map(run, SETTINGS)
+    assert found is not None
+    assert found.cells.mean_t_ha == field_map([run], [], SETTINGS).cells.mean_t_ha
+    cells, about = features(found)
+    assert len(cells) == int(np.isfinite(found.cells.t_ha).sum())
+    assert about["low"] <= about["mean"] <= about["high"]
+    lons, lats = np.array([cell["geometry"]["coordinates"][0] for cell in cells]).reshape(-1, 2).T
+    east_m = (lons.max() - lons.min()) * np.cos(np.radians(lats.mean())) * 111_320
+    assert east_m <= WORLD.size_m[0] + 3 * found.cells.cell_m, "degrees, longitude first"
+    assert live_map(run, replace(SETTINGS, delay_s=None)) is not None, "not found yet: then it is assumed"
+
+
+def test_a_way_is_bounded_and_told_now_and_then() -> None:
+    maps = FieldMaps()
+    assert json.loads(maps.newest("north"))["number"] == maps.number("north") == 0
+    for n in range(3 * MOST_PLACES):
+        maps.add_place("north", lat_deg=52.0 + n * 2e-5, lon_deg=5.0)
+        maps.add_place("north", lat_deg=52.0 + n * 2e-5 + 1e-7, lon_deg=5.0)
+    found = json.loads(maps.newest("north"))
+    assert len(found["way"]) <= MOST_PLACES + 1
+    assert found["way"][0] == [5.0, 52.0]
+    assert found["way"][-1] == pytest.approx([5.0, 52.0 + (3 * MOST_PLACES - 1) * 2e-5])
+    assert 0 < found["number"] < MOST_PLACES
+
+
+@pytest.mark.graph
+def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, browser: Browser) -> None:
+    found = live_map(run, SETTINGS)
+    assert found is not None
+    cells, about = features(found)
+    board, maps = Board(["north"]), FieldMaps()
+    with PageServer(board, host="127.0.0.1", port=0, maps=maps) as page:
+        assert json.loads(ask(page, "/map.json?line=south")[2])["cells"]["features"] == []
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+
+        def told() -> None:
+            board.put({**snapshot(loaded_state()), "looks_only": "", "map": maps.number("north")})
+
+        until(lambda: told() or "Load 3" in text(browser), what="the page")
+        assert js(browser, "document.querySelector('.field').hidden"), "no field, no map, and no megabyte to load"
+        assert not js(browser, "'maplibregl' in window")
+        maps.put_cells("north", cells, about)
+        first = cells[0]["geometry"]["coordinates"][0][0]
+        for n in range(30):
+            maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
+        drawn = "Number(document.querySelector('.map').dataset.cells || 0)"
+        until(lambda: told() or js(browser, drawn) >= len(cells), what="the cells on the map")
+        assert f"mean {about['mean']:.1f}" in text(browser)

@@ -1,0 +1,88 @@
+"""One table of words: every text in every language with the same values, and none that is missing or of no use."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import viewer.page.words as words_module
+from tests.viewer.page_states import loaded_state
+from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until_told
+from viewer.page.board import Board
+from viewer.page.server import PageServer
+from viewer.page.snapshot import snapshot
+from viewer.page.words import AGGREGATOR_REFUSALS, FRAME_DROPS, LANGUAGES, VIEW_LOSSES, said, span, table
+
+__all__ = ["browser"]
+PAGE = Path(words_module.__file__).parent
+SHOWN = {
+    "en": ("Running", "Load 3 · trailer 7", "90 % sure: 199.0 to 214.0 kg", "Start load …", "No alarms."),
+    "de": ("Läuft", "Ladung 3 · trailer 7", "90 % sicher: 199,0 bis 214,0 kg", "Ladung beginnen …", "Keine Meldungen."),
+    "nl": ("Loopt", "Lading 3 · trailer 7", "90 % zeker: 199,0 tot 214,0 kg", "Lading beginnen …", "Geen meldingen."),
+    "ja": ("運転中", "積荷 3 · trailer 7", "90 % 信頼：199.0～214.0 kg", "積荷を開始…", "警報はありません。"),
+}
+
+
+def values_of(text: str) -> set[str]:
+    return set(re.findall(r"\{\w+(?::[^}]+)?\}", text))
+
+
+def test_every_text_is_there_in_every_language_with_the_same_values() -> None:
+    for key, found in table().items():
+        assert set(found) == set(LANGUAGES), key
+        assert all(text.strip() for text in found.values()), key
+        assert len({frozenset(values_of(text)) for text in found.values()}) == 1, key
+
+
+def test_every_reason_has_its_words_and_no_word_is_of_no_use() -> None:
+    made = {f"alarm.{counter}" for counter in AGGREGATOR_REFUSALS}
+    made |= {f"drop.{reason}.{part}" for reason in FRAME_DROPS for part in ("now", "what", "todo")}
+    made |= {f"lost.{reason}.{part}" for reason in VIEW_LOSSES for part in ("now", "what", "todo")}
+    made |= {f"alarm.{role}.{what}" for role in ("camera", "segmenter") for what in ("gone", "quiet")}
+    made |= {f"todo.{role}.gone" for role in ("camera", "segmenter")} | {"alarm.no_contact_for", "alarm.no_router_for"}
+    assert made <= set(table())
+    files = [*PAGE.glob("*.py"), *PAGE.glob("static/*.js"), *PAGE.glob("static/*.html")]
+    source = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    heads = set(re.findall(r"`([a-z_.]+\.)\$\{", source))
+    for key in set(table()) - made:
+        used = f'"{key}"' in source or any(key.startswith(head) for head in heads)
+        assert used, f"no one says '{key}'"
+
+
+def test_values_are_told_as_the_text_wants_them() -> None:
+    assert said("alarm.coverage", {"percent": 7.04}).startswith("7.0 % of the belt")
+    assert said("alarm.camera.drift", {"camera": "left", "px": 0.2}).startswith(
+        "The depth scale of camera left drifted by +0.20"
+    )
+    assert said("alarm.camera.gone", {"camera": "links", "for": 7300}, language="de") == (
+        "Kamera links hat vor 2 h 1 min aufgehört."
+    )
+    assert span(130, language="ja") == "2分"
+
+
+@pytest.mark.graph
+def test_the_page_speaks_four_languages_and_three_units_and_remembers(browser: Browser) -> None:
+    board = Board(["north"])
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        board.put(seen := {**snapshot(loaded_state()), "looks_only": ""})
+        url = f"http://127.0.0.1:{page.port}/"
+        for language, told in SHOWN.items():
+            browser.page("Page.navigate", url=f"{url}?lang={language}")
+            until_told(browser, board, seen, *told)
+            assert js(browser, "document.documentElement.lang") == language
+            assert not re.search(r"\{\w+", text(browser)), "a value that no one filled in"
+        browser.page("Page.navigate", url=url)
+        until_told(browser, board, seen, "Running")
+        for name, value, told in (
+            ("language", "nl", "90 % zeker: 199,0 tot 214,0 kg"),
+            ("unit", "lb", "90 % zeker: 438,7 tot 471,8 lb"),
+            ("unit", "t", "90 % zeker: 0,199 tot 0,214 t"),
+        ):
+            picked = f"Object.assign(document.getElementById('{name}'), {{value: '{value}'}})"
+            js(browser, f"{picked}.dispatchEvent(new Event('change')); 1")
+            until_told(browser, board, seen, told)
+        browser.page("Page.navigate", url=url)
+        until_told(browser, board, seen, "0,199 tot 0,214 t")
+        js(browser, "localStorage.clear(); 1")

@@ -1,0 +1,1 @@
+"""A day's report for a person: HTML in one file, and PDF."""

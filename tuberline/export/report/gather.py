@@ -1,0 +1,165 @@
+"""What a day came to, read from the ledgers: loads, sums, classes, foreign matter, and what is said of the runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from aggregator.core.class_totals import class_totals
+from aggregator.core.foreign_totals import foreign_total
+from aggregator.core.load_sums import LoadSums
+from aggregator.core.totals import LoadTotals
+from aggregator.ledger.reader import ledger_file, read_summary, reading, the_run
+from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, grouped, total_of
+from conveyor.config import load_config
+from conveyor.config_yield import ForeignConfig
+from conveyor.contract import Contract, SizeClass, read_contract
+from conveyor.errors import InputError
+from conveyor.messages import ClassTotal, ForeignTotal
+
+PLAIN = Contract(
+    classes=tuple(
+        SizeClass(name=name, from_mm=low, to_mm=high)
+        for name, low, high in (
+            ("below 35", None, 35.0),
+            ("35 to 45", 35.0, 45.0),
+            ("45 to 55", 45.0, 55.0),
+            ("55 to 65", 55.0, 65.0),
+            ("65 and more", 65.0, None),
+        )
+    )
+)
+"""Classes where no contract is given: by square mesh, mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFacts:
+    """One load: what was said of it and what it came to; kilograms for its whole belt.
+
+    `began`, `ended` are the line's own time of day, '' where not known. `ticket_kg` None: not weighed.
+    """
+
+    label: str
+    field: str
+    variety: str
+    began: str
+    ended: str
+    tubers: int
+    raw_kg: float
+    kg: float
+    low_kg: float
+    high_kg: float
+    coverage: float | None
+    unseen_m: dict[str, float]
+    ticket_kg: float | None
+    classes: tuple[ClassTotal, ...]
+    foreign: ForeignTotal | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """One run as its summary has it; `summary` is empty where it has not ended."""
+
+    path: Path
+    run: str
+    line: str
+    version: str
+    summary: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class DayFacts:
+    """All that a report tells. `refused`: tickets that do not calibrate, in words."""
+
+    days: tuple[str, ...]
+    loads: tuple[LoadFacts, ...]
+    total: Total
+    by_field: tuple[Total, ...]
+    by_variety: tuple[Total, ...]
+    contract: Contract
+    classes: tuple[ClassTotal, ...]
+    foreign: ForeignTotal | None
+    calibrated_by: tuple[str, ...]
+    camera_doubt: tuple[float, float]
+    late: int
+    refused: tuple[str, ...]
+    runs: tuple[RunFacts, ...]
+
+
+def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | None = None) -> DayFacts:
+    """Read the loads of `day` (YYYY-MM-DD); all of the runs' where it is not given.
+
+    Raises:
+        InputError: no load on that day; the text says which days there are. LedgerError: a ledger cannot be trusted.
+    """
+    found, refused = all_loads(runs)
+    days = sorted({load.labels["day"] for load in found})
+    loads = [load for load in found if day in (None, load.labels["day"])]
+    if not loads:
+        raise InputError(f"these runs hold no load of {day}: they hold {', '.join(days) or 'none at all'}")
+    chosen, densities = _settings(runs, contract)
+    whole = LoadSums(loads[0].one.totals.sums.histogram_step_g)
+    for load in loads:
+        whole.take(load.one.totals.sums)
+    together = LoadTotals(whole)
+    return DayFacts(
+        days=tuple(sorted({load.labels["day"] for load in loads})),
+        loads=tuple(_load(load, chosen, densities) for load in loads),
+        total=total_of(ALL, loads),
+        by_field=tuple(grouped(loads, "field")),
+        by_variety=tuple(grouped(loads, "variety")),
+        contract=chosen,
+        classes=class_totals(together, chosen),
+        foreign=foreign_total(together, densities),
+        calibrated_by=tuple(dict.fromkeys(filter(None, (load.one.totals.calibrated().told for load in loads)))),
+        camera_doubt=whole.camera_doubt(),
+        late=whole.late,
+        refused=tuple(refused),
+        runs=tuple(_run(path) for path in dict.fromkeys(ledger_file(run) for run in runs)),
+    )
+
+
+def _settings(runs: Sequence[Path], contract: Path | None) -> tuple[Contract, ForeignConfig]:
+    """The contract given, else that of the line's config beside the first ledger that has one; densities likewise."""
+    files = [ledger_file(run).parent / "line.toml" for run in runs]
+    configs = [load_config(file) for file in files if file.is_file()]
+    named = contract or next((c.aggregator.contract for c in configs if c.aggregator.contract), None)
+    return read_contract(named) if named else PLAIN, configs[0].foreign if configs else ForeignConfig()
+
+
+def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> LoadFacts:
+    one, load = found.one, found.load
+    kg, low_kg, high_kg = (grams / 1000 for grams in one.totals.estimated(one.coverage, belt_m=one.belt_m))
+    offset_s = load.utc_offset_s if load else 0
+    return LoadFacts(
+        label=found.labels["load"],
+        field=load.field if load else "",
+        variety=load.variety if load else "",
+        began=_clock(load.began_ns, offset_s) if load else "",
+        ended=_clock(load.ended_ns, offset_s) if load and load.ended_ns else "",
+        tubers=one.totals.sums.count,
+        raw_kg=one.whole * one.totals.sums.as_weighed_g / 1000,
+        kg=kg,
+        low_kg=low_kg,
+        high_kg=high_kg,
+        coverage=one.coverage,
+        unseen_m=dict(found.unseen_m),
+        ticket_kg=None if found.net_g is None else found.net_g / 1000,
+        classes=class_totals(one.totals, contract),
+        foreign=foreign_total(one.totals, densities),
+    )
+
+
+def _run(file: Path) -> RunFacts:
+    with reading(file) as view:
+        run = the_run(view, file, None)
+        told = read_summary(view, run.run)
+    return RunFacts(file, run.run, run.line, run.version, json.loads(told) if told else {})
+
+
+def _clock(unix_ns: int, offset_s: int) -> str:
+    return (datetime.fromtimestamp(unix_ns / 1e9, UTC) + timedelta(seconds=offset_s)).strftime("%H:%M")

@@ -1,0 +1,210 @@
+"""A day's facts as the blocks of a report, in the order in which they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime
+from typing import Any
+
+from aggregator.ledger.totals_by import Total
+from conveyor import __version__
+from conveyor.contract import Contract
+from conveyor.messages import ClassTotal
+from tuberline.export.report.gather import DayFacts, LoadFacts
+from tuberline.export.report.page import Align, Bars, Block, Figures, Grid, Picture, Report, Sentences
+from tuberline.export.report.wrong import what_went_wrong
+
+COLOURS = ("#c9b458", "#8fae4b", "#4f8f4f", "#2f6b5e", "#24485c", "#5b4a78", "#8a4a6b", "#a35b45")
+"""Of classes from small to large; told apart in grey too."""
+NONE = "–"
+
+
+def report_of(facts: DayFacts, *, map_png: bytes | None, map_note: str, more_wrong: Sequence[str] = ()) -> Report:
+    """The report.
+
+    Args:
+        map_png: the field's map, where positions are known. more_wrong: what is to be told beside what ledgers know.
+    """
+    blocks: list[Block] = [_figures(facts), _loads(facts), *_groups(facts), *_sizes(facts)]
+    if map_png is not None:
+        blocks.append(Picture("Yield of the field", map_png, map_note))
+    wrong = [*what_went_wrong(facts), *more_wrong]
+    blocks.append(Sentences("What went wrong", tuple(wrong or ["Nothing that the ledger knows of."]), warn=bool(wrong)))
+    blocks += [_made_of(facts), Sentences("How to read it", _how(facts))]
+    lines = ", ".join(dict.fromkeys(run.line for run in facts.runs))
+    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return Report(
+        title=f"Harvest of {_days(facts.days)}",
+        subtitle=f"{'Line' if ',' not in lines else 'Lines'} {lines}",
+        blocks=tuple(blocks),
+        foot=f"tuberline {__version__}, made {made}",
+    )
+
+
+def _days(days: Sequence[str]) -> str:
+    first, last = (date.fromisoformat(day) for day in (days[0], days[-1]))
+    told = f"{last.day} {last:%B %Y}"
+    return told if first == last else f"{first.day} {first:%B %Y} to {told}"
+
+
+def _figures(facts: DayFacts) -> Figures:
+    sums, foreign = facts.total.sums, facts.foreign
+    items = [
+        ("Potatoes", kg(sums.estimated_g / 1000), f"90 %: {_between(sums.low_g / 1000, sums.high_g / 1000)}"),
+        ("Loads", str(facts.total.loads), f"{sums.tubers:,} tubers".replace(",", " ")),
+        ("Belt seen", _percent(sums.coverage), "the rest is made up for"),
+    ]
+    if foreign is not None:
+        low, high = foreign.percent_low, foreign.percent_high
+        items.append(("Clods, stones, haulm", f"{foreign.percent:.1f} %", f"by count; 90 %: {low:.1f} to {high:.1f} %"))
+    return Figures(tuple(items))
+
+
+def _loads(facts: DayFacts) -> Grid:
+    rows = [
+        (
+            load.label,
+            load.field or NONE,
+            load.variety or NONE,
+            _when(load),
+            str(load.tubers),
+            kg(load.raw_kg, unit=False),
+            kg(load.kg, unit=False),
+            _between(load.low_kg, load.high_kg, unit=False),
+            _percent(load.coverage),
+            kg(load.ticket_kg, unit=False) if load.ticket_kg is not None else NONE,
+        )
+        for load in facts.loads
+    ]
+    sums = facts.total.sums
+    weighed = f"{kg(facts.total.net_g / 1000, unit=False)}" if facts.total.weighed else NONE
+    rows.append(
+        (
+            "all", "", "", "", str(sums.tubers), kg(facts.total.raw_g / 1000, unit=False),
+            kg(sums.estimated_g / 1000, unit=False), _between(sums.low_g / 1000, sums.high_g / 1000, unit=False),
+            _percent(sums.coverage), weighed,
+        )
+    )  # fmt: skip
+    names = ("Load", "Field", "Variety", "Time", "Tubers", "Raw kg", "kg", "90 % interval", "Seen", "Ticket kg")
+    note = "Raw: as weighed. kg: calibrated. Both for all of the belt."
+    return Grid("Loads", _columns(names, left=4), tuple(rows), note, summed=True)
+
+
+def _when(load: LoadFacts) -> str:
+    return f"{load.began}–{load.ended}" if load.ended else load.began or NONE
+
+
+def _groups(facts: DayFacts) -> list[Block]:
+    blocks: list[Block] = []
+    for name, totals in (("Field", facts.by_field), ("Variety", facts.by_variety)):
+        if len(totals) > 1:
+            blocks.append(_group(name, totals))
+    return blocks
+
+
+def _group(name: str, totals: Sequence[Total]) -> Grid:
+    rows = tuple(
+        (
+            total.label,
+            str(total.loads),
+            str(total.sums.tubers),
+            kg(total.sums.estimated_g / 1000, unit=False),
+            _between(total.sums.low_g / 1000, total.sums.high_g / 1000, unit=False),
+            _percent(total.sums.coverage),
+            f"{total.weighed} of {total.loads}",
+        )
+        for total in totals
+    )
+    heads = (name, "Loads", "Tubers", "kg", "90 % interval", "Seen", "On scales")
+    return Grid(f"By {name.lower()}", _columns(heads, left=1), rows)
+
+
+def _columns(names: Sequence[str], *, left: int) -> tuple[tuple[str, Align], ...]:
+    """The first `left` columns hold words, the others numbers."""
+    return tuple((name, "left" if n < left else "right") for n, name in enumerate(names))
+
+
+def _sizes(facts: DayFacts) -> list[Block]:
+    if not facts.classes:
+        return [Sentences("Sizes", ("No tuber of these loads has a size: their weights do not tell it.",))]
+    whole_kg = facts.total.sums.estimated_g / 1000
+    rows = tuple(
+        (
+            each.name,
+            _edges(each),
+            f"{each.count:.0f}",
+            kg(whole_kg * each.percent / 100, unit=False),
+            f"{each.percent:.1f} %",
+            f"{each.percent_low:.0f}–{each.percent_high:.0f} %",
+            each.state or NONE,
+        )
+        for each in facts.classes
+    )
+    heads = ("Class", "mm", "Tubers", "kg", "Of the weight", "90 % interval", "Contract")
+    grid = Grid(f"Sizes ({facts.contract.told})", _columns(heads, left=2), rows)
+    parts = tuple((each.name, COLOURS[n % len(COLOURS)]) for n, each in enumerate(facts.classes))
+    bars = tuple((load.label, _foreign(load), _shares(load.classes, facts.contract)) for load in facts.loads)
+    return [grid, Bars("Each load by class, and foreign matter by count", parts, bars, "Shares of the load's weight.")]
+
+
+def _foreign(load: LoadFacts) -> str:
+    return f"{load.foreign.percent:.1f} % foreign" if load.foreign else ""
+
+
+def _shares(classes: Sequence[ClassTotal], contract: Contract) -> tuple[float, ...]:
+    if not classes:
+        return (0.0,) * len(contract.classes)
+    whole = sum(each.percent for each in classes) or 1.0
+    return tuple(each.percent / whole for each in classes)
+
+
+def _edges(each: ClassTotal) -> str:
+    if each.to_mm is None:
+        return f"{each.from_mm:g} and more"
+    return f"{each.from_mm:g} to {each.to_mm:g}" if each.from_mm else f"less than {each.to_mm:g}"
+
+
+def _made_of(facts: DayFacts) -> Grid:
+    rows = []
+    for run in facts.runs:
+        models = ", ".join(f"{name} ({n})" for name, n in run.summary.get("models", {}).items()) or "not ended"
+        rest = run.summary.get("belt", {})
+        rows.append((run.run, run.line, run.version, models, _stated(rest)))
+    heads = ("Run", "Line", "Version", "Weights (tubers)", "Resting offset")
+    note = "Calibrated by " + "; ".join(facts.calibrated_by) + "." if facts.calibrated_by else "Not calibrated."
+    return Grid("Made with", _columns(heads, left=len(heads)), tuple(rows), note)
+
+
+def _stated(rest: Mapping[str, Any]) -> str:
+    """The resting offset as the line stated it."""
+    offset, sd = rest.get("resting_offset_mm"), rest.get("resting_sd_mm")
+    if offset is None:
+        return NONE
+    return f"{offset:.1f} mm" + (f" ± {sd:.1f}" if sd is not None else ", not known")
+
+
+def _how(facts: DayFacts) -> tuple[str, ...]:
+    parts = facts.total.sums.parts_percent
+    made = ", ".join(f"{name} {part:.1f} %" for name, part in parts.items() if part >= 0.05)
+    return (
+        "An interval holds the true value nine times out of ten. What loads share (camera, resting level) does not "
+        f"shrink with their number. Of all loads it is made of: {made or 'nothing known'}.",
+        "Belt that no camera looked at is made up for in every weight, and widens the interval.",
+        "Sizes are told from one side: the smallest square hole that a tuber passes, unless the contract says length.",
+    )
+
+
+def kg(value: float, *, unit: bool = True) -> str:
+    """Kilograms as a person reads them: three to four figures; tonnes from 10 000 kg on where the unit is told."""
+    if unit and value >= 10_000:
+        return f"{value / 1000:.2f} t"
+    text = f"{value:.1f}" if value < 1000 else f"{value:,.0f}".replace(",", " ")
+    return f"{text} kg" if unit else text
+
+
+def _between(low: float, high: float, *, unit: bool = True) -> str:
+    return f"{kg(low)} to {kg(high)}" if unit else f"{kg(low, unit=False)}–{kg(high, unit=False)}"
+
+
+def _percent(share: float | None) -> str:
+    return NONE if share is None else f"{100 * share:.1f} %"

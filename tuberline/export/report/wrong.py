@@ -1,0 +1,130 @@
+"""What went wrong on a day, one sentence each: belt not seen, tickets, cameras, weights, alarms."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tuberline.alarms.message import AlarmMessage
+from tuberline.alarms.outbox import FILE as OUTBOX
+from tuberline.export.report.gather import DayFacts, LoadFacts, RunFacts
+
+WORTH_TELLING = 0.005
+"""Of a load's belt: less that was not seen is not told load by load."""
+FEW = 0.02
+"""Of tubers, frames or weight: a smaller share is not told."""
+REASONS = {
+    "before_first_frame": "before the first frame",
+    "between_frames": "between two frames",
+    "after_last_frame": "after the last frame",
+    "camera_never_looked": "under a camera that never looked",
+}
+ALARMS = Path("alarms") / OUTBOX
+
+
+def what_went_wrong(facts: DayFacts) -> list[str]:
+    """In the order of what matters to totals; empty where the ledgers know of nothing."""
+    found = [*_unseen(facts), *_tickets(facts), *_weighing(facts)]
+    for run in facts.runs:
+        found += _of_run(run)
+    return found
+
+
+def _unseen(facts: DayFacts) -> Iterator[str]:
+    for load in facts.loads:
+        if load.coverage is None:
+            yield f"Load {load.label}: no belt was seen."
+        elif load.coverage < 1 - WORTH_TELLING:
+            where = ", ".join(f"{m:.1f} m {REASONS.get(why, why)}" for why, m in load.unseen_m.items() if m >= 0.05)
+            metres = f" ({where}, mean of the cameras)" if where else ""
+            yield (
+                f"Load {load.label}: {100 * (1 - load.coverage):.0f} % of its belt was not seen{metres}. Its weight "
+                "makes up for that."
+            )
+
+
+def _tickets(facts: DayFacts) -> Iterator[str]:
+    for refused in facts.refused:
+        yield f"A ticket does not calibrate: {refused}."
+    for load in facts.loads:
+        if load.ticket_kg is not None and not load.low_kg <= load.ticket_kg <= load.high_kg:
+            yield _outside(load, load.ticket_kg)
+    if not facts.total.weighed:
+        yield "No load was weighed: no ticket calibrates these weights."
+
+
+def _outside(load: LoadFacts, ticket_kg: float) -> str:
+    return (
+        f"Load {load.label}: its ticket says {ticket_kg:.1f} kg, outside of the interval "
+        f"{load.low_kg:.1f} to {load.high_kg:.1f} kg."
+    )
+
+
+def _weighing(facts: DayFacts) -> Iterator[str]:
+    noisy, off_mm = facts.camera_doubt
+    if noisy > FEW:
+        yield f"{100 * noisy:.0f} % of the weight was seen by a camera noisier than the weights were trained for."
+    if off_mm > 1:
+        yield f"The belt was seen {off_mm:.0f} mm off its calibration, in the mean."
+    if facts.late:
+        yield f"{facts.late} tubers were told after their place was committed: they are counted, look for twins."
+
+
+def _of_run(run: RunFacts) -> Iterator[str]:
+    summary = run.summary
+    if not summary:
+        yield f"Run {run.run} has not ended, or was cut off: this is what is committed."
+        return
+    for text in summary.get("differences", []):
+        yield f"The balance sheet of run {run.run} does not hold: {text}. `tuberline audit` says more."
+    if summary.get("layers"):
+        yield f"Run {run.run}: {summary['layers']}."
+    methods, tubers = summary.get("methods", {}), summary.get("totals", {}).get("count") or 0
+    if tubers and methods.get("volume", 0) > FEW * tubers:
+        yield f"{methods['volume']} of {tubers} tubers of run {run.run} were weighed by their volume alone."
+    for camera, sheet in summary.get("cameras", {}).items():
+        yield from _of_camera(run.run, camera, sheet)
+    for node, version in summary.get("other_versions", {}).items():
+        yield f"{node} ran version {version}, the aggregator {summary.get('software', '')}."
+    yield from _alarms(run)
+
+
+def _of_camera(run: str, camera: str, sheet: dict[str, Any]) -> Iterator[str]:
+    frames, views = sheet.get("frames", {}), sheet.get("views", {})
+    published = max(frames.get("published", 0), 1)
+    lost = {"lost on the way": frames.get("gaps", 0)}
+    lost |= {_words(name, "dropped_"): n for name, n in frames.items() if name.startswith("dropped_")}
+    told = ", ".join(f"{n} {why}" for why, n in lost.items() if n > FEW * published)
+    if told:
+        yield f"Camera {camera} of run {run}: of {published} frames {told}."
+    gone = {_words(name, "lost_"): n for name, n in views.items() if name.startswith("lost_")}
+    told = ", ".join(
+        f"{n} {why}" for why, n in gone.items() if n > FEW * max(views.get("sent", 0), 1) and why != "not chosen"
+    )
+    if told:
+        yield f"Camera {camera} of run {run}: of {views.get('sent', 0)} views {told}."
+
+
+def _words(name: str, prefix: str) -> str:
+    return name.removeprefix(prefix).replace("_", " ")
+
+
+def _alarms(run: RunFacts) -> Iterator[str]:
+    """Alarms that had begun and not ended when the report was made; the file may be another program's, or none."""
+    file = run.path.parent / ALARMS
+    if not file.is_file():
+        return
+    try:
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True, timeout=1)) as db:
+            rows = db.execute("SELECT begun FROM active ORDER BY begun_unix_s").fetchall()
+        begun = [AlarmMessage.decode(text) for (text,) in rows]
+    except (sqlite3.Error, ValueError, TypeError) as error:
+        yield f"The alarms beside run {run.run} cannot be read: {error}."
+        return
+    for alarm in begun:
+        since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%H:%M")
+        yield f"Alarm since {since} UTC: {alarm.text}"

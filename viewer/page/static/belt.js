@@ -1,0 +1,133 @@
+// The belt as the cameras see it: pictures of those on the screen, and of no others, with outlines and weights.
+import { number, t, known } from "./words.js";
+
+const STALE_MS = 2500;
+const SETTLE_MS = 250; // while a person scrolls nothing is asked for
+const FONT_PX = 13;
+// A state has a colour, a line and a sign of its own: it can be told without colours.
+const LOOKS = {
+  seen: { colour: "#ffffff", dash: [5, 4], sign: "" },
+  counted: { colour: "#7df08a", dash: [], sign: "" },
+  lump: { colour: "#ff7a7a", dash: [2, 3], sign: "✕" },
+  haulm: { colour: "#ff9df0", dash: [2, 3], sign: "✕" },
+  left_out: { colour: "#b9bdb3", dash: [1, 4], sign: "" },
+};
+const shown = new Map(); // "line/camera" of each canvas that was made
+const seen = new Set(); // those on the screen
+let events = null;
+let asked = "";
+let settling = null;
+
+const onScreen = new IntersectionObserver((entries) => {
+  for (const entry of entries) {
+    if (entry.isIntersecting) seen.add(entry.target.dataset.see);
+    else seen.delete(entry.target.dataset.see);
+  }
+  settle();
+}, { rootMargin: "80px" });
+
+export function beltPicture(canvas, line, camera) {
+  const see = `${line}/${camera}`;
+  if (canvas.dataset.see === see) return;
+  forget(canvas);
+  canvas.dataset.see = see;
+  canvas.setAttribute("role", "img");
+  shown.set(see, { canvas, picture: null, image: null, cameAt: null });
+  onScreen.observe(canvas);
+}
+
+function forget(canvas) {
+  onScreen.unobserve(canvas);
+  shown.delete(canvas.dataset.see);
+  seen.delete(canvas.dataset.see);
+}
+
+// What stands below a picture: how old it is, or why there is none.
+export function pictureNote(see) {
+  const view = shown.get(see);
+  if (!view?.picture) return t("picture.none");
+  const sinceMs = performance.now() - view.cameAt;
+  if (sinceMs > STALE_MS) return t("picture.old", { for: sinceMs / 1000 });
+  const what = `drop.${view.picture.drop}.what`;
+  return view.picture.drop ? t("picture.dropped", { why: known(what) ? t(what) : view.picture.drop.replaceAll("_", " ") }) : "";
+}
+
+function settle() {
+  clearTimeout(settling);
+  settling = setTimeout(listen, SETTLE_MS);
+}
+
+function listen() {
+  const wanted = document.hidden ? [] : [...seen].sort();
+  const query = wanted.map((see) => `see=${encodeURIComponent(see)}`).join("&");
+  if (query === asked && events?.readyState !== EventSource.CLOSED) return;
+  asked = query;
+  events?.close();
+  events = query ? new EventSource(`pictures?${query}`) : null;
+  if (!events) return;
+  events.onmessage = (event) => take(JSON.parse(event.data));
+  events.onerror = () => { if (events?.readyState === EventSource.CLOSED) setTimeout(settle, 3000); };
+}
+
+async function take(picture) {
+  const view = shown.get(`${picture.line}/${picture.camera}`);
+  if (!view) return;
+  const bytes = Uint8Array.from(atob(picture.jpeg), (letter) => letter.charCodeAt(0));
+  const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
+  view.image?.close();
+  Object.assign(view, { picture, image, cameAt: performance.now() });
+  draw(view);
+}
+
+function draw({ canvas, picture, image }) {
+  const dots = Math.min(2, devicePixelRatio || 1);
+  const wide = Math.round((canvas.clientWidth || picture.width) * dots);
+  const scale = wide / picture.width;
+  const high = Math.round(picture.height * scale);
+  if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
+  const pen = canvas.getContext("2d");
+  pen.drawImage(image, 0, 0, wide, high);
+  for (const outline of picture.outlines) line(pen, outline, scale, dots);
+  for (const outline of picture.outlines) label(pen, outline, scale, dots);
+  canvas.dataset.seq = picture.seq;
+  canvas.dataset.outlines = picture.outlines.length;
+  canvas.setAttribute("aria-label", said(picture));
+}
+
+function line(pen, [state, , corners], scale, dots) {
+  const look = LOOKS[state] ?? LOOKS.seen;
+  pen.beginPath();
+  for (let n = 0; n < corners.length; n += 2) pen.lineTo((corners[n] + 0.5) * scale, (corners[n + 1] + 0.5) * scale);
+  pen.closePath();
+  pen.lineJoin = "round";
+  pen.setLineDash([]);
+  Object.assign(pen, { lineWidth: 4 * dots, strokeStyle: "rgb(0 0 0 / .55)" });
+  pen.stroke();
+  pen.setLineDash(look.dash.map((long) => long * dots));
+  Object.assign(pen, { lineWidth: 2 * dots, strokeStyle: look.colour });
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+// Grams on what is counted, with "~" before they are final; a cross on what was refused.
+function label(pen, [state, weight_g, corners], scale, dots) {
+  const look = LOOKS[state] ?? LOOKS.seen;
+  const words = look.sign || (weight_g === null || state === "left_out" ? "" : `${state === "counted" ? "" : "~"}${number(weight_g)}`);
+  if (!words) return;
+  let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
+  for (let n = 0; n < corners.length; n += 2) {
+    [left, right] = [Math.min(left, corners[n]), Math.max(right, corners[n])];
+    [top, bottom] = [Math.min(top, corners[n + 1]), Math.max(bottom, corners[n + 1])];
+  }
+  Object.assign(pen, { font: `700 ${FONT_PX * dots}px system-ui, sans-serif`, textAlign: "center", textBaseline: "middle", lineWidth: 3.5 * dots, strokeStyle: "rgb(0 0 0 / .8)", fillStyle: look.colour });
+  const at = [((left + right) / 2) * scale, ((top + bottom) / 2) * scale];
+  pen.strokeText(words, ...at);
+  pen.fillText(words, ...at);
+}
+
+function said(picture) {
+  const count = (...states) => picture.outlines.filter(([state]) => states.includes(state)).length;
+  return t("picture.said", { camera: picture.camera, counted: count("counted"), seen: count("seen"), refused: count("lump", "haulm") });
+}
+
+document.addEventListener("visibilitychange", settle);

@@ -1,0 +1,87 @@
+// The field as it fills: cells by their yield and the machine's way, drawn by maplibre-gl without any tiles.
+import { number, t } from "./words.js";
+
+const COLOURS = ["#ffffcc", "#c2e699", "#78c679", "#31a354", "#006837"];
+const EMPTY = { type: "FeatureCollection", features: [] };
+let library = null;
+
+// A megabyte that is fetched only where there is a field to be shown.
+function maplibre() {
+  library ??= new Promise((resolve, reject) => {
+    const script = Object.assign(document.createElement("script"), { src: "shipped/maplibre-gl.min.js", onerror: reject });
+    script.onload = () => {
+      window.maplibregl.setWorkerUrl(new URL("shipped/maplibre-gl.worker.js", document.baseURI).href);
+      resolve(window.maplibregl);
+    };
+    document.head.append(script);
+  });
+  return library;
+}
+
+export class FieldMap {
+  constructor(section) {
+    this.section = section;
+    this.place = section.querySelector(".map");
+    this.number = 0;
+    this.map = null;
+  }
+
+  async take(line, number_) {
+    if (number_ === this.number) return this.tell();
+    this.number = number_;
+    if (!number_) return;
+    try {
+      const found = await (await fetch(`map.json?line=${encodeURIComponent(line)}`)).json();
+      if (!found.cells.features.length && found.way.length < 2) return;
+      this.found = found;
+      this.section.hidden = false;
+      this.tell();
+      this.map ??= await this.begin();
+      this.fill(found);
+    } catch {
+      this.section.querySelector(".told").textContent = t("map.no_webgl");
+    }
+  }
+
+  tell() {
+    if (!this.found) return;
+    const { about, cells } = this.found;
+    const [low, high, mean] = [about.low, about.high, about.mean].map((figure) => number(figure, 1));
+    const known = cells.features.length > 0;
+    this.section.querySelector(".colours").hidden = !known;
+    this.section.querySelector(".told").textContent = known ? t("map.legend", { low, high, mean }) : t("map.way");
+    this.place.setAttribute("aria-label", known ? t("map.said", { n: cells.features.length, mean }) : t("map.way"));
+  }
+
+  async begin() {
+    const { Map: Maplibre } = await maplibre();
+    const sources = Object.fromEntries(["cells", "way", "here"].map((name) => [name, { type: "geojson", data: EMPTY }]));
+    const layers = [
+      { id: "cells", source: "cells", type: "fill", paint: { "fill-color": COLOURS[2], "fill-outline-color": "#5a6152" } },
+      { id: "way", source: "way", type: "line", paint: { "line-color": "#1d4fb8", "line-width": 2, "line-opacity": 0.75 } },
+      { id: "here", source: "here", type: "circle", paint: { "circle-radius": 7, "circle-color": "#d11f2f", "circle-stroke-color": "#ffffff", "circle-stroke-width": 2 } },
+    ];
+    const map = new Maplibre({ container: this.place, style: { version: 8, sources, layers }, interactive: false, attributionControl: false, fadeDuration: 0, maxZoom: 21, center: this.first(), zoom: 16 });
+    await new Promise((resolve) => map.once("load", resolve));
+    map.on("idle", () => { this.place.dataset.cells = map.queryRenderedFeatures({ layers: ["cells"] }).length; });
+    return map;
+  }
+
+  first() {
+    return this.found.way[0] ?? this.found.cells.features[0].geometry.coordinates[0][0];
+  }
+
+  fill({ cells, way, about }) {
+    const [low, high] = [about.low ?? 0, Math.max(about.high ?? 1, (about.low ?? 0) + 0.1)];
+    const steps = COLOURS.flatMap((colour, n) => [low + ((high - low) * n) / (COLOURS.length - 1), colour]);
+    this.map.setPaintProperty("cells", "fill-color", ["interpolate", ["linear"], ["get", "t_ha"], ...steps]);
+    this.map.getSource("cells").setData(cells);
+    this.map.getSource("way").setData({ type: "Feature", properties: {}, geometry: { type: "LineString", coordinates: way } });
+    this.map.getSource("here").setData(way.length ? { type: "Feature", properties: {}, geometry: { type: "Point", coordinates: way.at(-1) } } : EMPTY);
+    const places = [...way, ...cells.features.flatMap((cell) => cell.geometry.coordinates[0])];
+    const [lons, lats] = [0, 1].map((at) => places.map((place) => place[at]));
+    const least = (values) => values.reduce((a, b) => Math.min(a, b));
+    const most = (values) => values.reduce((a, b) => Math.max(a, b));
+    this.map.fitBounds([[least(lons), least(lats)], [most(lons), most(lats)]], { padding: 24, animate: false, maxZoom: 20 });
+  }
+}
