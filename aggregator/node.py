@@ -274,7 +274,7 @@ class AggregatorNode:
     def _report(self, now_s: float, *, in_haste: bool = False) -> None:
         """Write summary.json and tubers.csv, and publish the totals as they are now."""
         if not self._reporter.write(self._settings.out, now_s, in_haste=in_haste, turn=self._node.progress):
-            self._node.log.warning("stopped early: tubers.csv left out, `tuberline ledger export` gives every tuber")
+            self._node.log.warning("stopped early: tubers.csv left out, `tuberline ledger dump` gives every tuber")
         self._publish_totals(now_s)
         self._node.log.info("%s", self._reporter.headline(now_s))
 

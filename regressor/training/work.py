@@ -12,11 +12,11 @@ Work = Callable[[str, int, int | None], None]
 
 
 def no_work(words: str, done: int, of: int | None) -> None:
-    """Tells nobody."""
+    """Says nothing."""
 
 
 def preparing(folder: Path, on_work: Work) -> Callable[[int], None]:
-    """For `load_cloudset`, whose counts begin again with every pack of `folder`."""
+    """For `load_cloudset`, whose counts start again with every pack of `folder`."""
     total, before, last = count_labelled(folder), 0, 0
 
     def on_views(done: int) -> None:

@@ -121,9 +121,20 @@ def test_the_first_word_may_be_the_lines_file_where_it_always_was(tmp_path: Path
         assert by_place.stdout == by_name.stdout
 
 
-def test_the_three_exports_are_told_apart(tmp_path: Path) -> None:
+def test_a_commands_page_says_what_it_does_without_its_neighbours() -> None:
+    """Its line in the list is short and leans on the one above: 'The same, live.'"""
+    assert "The same, live." in help_of()
+    words = subprocess.run(
+        [sys.executable, "-m", "tuberline", "top", "--help"], capture_output=True, text=True, check=True, env=_env()
+    ).stdout
+    assert "Watch totals and nodes of a running line" in words
+
+
+def test_one_command_is_named_export(tmp_path: Path) -> None:
+    assert "export" not in {line.split()[0] for line in help_of("ledger").splitlines() if line.startswith("  ")}
     assert "ONNX" in help_of("export-onnx")
-    assert "JSON lines" in help_of("ledger", "export")
+    assert "JSON lines" in help_of("ledger", "dump")
+    assert "Now dump." in help_of("ledger", "export"), "its former name works"
     assert "GeoParquet" in help_of("export") or "ISOXML" in help_of("export")
     done = tuberline("export-onnx", "--out", tmp_path / "net.txt")
     assert done.returncode == 2

@@ -37,7 +37,7 @@ def test_a_log_is_a_log(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == ""
 
 
-def test_work_that_begins_anew_has_a_remaining_time_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_part_of_the_work_has_a_remaining_time_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     out = io.StringIO()
     monkeypatch.setattr(
         progress, "console", lambda: Console(file=out, force_terminal=True, width=80, color_system=None)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.walks.foxglove_picture import weights_in
 from tests.walks.walk import LIMIT_S, Walk, section
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(5 * LIMIT_S)]
@@ -76,6 +77,10 @@ def test_an_operator_watches_in_eighty_columns(walk: Walk) -> None:
     finally:
         if process is not None and process.poll() is None:
             process.kill()
+    shown = weights_in(walk.clone / "monday.mcap")
+    tubers = walk.rows("runs/monday/tubers.csv")
+    assert len(shown) == len(tubers)
+    assert sum(shown.values()) == pytest.approx(sum(float(row["weight_g"]) for row in tubers), rel=1e-4)
     lines = [json.loads(line) for line in (walk.clone / "tubers.jsonl").read_text(encoding="utf-8").splitlines()]
     truth = json.loads((walk.clone / "recordings" / "monday" / "truth.json").read_text(encoding="utf-8"))
     assert len(lines) >= len(truth["tubers"]) > 0

@@ -14,7 +14,7 @@ from types import FrameType
 from conveyor.crash import end_on_faults
 from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
-from tuberline.cli.commands import LONG_RUNNING, build_app
+from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
 
 __all__ = ["build_app", "main"]
 
@@ -48,7 +48,7 @@ def _leave(number: int, _frame: FrameType | None) -> None:
 def _run() -> int:
     """Run the command line; returns the exit code."""
     try:
-        build_app()()
+        with_own_words(build_app(), sys.argv[1:])()
     except SystemExit as done:
         return done.code if isinstance(done.code, int) else int(done.code is not None)
     except TuberlineError as error:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cyclopts import App, Group, Parameter
@@ -23,7 +24,7 @@ GROUPS: dict[str, Commands] = {
         "export": ("tuberline.cli.export:export", "A day's report (PDF, HTML); CSV, Parquet, ISOXML for programs."),
         "sync": ("tuberline.cli.sync:sync", "Ledgers of many lines into one PostgreSQL."),
         "map": ("tuberline.cli.map:map_field", "The field's yield in t/ha, from runs and positions."),
-        "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or export a ledger; totals by load, field, day."),
+        "ledger": ("tuberline.cli.ledger:ledger", "Check, repair or dump a ledger; totals by load, field, day."),
     },
     "Set up and run a line": {
         "init": ("tuberline.cli.init:init", "Write the file of a new line, for what it finds here."),
@@ -57,7 +58,7 @@ PARTS: Commands = {
     "segmenter": ("tuberline.cli.segmentation:segmenter", "Find and follow tubers in one camera's frames."),
     "regressor": ("tuberline.cli.nodes:regressor", "Weigh views; any number, anywhere."),
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
-    "viewer": ("tuberline.cli.viewer:viewer", "Show the line in Rerun: a file or a live hub."),
+    "viewer": ("tuberline.cli.viewer:viewer", "Show the line in Rerun or Foxglove: a file, or live."),
     "recorder": ("tuberline.cli.nodes:recorder", "Record a line's frames to MCAP."),
     "gnss": ("tuberline.cli.nodes:gnss", "Read the machine's GNSS receiver."),
     "alarms": ("tuberline.cli.alarms:alarms", "Send a line's alarms to webhooks, MQTT, mail, phones."),
@@ -138,6 +139,23 @@ def build_app(*, all_listed: bool = False) -> App:
     )
     _add(app, FORMER, group=more, show=False)
     app["--help"].group = app["--version"].group = (more,)
+    return app
+
+
+def with_own_words(app: App, words: Sequence[str]) -> App:
+    """`app`, ready to help with the command that `words` name: its page says what its docstring says. The line in a
+    list is shorter, and stands among its neighbours.
+    """
+    command = app
+    if not {"--help", "-h"} & set(words):
+        return app
+    for word in words:
+        if word.startswith("-") or word not in command:
+            break
+        command = command[word]
+    if command is not app and command.default_command is not None:
+        about = (inspect.getdoc(command.default_command) or "").split("\nParameters\n")[0]
+        command.help = "\n\n".join(" ".join(part.split()) for part in about.split("\n\n")).strip() or command.help
     return app
 
 

@@ -36,7 +36,7 @@ def drift(
         Further packs as NAME=FOLDER, e.g. "belt at 0.60 m=packs/far" (`tuberline simulate-views --distances 0.60
         --camera d405-1280`).
     weights
-        A .safetensors or an upstream .pth file; default: the shipped ones.
+        A .safetensors or the authors' .pth file; default: the shipped ones.
     max_views
         Of each shift, the first so many.
     seed

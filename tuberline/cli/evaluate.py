@@ -35,7 +35,7 @@ def evaluate(
     out
         Folder for report.md, metrics.json, metrics.csv, views.csv and errors.png.
     weights
-        A .safetensors or an upstream .pth file; default: the shipped ones.
+        A .safetensors or the authors' .pth file; default: the shipped ones.
     split
         Of a 3DPotatoTwin folder's splits.csv.
     season

@@ -1,4 +1,4 @@
-"""`tuberline ledger`: check, repair or export a ledger, add up its loads."""
+"""`tuberline ledger`: check, repair or dump a ledger, add up its loads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cyclopts import App
 
-ledger = App(name="ledger", help="Check, repair or export a ledger; add up its loads; its classes of size.")
+ledger = App(name="ledger", help="Check, repair or dump a ledger; add up its loads; its classes of size.")
 
 
 @ledger.command
@@ -67,7 +67,7 @@ def repair(path: Path, /) -> None:
 
 
 @ledger.command
-def export(path: Path, /, *, canonical: bool = False, run: str | None = None) -> None:
+def dump(path: Path, /, *, canonical: bool = False, run: str | None = None) -> None:
     """Write a run as JSON lines to stdout.
 
     Parameters
@@ -87,6 +87,9 @@ def export(path: Path, /, *, canonical: bool = False, run: str | None = None) ->
         chosen = the_run(db, file, run)
         for line in canonical_lines(db, chosen) if canonical else full_lines(db, chosen):
             sys.stdout.write(line + "\n")
+
+
+ledger.command(dump, name="export", help="Now dump.", show=False)
 
 
 @ledger.command

@@ -30,7 +30,7 @@ Work = Callable[[str, int, int | None], None]
 
 @contextmanager
 def work_bar(words: str) -> Iterator[Work]:
-    """A bar over work that says itself how far it is; it goes when the work is done. What begins anew (fewer done than
+    """A bar over work that says itself how far it is; it goes when the work is done. A new part of it (fewer done than
     before, or of another amount) has a remaining time of its own.
     """
     with progress_bar(transient=True) as progress:

@@ -56,7 +56,7 @@ def viewer(
     foxglove
         HOST:PORT at which Foxglove's app finds the line, e.g. 127.0.0.1:8765; the app opens ws://HOST:PORT.
     hub_port
-        Port of the served hub.
+        Port of the served data (Rerun's hub).
     page_port
         Port of the served page.
     rrd_limit_mb
@@ -113,7 +113,7 @@ def watch(
     web
         Serve the web page on this machine even where a window could open.
     hub_port
-        Port of the hub on this machine; default: a free one.
+        Port of Rerun's data server (its hub) on this machine; default: a free one.
     page_port
         Port of the page; default: a free one.
     """

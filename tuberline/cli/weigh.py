@@ -57,7 +57,7 @@ def weigh(
         Image of the frame's size with the number of the object that each pixel belongs to, 0 for background: one row
         per object.
     weights
-        A .safetensors or an upstream .pth file; default: the shipped ones.
+        A .safetensors or the authors' .pth file; default: the shipped ones.
     depth_scale_m
         Metres per unit of a depth image; default: what the intrinsics file says, else 0.001 (1 for decimal depth).
     intrinsics

@@ -1,0 +1,151 @@
+"""What an operator sees of a running line, as pictures to look at: terminal, page, Rerun, Foxglove's file.
+
+    python -m tests.walks.pictures RECORDING OUT
+
+plays the recording (15 s or longer) as a live line and writes terminal.png, page.png, rerun.png and foxglove.png into
+OUT. Needs Chromium and the extras `viewer`, `foxglove` and `dev`. Rerun is shown as it stood in the middle of the run,
+while potatoes were in view that were not counted yet.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from urllib.parse import quote
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.text import Text
+
+from tests.deploy.remote_browser import Browser, chromium
+from tests.walks.foxglove_picture import foxglove_picture
+
+STARTS_IN_S = 45
+"""The line's processes need so long on a busy machine of two cores; the recording plays from then on."""
+LIMIT_S = 240
+RERUN_COLOURS = 400
+"""Rerun's window without data has fewer; software rendering of it takes seconds a frame."""
+LINE = """name = "monday"
+[link]
+router = "tcp/127.0.0.1:{port}"
+[cameras.front]
+source = "recording"
+path = "{recording}"
+speed = 1.0
+waits = false
+starts_at_s = {starts_at_s}
+[aggregator]
+out = "run"
+exit_when_final = true
+[viewer]
+rrd = "line.rrd"
+profile = "remote"
+"""
+
+
+def main(recording: Path, out: Path) -> None:
+    """See the module."""
+    out.mkdir(parents=True, exist_ok=True)
+    folder = Path(tempfile.mkdtemp(prefix="operator-"))
+    starts_at_s = int(time.time()) + STARTS_IN_S
+    text = LINE.format(port=_free_port(), recording=recording.resolve(), starts_at_s=starts_at_s)
+    (folder / "line.toml").write_text(text, encoding="utf-8")
+    with (folder / "line.log").open("w") as log, chromium(folder / "profile") as browser:
+        line = _tuberline("run", "line.toml", folder=folder, stdout=log, stderr=log)
+        port = _free_port()
+        page = _tuberline(
+            "page", "--config", "line.toml", "--listen", f"127.0.0.1:{port}", folder=folder, stdout=log, stderr=log
+        )
+        try:
+            _until(lambda: "segmenter/front: started" in (folder / "line.log").read_text(), line)
+            _until(lambda: time.time() > starts_at_s + 7, line)
+            shutil.copy(folder / "line.rrd", folder / "middle.rrd")
+            said = subprocess.run(
+                [sys.executable, "-m", "tuberline", "status", "--config", "line.toml"],
+                cwd=folder, capture_output=True, text=True, check=True, env=_env(), timeout=LIMIT_S,
+            ).stdout  # fmt: skip
+            _look(browser, f"http://127.0.0.1:{port}/", out / "page.png", seconds=9)
+            line.wait(LIMIT_S)
+        finally:
+            page.terminate()
+            line.terminate()
+        _terminal(browser, said, folder, out / "terminal.png")
+        _rerun(browser, folder / "middle.rrd", out / "rerun.png")
+    mcap = folder / "run.mcap"
+    command = ["convert", "run", str(mcap), "--format", "foxglove", "--recording", str(recording.resolve())]
+    _tuberline(*command, folder=folder, stdout=None, stderr=None).wait(LIMIT_S)
+    cv2.imwrite(str(out / "foxglove.png"), foxglove_picture(mcap))
+    sys.stdout.write(f"pictures in {out}; the line's own files in {folder}\n")
+
+
+def _env() -> dict[str, str]:
+    return {**os.environ, "COLUMNS": "80", "NO_COLOR": "1", "OMP_NUM_THREADS": "1"}
+
+
+def _tuberline(*words: str, folder: Path, **streams: object) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-m", "tuberline", *words], cwd=folder, env=_env(), **streams)  # type: ignore[call-overload, no-any-return]
+
+
+def _until(true: Callable[[], bool], line: subprocess.Popen[bytes]) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not true():
+        assert line.poll() is None, "the line ended"
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+
+
+def _look(browser: Browser, url: str, out: Path, *, seconds: float, colours: int = 2) -> None:
+    """A picture of the page once it shows so many colours, and stands still."""
+    browser.page("Page.navigate", url=url)
+    deadline, before = time.monotonic() + LIMIT_S, -1
+    while time.monotonic() < deadline:
+        time.sleep(seconds)
+        if (picture := browser.png()) is None:
+            continue
+        out.write_bytes(picture)
+        now = len(np.unique(cv2.imread(str(out)).reshape(-1, 3), axis=0))
+        if now > colours and (colours == 2 or abs(now - before) < 0.02 * now):
+            return
+        before = now
+    raise AssertionError(f"{url} did not come to show anything: {before} colours")
+
+
+def _terminal(browser: Browser, said: str, folder: Path, out: Path) -> None:
+    """The words of a command in a terminal of 80 columns."""
+    console = Console(record=True, width=80, file=(folder / "terminal.txt").open("w"))
+    console.print(Text(said), soft_wrap=False)
+    console.save_svg(str(folder / "terminal.svg"), title="tuberline status")
+    _look(browser, (folder / "terminal.svg").as_uri(), out, seconds=2)
+
+
+def _rerun(browser: Browser, rrd: Path, out: Path) -> None:
+    from viewer.rerun.launch import native_program
+
+    hub, page = _free_port(), _free_port()
+    words = ["--bind", "127.0.0.1", "--port", str(hub), "--serve-web", "--web-viewer-port", str(page)]
+    program = subprocess.Popen([str(native_program()), *words, str(rrd)], stdout=subprocess.DEVNULL)
+    try:
+        time.sleep(3)
+        url = f"http://127.0.0.1:{page}/?url=" + quote(f"rerun+http://127.0.0.1:{hub}/proxy", safe="")
+        _look(browser, url + "&renderer=webgl", out, seconds=8, colours=RERUN_COLOURS)
+    finally:
+        program.terminate()
+        program.wait(20)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))
