@@ -3,6 +3,7 @@
 #
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
 #                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
+#   --page-token FILE  who has the token in FILE (16 characters and more) gives orders on the page
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
 #   --replace        take the new LINE.toml although another one is installed
@@ -23,6 +24,7 @@ if [ -n "$destdir" ] && [ -z "${TUBERLINE:-}" ] && [ ! -x "$program" ]; then
 fi
 roles=router,aggregator,camera,segmenter,regressor
 certs=
+token=
 run=
 replace=no
 start=yes
@@ -35,19 +37,20 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --roles | --certs | --run)
+    --roles | --certs | --run | --page-token)
         [ $# -ge 2 ] || fail "$1 needs a value"
         case $1 in
         --roles) roles=$2 ;;
         --certs) certs=$2 ;;
         --run) run=$2 ;;
+        --page-token) token=$2 ;;
         esac
         shift 2
         ;;
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
     --uninstall) uninstall=yes && shift ;;
-    -h | --help) sed -n '2,15s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -h | --help) sed -n '2,16s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
@@ -167,6 +170,8 @@ done
 files=
 if [ -n "$certs" ]; then
     files=ca.pem # the authority's key stays where it was made
+    # The page looks as an operator and acts as a loader.
+    [ -z "$token" ] || ! chosen page "" || stems="$stems loader"
     for stem in operator $stems; do
         [ -e "$certs/$stem.pem" ] || stem=${stem%%.*} # the certificate its role shares
         for file in "$stem.pem" "$stem.key"; do
@@ -214,6 +219,12 @@ for file in $files; do
     put "$certs/$file" "/etc/tuberline/certs/$file" 600
     own tuberline:tuberline "$destdir/etc/tuberline/certs/$file"
 done
+
+if [ -n "$token" ]; then
+    [ -r "$token" ] || fail "--page-token $token cannot be read"
+    put "$token" /etc/tuberline/page-token 600
+    own tuberline:tuberline "$destdir/etc/tuberline/page-token"
+fi
 
 nodes=$(mktemp)
 trap 'rm -f "$nodes"' EXIT
