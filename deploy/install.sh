@@ -4,6 +4,7 @@
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
 #                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
 #                    loader: no unit, the certificate that `tuberline load` and the page need to change loads.
+#   --page-token FILE  who has the token in FILE (16 characters and more) gives orders on the page
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
 #   --run ID         id of the run, the same on every host of the line; default: kept, or the time of now
 #   --program FILE   from now on run this tuberline, of a version installed beside the other; the line is started again
@@ -25,6 +26,7 @@ if [ -n "$destdir" ] && [ -z "${TUBERLINE:-}" ] && [ ! -x "$program" ]; then
 fi
 roles=router,aggregator,camera,segmenter,regressor
 certs=
+token=
 run=
 switch_to=
 replace=no
@@ -38,20 +40,21 @@ fail() {
 
 while [ $# -gt 0 ]; do
     case $1 in
-    --roles | --certs | --run | --program)
+    --roles | --certs | --run | --program | --page-token)
         [ $# -ge 2 ] || fail "$1 needs a value"
         case $1 in
         --program) switch_to=$2 program=$2 ;;
         --roles) roles=$2 ;;
         --certs) certs=$2 ;;
         --run) run=$2 ;;
+        --page-token) token=$2 ;;
         esac
         shift 2
         ;;
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
     --uninstall) uninstall=yes && shift ;;
-    -h | --help) sed -n '2,17s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -h | --help) sed -n '2,18s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
@@ -177,6 +180,8 @@ esac
 files=
 if [ -n "$certs" ]; then
     files=ca.pem # the authority's key stays where it was made
+    # The page looks as an operator and acts as a loader.
+    [ -z "$token" ] || ! chosen page "" || stems="$stems loader"
     for stem in operator $stems; do
         [ -e "$certs/$stem.pem" ] || stem=${stem%%.*} # the certificate its role shares
         for file in "$stem.pem" "$stem.key"; do
@@ -224,6 +229,12 @@ for file in $files; do
     put "$certs/$file" "/etc/tuberline/certs/$file" 600
     own tuberline:tuberline "$destdir/etc/tuberline/certs/$file"
 done
+
+if [ -n "$token" ]; then
+    [ -r "$token" ] || fail "--page-token $token cannot be read"
+    put "$token" /etc/tuberline/page-token 600
+    own tuberline:tuberline "$destdir/etc/tuberline/page-token"
+fi
 
 nodes=$(mktemp)
 trap 'rm -f "$nodes"' EXIT

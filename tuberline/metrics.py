@@ -125,6 +125,26 @@ def totals_metrics(totals: Totals | None, *, line: str) -> Iterator[Metric]:
         family = GaugeMetricFamily(f"{PREFIX}_{name}", about, labels=("line", "run"))
         family.add_metric((line, totals.run), value)
         yield family
+    yield from _open_load(totals, line=line)
+
+
+def _open_load(totals: Totals, *, line: str) -> Iterator[Metric]:
+    """The load that is open, by its number and name; nothing where none is."""
+    load = totals.load
+    if load is None:
+        return
+    values = {
+        "open_load_tubers": ("tubers of the open load", float(load.count)),
+        "open_load_weight_grams": ("weight of the open load as seen", load.weight_g),
+        "open_load_weight_low_grams": ("lower bound of its 90 % interval", load.low_g),
+        "open_load_weight_high_grams": ("upper bound of its 90 % interval", load.high_g),
+        "open_load_estimated_weight_grams": ("weight of the open load, missed belt included", load.estimated_weight_g),
+        **({} if load.coverage is None else {"open_load_belt_seen_ratio": ("share of its belt", load.coverage)}),
+    }
+    for name, (about, value) in values.items():
+        family = GaugeMetricFamily(f"{PREFIX}_{name}", about, labels=("line", "run", "load", "name"))
+        family.add_metric((line, totals.run, str(load.number), load.name), value)
+        yield family
 
 
 def metric_name(text: str) -> str:

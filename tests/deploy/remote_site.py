@@ -16,13 +16,16 @@ from pathlib import Path
 import pytest
 
 from conveyor.identity import Identity
+from conveyor.messages import LoadAnswer
 from tests.conftest import ROOT, wait_until
 from tuberline.certs import issue, make_authority
+from viewer.page.acting import Acting
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.rerun.launch import Ports, RerunProgram, free_port
 
 USER, PASSWORD = "office", "harvest-moon"
+TOKEN = "a-token-of-this-test"
 READ = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
 WRITE = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 GRPC_WEB = {"content-type": "application/grpc-web+proto", "x-grpc-web": "1"}
@@ -49,6 +52,7 @@ class Proxy:
         password: str | None = PASSWORD,
         body: bytes | None = None,
         head: int = -1,
+        more: dict[str, str] | None = None,
     ) -> tuple[int, dict[str, str], bytes]:
         """(status, headers, the first `head` bytes of the body) of one request; `password` None sends none."""
         connection = http.client.HTTPSConnection(
@@ -57,6 +61,7 @@ class Proxy:
         headers = dict(GRPC_WEB) if method == "POST" else {"accept-encoding": "gzip"}
         if password is not None:
             headers["authorization"] = "Basic " + base64.b64encode(f"{USER}:{password}".encode()).decode()
+        headers |= more or {}
         try:
             connection.request(method, path, body=body, headers=headers)
             answer = connection.getresponse()
@@ -94,7 +99,8 @@ def _running(folder: Path) -> Iterator[Proxy]:
     make_authority(certs, site="north")
     issue(certs, Identity("router"), line="north", hosts=["localhost"])
     ports, board = Ports(free_port(), free_port()), Board(["replay"])
-    page = PageServer(board, host="127.0.0.1", port=0)
+    acting = Acting(lambda _, order: LoadAnswer(order.request, True, load=1), lines=("replay",), token=TOKEN)
+    page = PageServer(board, host="127.0.0.1", port=0, acting=acting)
     arguments = ["localhost", site, certs / "router.pem", certs / "router.key", port, ports.page, ports.hub, page.port]
     made = subprocess.run(
         [str(ROOT / "deploy/proxy/make"), *map(str, arguments)], capture_output=True, text=True, check=True, timeout=20

@@ -5,6 +5,7 @@ data come, nobody writes.
 from __future__ import annotations
 
 import gzip
+import json
 import socket
 import ssl
 import subprocess
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tests.deploy.remote_site import EMPTY_MESSAGE, READ, WRITE, Proxy, nginx_program, remote_proxy
+from tests.deploy.remote_site import EMPTY_MESSAGE, READ, TOKEN, WRITE, Proxy, nginx_program, remote_proxy
 from tests.viewer.page_states import good_state
 from viewer.page.snapshot import snapshot
 
@@ -85,6 +86,24 @@ def test_the_operators_page_comes_with_its_figures(proxy: Proxy) -> None:
     status, headers, events = proxy.ask("/page/events", head=400)
     assert (status, headers["content-type"]) == (200, "text/event-stream; charset=utf-8")
     assert events.startswith(b'retry: 1000\n\ndata: {"lines":[{"line":"replay"')
+
+
+def test_orders_need_the_password_the_token_and_the_page_itself(proxy: Proxy) -> None:
+    order = json.dumps({"line": "replay", "action": "start", "request": "r1", "operator": "Anna"}).encode()
+
+    def ask(**headers: str) -> int:
+        more = {name.replace("_", "-"): value for name, value in headers.items()}
+        return proxy.ask("/page/order", method="POST", body=order, more=more)[0]
+
+    own = f"https://localhost:{proxy.port}"
+    assert ask(x_tuberline_token=TOKEN, origin=own) == 200
+    assert ask(x_tuberline_token="not-the-right-one-at-all", origin=own) == 401
+    assert ask(x_tuberline_token=TOKEN, origin="https://elsewhere.example") == 403
+    assert ask(origin=own) == 401
+    assert proxy.ask("/page/order")[0] in (403, 404, 405)
+    head = {"x-tuberline-token": TOKEN, "origin": own}
+    assert proxy.ask("/page/order", method="POST", body=order, password=None, more=head)[0] in (401, 403)
+    assert proxy.ask("/page/order", method="POST", body=b"x" * 9000, more=head)[0] == 413
 
 
 @pytest.mark.parametrize("path", ["/", "/page/", "/page/events"])

@@ -190,6 +190,28 @@ def test_the_unit_of_the_alarms_names_the_line_and_no_run(installed: Path) -> No
     assert (command.__name__, bound.arguments["config"].name) == ("alarms", "field.toml")
 
 
+def test_a_page_with_a_token_may_act(tmp_path: Path) -> None:
+    certs, token, destdir = tmp_path / "certs", tmp_path / "token", tmp_path / "root"
+    certs.mkdir()
+    token.write_text("a-token-of-this-test\n")
+    for stem in ("operator", "loader"):
+        for end in ("pem", "key"):
+            (certs / f"{stem}.{end}").write_text(stem)
+    (certs / "ca.pem").write_text("ca")
+    done = install(destdir, "--roles", "page", "--certs", str(certs), "--page-token", str(token))
+    assert done.returncode == 0, done.stderr
+    etc = destdir / "etc/tuberline"
+    assert (etc / "page-token").stat().st_mode & 0o777 == 0o600
+    assert {file.stem for file in (etc / "certs").glob("*.pem")} == {"ca", "operator", "loader"}
+    echo = {"TUBERLINE": "/bin/echo", "TUBERLINE_ETC": str(etc), "PATH": os.environ["PATH"]}
+    node = str(destdir / "usr/local/lib/tuberline/node")
+    said = subprocess.run([node, "page", "field"], env=echo, capture_output=True, text=True, check=True).stdout
+    assert f"--token-file {etc}/page-token" in said
+    (certs / "loader.pem").unlink()
+    refused = install(tmp_path / "other", "--roles", "page", "--certs", str(certs), "--page-token", str(token))
+    assert (refused.returncode, "loader.pem is not there" in refused.stderr) == (2, True)
+
+
 def test_one_page_shows_several_lines(installed: Path, tmp_path: Path) -> None:
     shutil.copytree(installed / "etc/tuberline", tmp_path / "etc")
     shutil.copy(tmp_path / "etc/lines/field.toml", tmp_path / "etc/lines/south.toml")

@@ -1,4 +1,4 @@
-"""A whole line for the page's slow tests: simulated belt, cameras that wait for no one, and the page as a process."""
+"""A whole line for the page's slow tests: a simulated belt, its cameras, and the page as a process."""
 
 from __future__ import annotations
 
@@ -47,20 +47,21 @@ def recording(folder: Path, *, scene: str, tubers: int, seed: int, fps: float = 
 
 
 @contextmanager
-def page_line(folder: Path, belt: Path, *, cameras: tuple[str, ...], speed: float) -> Iterator[PageLine]:
-    """The line of a recording, with a recorder and a page that may act."""
+def page_line(folder: Path, belt: Path, *, cameras: tuple[str, ...], speed: float, waits: bool) -> Iterator[PageLine]:
+    """The line of a recording, whose cameras wait for their segmenters or for no one, and a page that may act."""
     out = folder / "run"
     out.mkdir()
+    (folder / "contract.toml").write_text(CONTRACT)
     config = parse_config(
         {
             "name": "north",
             "link": {"router": f"tcp/127.0.0.1:{free_port()}", "connect_timeout_s": 60.0},
             "cameras": {
-                name: {"path": str(belt), "speed": speed, "waits": False, "ignore_masks": True} for name in cameras
+                name: {"path": str(belt), "speed": speed, "waits": waits, "ignore_masks": True} for name in cameras
             },
             "segmenter": {"state_dir": str(out / "state"), "max_age_ms": 5000},
             "regressor": {"processes": 1, "state_dir": str(out / "weights")},
-            "aggregator": {"out": str(out), "camera_stall_s": 600.0},
+            "aggregator": {"out": str(out), "camera_stall_s": 600.0, "contract": str(folder / "contract.toml")},
         },
         where="of this test",
     )

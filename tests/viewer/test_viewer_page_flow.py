@@ -8,8 +8,9 @@ import pytest
 
 from conveyor.messages import Travel
 from tests.viewer.page_states import counters, totals
-from viewer.page.flow import QUIET_S, TRAVEL_STALE_S, BeltSpeed, LoadFlow
+from viewer.page.flow import QUIET_S, STEP_S, STEPS, TRAVEL_STALE_S, BeltSpeed, LoadFlow, RateHistory
 from viewer.page.growth import PAUSE_S, WINDOW_S, Growth
+from viewer.page.state import Flow
 
 
 def fed(values: list[float], *, name: str = "frames_dropped_blind") -> Growth:
@@ -115,3 +116,17 @@ def test_a_new_load_does_not_run_backwards() -> None:
     load.add(totals(count=5000, weight_g=9e5, tubers_per_s=10.0), 0.0)
     load.add(totals(run="tuesday", count=10, weight_g=2000.0, tubers_per_s=2.0), 1.0)
     assert load.per_min(1.0) == (pytest.approx(120), pytest.approx(24.0))
+
+
+def test_the_last_ten_minutes_are_means_of_ten_seconds_and_have_holes_where_nothing_is_known() -> None:
+    history = RateHistory()
+    start_s = 1000.0
+    for second in range(1300):
+        known = not 700 <= second < 730
+        history.add(Flow(60.0, float(second // 10), 0.4) if known else Flow(), start_s + second)
+    rate = history.rate(start_s + 1299)
+    assert (rate.step_s, len(rate.kg_per_min), len(rate.tubers_per_min)) == (STEP_S, STEPS, STEPS)
+    assert rate.kg_per_min[0] is None, "70 s to 73 s of it lie before the hole"
+    assert rate.kg_per_min[3:] == tuple(float(n) for n in range(73, 130))
+    assert rate.tubers_per_min[-1] == 60.0
+    assert history.rate(start_s + 9999).kg_per_min == (None,) * STEPS

@@ -56,11 +56,19 @@ def give(
 ) -> tuple[int, dict[str, Any]]:
     connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=30)
     body = order if isinstance(order, bytes) else json.dumps(order).encode()
-    connection.request("POST", "/order", body, {"Authorization": f"Bearer {token}", **headers})
+    connection.request("POST", "/order", body, {"X-Tuberline-Token": token, **headers})
     answer = connection.getresponse()
     found = answer.status, json.loads(answer.read())
     connection.close()
     return found
+
+
+def test_a_note_goes_to_its_line_and_needs_a_text(page: PageServer, line: Line) -> None:
+    note = {"line": "north", "action": "note", "request": "r-note", "operator": "Anna", "load": "1"}
+    status, said = give(page, {**note, "note": "wet soil"})
+    assert (status, line.taken[-1][1].action, line.taken[-1][1].note) == (200, "note", "wet soil")
+    status, said = give(page, {**note, "note": "  "})
+    assert (status, said["error"]) == (400, "type what is to be noted")
 
 
 def test_an_order_goes_to_its_line_with_the_name_of_who_gave_it(page: PageServer, line: Line) -> None:
@@ -82,7 +90,7 @@ def test_a_wrong_token_changes_nothing(page: PageServer, line: Line, token: str)
     ("changed", "status", "why"),
     [
         ({"line": "south"}, 404, "does not show a line 'south'"),
-        ({"action": "note"}, 400, "does not know how to 'note'"),
+        ({"action": "erase"}, 400, "does not know how to 'erase'"),
         ({"operator": "  "}, 400, "who gives the order"),
         ({"operator": "A" * 61}, 400, "at most 60 characters"),
         ({"operator": 5}, 400, "who gives the order"),

@@ -11,6 +11,7 @@ import viewer_line as line
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Counters, Travel
 from conveyor.statistics import NORMAL_90
+from tests.viewer.page_states import loaded_state
 from viewer.scene.belt_scene import RIDE_ON_M, BeltScene
 from viewer.scene.health_scene import HealthScene
 from viewer.scene.load_scene import LoadScene, page
@@ -231,3 +232,18 @@ def test_health_tells_drops_once_and_who_is_gone() -> None:
     assert one(gone, State).primitive == State("gone")
     back = scene.update([counters(2, frame_dropped_age=1)], {"segmenter/front"}, now)
     assert "frame_dropped_age +1 (now 1)" in next(e.primitive.text for e in back if isinstance(e.primitive, LogLine))
+
+
+def test_the_open_load_is_told_first_in_rerun_and_to_prometheus() -> None:
+    told = loaded_state().totals
+    assert told is not None
+    assert page(told).startswith("# Load 3 · trailer 7 · North 4 · Agria: 206.4 kg")
+    assert not page(replace(told, load=None)).startswith("# Load")
+    prometheus = pytest.importorskip("tuberline.metrics")
+    found = {metric.name: metric.samples[0] for metric in prometheus.totals_metrics(told, line="north")}
+    assert found["tuberline_open_load_weight_grams"].value == 206.4e3
+    assert found["tuberline_open_load_tubers"].labels == {
+        "line": "north", "run": "monday", "load": "3", "name": "trailer 7",
+    }  # fmt: skip
+    none = prometheus.totals_metrics(replace(told, load=None), line="north")
+    assert not [metric.name for metric in none if "open_load" in metric.name]

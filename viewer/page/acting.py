@@ -24,6 +24,8 @@ MAX_ASKED, ASKED_WITHIN_S = 20, 60.0
 """Orders of one address, right and wrong ones: a hand gives a few an hour."""
 MAX_ADDRESSES = 256
 LEAST_TOKEN = 16
+TOKEN_HEADER = "x-tuberline-token"
+"""Not Authorization: behind a proxy that holds its own password. No other page's form or image can send it."""
 ACTIONS = ("start", "end", "undo", "ticket", "note")
 MAX_OPERATOR = 60
 GIVEN = frozenset({"line", "action", "request", "operator", "age_s", "load", "fields", "kg", "net", "note"})
@@ -70,7 +72,7 @@ class Acting:
         address = request.client.host if request.client else ""
         if not self._rate.take(address, time.monotonic()):
             return _refused(429, f"Too many orders: at most {MAX_ASKED} a minute. Wait a minute and try again.")
-        if not self._known(request.headers.get("authorization", "")):
+        if not self._known(request.headers.get(TOKEN_HEADER, "")):
             return _refused(401, "This token is wrong. The right one stands where the page was started.")
         if not own_origin(request):
             return _refused(403, "The order comes from another page.")
@@ -93,10 +95,8 @@ class Acting:
         told = {"done": found.done, "text": found.text, "error": found.error, "load": found.load, "name": found.name}
         return JSONResponse(told)
 
-    def _known(self, authorization: str) -> bool:
-        scheme, _, token = authorization.partition(" ")
-        given = token.strip().encode("utf-8", "surrogateescape")
-        return scheme.lower() == "bearer" and hmac.compare_digest(given, self._token)
+    def _known(self, token: str) -> bool:
+        return hmac.compare_digest(token.strip().encode("utf-8", "surrogateescape"), self._token)
 
 
 def read_order(body: bytes) -> tuple[str, LoadOrder]:
@@ -139,9 +139,10 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
 
 
 def own_origin(request: Request) -> bool:
-    """The page that asks is this one; programs say no origin."""
+    """The page that asks is this one, also behind a proxy of another name; programs say no origin."""
     origin = request.headers.get("origin")
-    return origin is None or origin.partition("://")[2] == request.headers.get("host", "")
+    own = {request.headers.get(name, "") for name in ("host", "x-forwarded-host")} - {""}
+    return origin is None or origin.partition("://")[2] in own
 
 
 async def _body(request: Request) -> bytes:

@@ -83,6 +83,7 @@ def page(totals: Totals) -> str:
         said = "Nothing seen" if totals.state == "nothing seen" else "Starting, not counting"
         return "\n\n".join([f"# {said}", totals.reason, *cameras])
     rows = [
+        *_open_load(totals),
         *_headline(totals.count, totals.weight_g),
         f"90 % sure: {_kg(totals.low_g)} to {_kg(totals.high_g)}",
     ]
@@ -98,6 +99,15 @@ def page(totals: Totals) -> str:
     rows += cameras
     rows.append("**The load is complete.**" if totals.final else f"{totals.tubers_per_s:.1f} tubers per second.")
     return "\n\n".join(rows)
+
+
+def _open_load(totals: Totals) -> list[str]:
+    load = totals.load
+    if load is None:
+        return []
+    name = " · ".join(filter(None, (f"Load {load.number}", load.name, load.field, load.variety)))
+    sure = f"90 % sure: {_kg(load.low_g)} to {_kg(load.high_g)}, {load.count} tubers"
+    return [f"# {name}: {_kg(load.weight_g)}", sure, "The whole run:"]
 
 
 def _headline(count: int, weight_g: float) -> list[str]:

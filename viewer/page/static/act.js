@@ -88,7 +88,7 @@ async function post(body, token) {
   try {
     const found = await fetch("order", {
       method: "POST", body: JSON.stringify(body), signal: AbortSignal.timeout(TAKES_MS),
-      headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+      headers: { "Content-Type": "application/json", "X-Tuberline-Token": token },
     });
     const known = (found.headers.get("content-type") ?? "").startsWith("application/json");
     if (!known) return { done: false, told: true, error: t("ask.looks_only") };

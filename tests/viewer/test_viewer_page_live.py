@@ -1,0 +1,119 @@
+"""A whole line and its page in a real browser: the belt is there to be seen, and a dead camera is told in time.
+
+By name: it takes minutes. TUBERLINE_SCREENSHOT=docs/images writes the pictures of docs/viewer.md there.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conveyor.observer import Observer
+from tests.deploy.remote_browser import Browser
+from tests.viewer.page_line import TOKEN, PageLine, page_line, recording
+from tests.viewer.test_viewer_page_browser import browser, js, text, until
+
+__all__ = ["browser"]
+pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(900)]
+TOLD_WITHIN_S = 3.0
+SIZES = {
+    "desk": (1280, 800, 1, "light", "en", True),
+    "phone": (390, 844, 1.5, "dark", "en", False),
+    "german": (1280, 800, 1, "dark", "de", False),
+}
+CANVASES = "[...document.querySelectorAll('canvas')].map((c) => [c.dataset.see, Number(c.dataset.outlines || 0)])"
+
+
+def order(browser: Browser, action: str, **more: Any) -> dict[str, Any]:
+    """An order as the page gives it."""
+    body = {"line": "north", "action": action, "request": f"r-{action}-{time.monotonic_ns()}", "operator": "Anna"}
+    head = json.dumps({"X-Tuberline-Token": TOKEN})
+    sent = f"fetch('order', {{method: 'POST', headers: {head}, body: {json.dumps(json.dumps({**body, **more}))}}})"
+    found = browser.page(
+        "Runtime.evaluate", expression=f"{sent}.then((r) => r.json())", returnByValue=True, awaitPromise=True
+    )
+    told: dict[str, Any] = found["result"]["value"]
+    return told
+
+
+def opened(browser: Browser, line: PageLine, true: Callable[[], object], what: str) -> None:
+    def there() -> object:
+        line.supervisor.poll()
+        if js(browser, "location.href") != line.url:
+            browser.page("Page.navigate", url=line.url)
+            time.sleep(1.0)
+        return true()
+
+    deadline = time.monotonic() + 240
+    while not there():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.3)
+
+
+def test_the_belt_is_seen_and_loads_change_while_tubers_come(browser: Browser, tmp_path: Path) -> None:
+    belt = recording(tmp_path, scene="two-cameras", tubers=330, seed=21, fps=12)
+    with page_line(tmp_path, belt, cameras=("left", "right"), speed=0.06, waits=True) as line:
+        opened(browser, line, lambda: all(n > 3 for _, n in js(browser, CANVASES) or [("", 0)]), "both belts")
+        assert {see for see, _ in js(browser, CANVASES)} == {"north/left", "north/right"}
+        until(
+            lambda: int("0" + js(browser, "document.querySelector('[data-put=count]').textContent")) > 4, what="tubers"
+        )
+        assert order(browser, "start", fields={"name": "trailer 6", "field": "North 4", "variety": "Agria"})["done"]
+        until(lambda: "Load 1 · trailer 6" in text(browser), what="the load")
+        time.sleep(9.0)  # so that the load gets its tubers
+        assert order(browser, "start", fields={"name": "trailer 7", "field": "North 4", "variety": "Agria"})["done"]
+        assert order(browser, "ticket", load="1", kg=9.5)["done"]
+        assert order(browser, "note", load="1", note="wet")["done"]
+        until(lambda: "wet (Anna)" in text(browser) and "9.5 kg" in text(browser), what="ticket and note")
+        for name, size in SIZES.items():
+            screenshot(browser, line, name, size)
+
+
+def test_a_dead_camera_is_told_within_three_seconds(browser: Browser, tmp_path: Path) -> None:
+    belt = recording(tmp_path, scene="singulated", tubers=60, seed=8, fps=6)
+    with page_line(tmp_path, belt, cameras=("front",), speed=0.1, waits=False) as line:
+        opened(
+            browser, line, lambda: "Working" in text(browser) and "No alarms." in text(browser), "a line that is well"
+        )
+        with Observer(line.config.link, line="north") as observer:
+            until(lambda: "camera/front" in observer.nodes(), what="the camera's report")
+            pid = observer.nodes()["camera/front"].pid
+        for number, told in (
+            (signal.SIGSTOP, "No frames have come from camera front"),
+            (signal.SIGKILL, "Camera front stopped"),
+        ):
+            os.kill(pid, number)
+            started_s = time.monotonic()
+            while told not in text(browser):
+                took_s = time.monotonic() - started_s
+                assert took_s < TOLD_WITHIN_S, f"{told!r} is not there after {took_s:.1f} s"
+                time.sleep(0.05)
+
+
+def screenshot(browser: Browser, line: PageLine, name: str, size: tuple[int, int, float, str, str, bool]) -> None:
+    """The page at one size, into the folder that TUBERLINE_SCREENSHOT names."""
+    width, height, scale, scheme, language, whole = size
+
+    def resize(high: int) -> None:
+        metrics = {"width": width, "height": high, "deviceScaleFactor": scale, "mobile": width < 600}
+        browser.page("Emulation.setDeviceMetricsOverride", **metrics)
+
+    resize(height)
+    browser.page("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    browser.page("Page.navigate", url=f"{line.url}?lang={language}")
+    until(lambda: any(n for _, n in js(browser, CANVASES) or []), what=f"the belt at {name}")
+    if whole:
+        resize(int(js(browser, "document.documentElement.scrollHeight")))
+        time.sleep(2.0)
+    png = base64.b64decode(browser.page("Page.captureScreenshot", format="png")["data"])
+    assert len(png) > 10_000
+    if folder := os.environ.get("TUBERLINE_SCREENSHOT"):
+        (Path(folder) / f"page-{name}.png").write_bytes(png)
