@@ -25,7 +25,7 @@ LEVEL = 0.9
 EDGES_G = (0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0, np.inf)
 MIN_IN_CLASS = 40
 ROUNDS, WIDEST = 6, 0.06
-"""Of `calibrate_cameras`, and by how much a level may differ from the one that is asked for."""
+"""Of `calibrate_cameras`, and by how much its level for other cameras may be over the one that is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +139,8 @@ def calibrate_cameras(
     """The rule that covers `level` of the views of cameras trained for, and of those of all others.
 
     Some views of the others look like those trained for: their intervals are too narrow. So the ones that are
-    recognised are given a higher level, the least with which the others hold as a whole; and that makes some of those
-    trained for too wide, which gives theirs a lower one. A few rounds settle both.
+    recognised are given a higher level, the least with which the others hold as a whole. Cameras trained for keep the
+    level that is asked for, though a few of their views get the others' width.
 
     Args:
         predicted_g, weight_g, terms, level: as for `calibrate`. noise_px, features: as for `unlike.camera_terms`.
@@ -162,9 +162,8 @@ def calibrate_cameras(
         ]
         rule = replace(kinds[0], level=level, camera=camera, other=replace(kinds[1], level=level))
         low, high = rule.bounds_g(predicted_g, terms, chance)
-        held = (weight_g >= low) & (weight_g <= high)
-        for kind, rows in enumerate((~unlike, unlike)):
-            levels[kind] = float(np.clip(levels[kind] + level - held[rows].mean(), level - WIDEST, level + WIDEST))
+        held = ((weight_g >= low) & (weight_g <= high))[unlike].mean()
+        levels[1] = float(np.clip(levels[1] + level - held, level, level + WIDEST))
     return rule
 
 
