@@ -177,7 +177,7 @@ class PictureStreams(Events[dict[tuple[str, str], int]]):
         return found
 
     def end(self, state: dict[tuple[str, str], int]) -> None:
-        """Nobody looks here any more."""
+        """No one looks here any more."""
         self._pictures.leave(state)
 
 
