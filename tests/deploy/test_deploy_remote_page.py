@@ -1,13 +1,7 @@
-"""The operator's page of a real line in a real browser, through TLS and the password. By name: it takes minutes.
-
-TUBERLINE_SCREENSHOT=docs/images pytest -m slow tests/deploy/test_deploy_remote_page.py
-writes page-panel.png and page-phone.png into that folder.
-"""
+"""The operator's page of a real line in a real browser, through TLS and the password. By name: it takes minutes."""
 
 from __future__ import annotations
 
-import base64
-import os
 import re
 import subprocess
 import sys
@@ -28,7 +22,6 @@ from viewer.page.watch import LineWatch
 
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(900)]
 pytest.importorskip("rerun", reason="the proxy's other half needs tuberline[viewer]")
-SIZES = {"panel": (1280, 800, 1, "light"), "phone": (390, 844, 2, "dark")}
 SHOWN_TUBERS = 45
 PATIENCE_S = 360.0
 
@@ -58,8 +51,6 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
             _until(lambda: _tubers(browser) >= SHOWN_TUBERS, line, lambda: f"tubers in the page: {_text(browser)}")
             assert "Page connected" in _text(browser)
             assert "Running" in _text(browser)
-            for name, size in SIZES.items():
-                _picture(browser, name, size)
             _until(lambda: "Run complete" in _text(browser), line, lambda: "the load's end in the page")
             assert f"Tubers {proxy_count(proxy.ask('/page/snapshot.json')[2])}" in _text(browser)
         watch.stop()
@@ -86,17 +77,3 @@ def _until(true: Callable[[], object], line: Supervisor, what: Callable[[], str]
         line.poll()
         assert time.monotonic() < deadline, f"waited in vain for {what()}"
         time.sleep(0.3)
-
-
-def _picture(browser: Browser, name: str, size: tuple[int, int, int, str]) -> None:
-    """The page at one size, into the folder that TUBERLINE_SCREENSHOT names."""
-    width, height, scale, scheme = size
-    browser.page(
-        "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=width < 600
-    )
-    browser.page("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-    time.sleep(2.0)
-    png = base64.b64decode(browser.page("Page.captureScreenshot", format="png")["data"])
-    assert len(png) > 10_000
-    if folder := os.environ.get("TUBERLINE_SCREENSHOT"):
-        (Path(folder) / f"page-{name}.png").write_bytes(png)
