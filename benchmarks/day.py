@@ -20,7 +20,7 @@ from pathlib import Path
 from benchmarks.day_belts import make_belts, read_belt
 from benchmarks.day_judge import Evening, class_table, foreign_table, load_table, stage_table, stages
 from benchmarks.day_ledger import enter_ticket, write_day
-from benchmarks.day_outputs import MapOptions, export_table, map_table, sync_table
+from benchmarks.day_outputs import CELL_M, MapOptions, export_table, map_table, sync_table
 from benchmarks.day_world import LOADS_A_FIELD, SEED, plan_day
 from benchmarks.figures_in_docs import put_table
 from conveyor.contract import read_contract
@@ -36,6 +36,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--database", help="postgresql://...; 'none': without")
     parser.add_argument("--delay-s", type=float, help="from ground to camera; default: found, which a small day cannot")
+    parser.add_argument("--cell-m", type=float, default=CELL_M, help="side of a cell of the map")
     parser.add_argument("--docs", type=Path, help="page between whose marks the tables are put")
     parser.add_argument("--pictures", type=Path, help="folder for report.png and day-map.png")
     given = parser.parse_args(arguments)
@@ -63,7 +64,7 @@ def tables(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     yield "day_loads", load_table(evening, plan, belts)
     yield "day_classes", class_table(evening, plan, belts, read_contract(run / "contract.toml"))
     yield "day_foreign", foreign_table(evening, plan, belts)
-    how = MapOptions(given.delay_s)
+    how = MapOptions(given.delay_s, given.cell_m)
     yield "day_map", map_table(plan, belts, run, how)
     yield "day_exports", export_table(run, how)
     with database(given.database) as url:

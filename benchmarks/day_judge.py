@@ -27,7 +27,7 @@ WHOLE = 0.99
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """A load by the ledger: kilograms for its whole belt with their interval, and the truth; `whole`: it was seen so."""
+    """A load by the ledger: kilograms for its whole belt with their interval; the truth; whether it was seen whole."""
 
     whole: bool
     true_kg: float
@@ -90,7 +90,7 @@ def stages(evening: Evening, plan: DayPlan) -> dict[str, list[Judged]]:
     found["tickets of all other loads"] = [
         evening.judged([t for k, t in enumerate(of_load) if t is not None and k != n])[n] for n in range(len(of_load))
     ]
-    return found
+    return {name: loads for name, loads in found.items() if loads}
 
 
 def stage_table(found: dict[str, list[Judged]]) -> str:

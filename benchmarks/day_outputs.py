@@ -33,15 +33,16 @@ def tuberline(*arguments: str | Path) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MapOptions:
-    """What is given to commands that map: the delay, where it shall not be found."""
+    """What is given to commands that map: the side of a cell, and the delay where it shall not be found."""
 
     delay_s: float | None = None
+    cell_m: float = CELL_M
 
     @property
     def words(self) -> tuple[str, ...]:
         """As the command line has them."""
         given = () if self.delay_s is None else ("--delay-s", str(self.delay_s))
-        return ("--cell-m", str(CELL_M), *given)
+        return ("--cell-m", str(self.cell_m), *given)
 
 
 def map_table(plan: DayPlan, belts: Sequence[Belt], out: Path, how: MapOptions) -> str:
@@ -57,7 +58,7 @@ def map_table(plan: DayPlan, belts: Sequence[Belt], out: Path, how: MapOptions) 
     place = np.array([_east_north(cell) for cell in cells])
     names = list(dict.fromkeys(load.field for load in plan.loads))
     for n, name in enumerate(names):
-        chosen, truth = _true_t_ha(plan, belts, name, place, n)
+        chosen, truth = _true_t_ha(plan, belts, name, place, n, how.cell_m)
         found = np.array([cells[i]["t_ha"] for i in chosen])
         weight = np.array([cells[i]["area_m2"] for i in chosen])
         low, high = (np.array([cells[i][key] for i in chosen]) for key in ("low_t_ha", "high_t_ha"))
@@ -80,7 +81,7 @@ def _east_north(cell: dict[str, float]) -> tuple[float, float]:
 
 
 def _true_t_ha(
-    plan: DayPlan, belts: Sequence[Belt], name: str, place: np.ndarray, plot: int
+    plan: DayPlan, belts: Sequence[Belt], name: str, place: np.ndarray, plot: int, cell_m: float
 ) -> tuple[list[int], np.ndarray]:
     """(cells of a plot in which tubers grew, their true t/ha): the pattern where they grew, by their mean weight."""
     rows = []
@@ -97,7 +98,7 @@ def _true_t_ha(
     grown = np.concatenate(rows)
     chosen, truth = [], []
     for i, centre in enumerate(place):
-        inside = grown[(np.abs(grown[:, :2] - centre) <= CELL_M / 2).all(axis=1)]
+        inside = grown[(np.abs(grown[:, :2] - centre) <= cell_m / 2).all(axis=1)]
         if len(inside) >= 5:
             chosen.append(i)
             truth.append(len(inside) / (1 / inside[:, 2]).sum() * inside[:, 3].mean() / PLOT.tuber_g)

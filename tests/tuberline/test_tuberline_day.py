@@ -42,7 +42,20 @@ def test_a_stretched_clock_keeps_the_order() -> None:
 def test_a_small_day(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page, out = tmp_path / "yield.md", tmp_path / "day"
     shutil.copyfile(PAGE, page)
-    small = ["--loads", "2", "--box-kg", "14", "--delay-s", "9", "--workers", "1", "--database", "none"]
+    small = [
+        "--loads",
+        "2",
+        "--box-kg",
+        "14",
+        "--delay-s",
+        "9",
+        "--cell-m",
+        "1",
+        "--workers",
+        "1",
+        "--database",
+        "none",
+    ]
     main([*small, "--out", str(out), "--docs", str(page)])
     text = page.read_text()
     for name in TABLES:
@@ -51,7 +64,7 @@ def test_a_small_day(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     (total,) = (one for one in totals_by([out / "run"], "load")[0] if one.label == ALL)
     assert total.weighed == 2
     capsys.readouterr()
-    map_field([out / "run"], cell_m=1.5, delay_s=9.0, json=True)
+    map_field([out / "run"], cell_m=1.0, delay_s=9.0, json=True)
     (run,) = json.loads(capsys.readouterr().out)["runs"]
     assert run["kg"] == pytest.approx(total.sums.estimated_g / 1000), "each load is scaled by its own calibration"
     assert (out / "run" / "report.pdf").read_bytes()[:5] == b"%PDF-"
