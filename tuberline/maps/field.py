@@ -164,6 +164,11 @@ def field_map(
     )
     shared = max(machine.shared_percent for machine in read)
     cells = cells_of([share.points for share in shares], cell_m=settings.cell_m, shared_percent=shared)
+    if not np.isfinite(cells.t_ha).any():
+        raise InputError(
+            f"no cell of {settings.cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller "
+            "--cell-m"
+        )
     return FieldMap(smoothed(cells) if settings.smooth else cells, plane, shares, settings)
 
 

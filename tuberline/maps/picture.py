@@ -15,8 +15,8 @@ COLOURS = "YlGn"
 INK = "#26332b"
 
 
-def draw_map(field: FieldMap, out: Path, *, title: str) -> None:
-    """Write a PNG (or SVG, PDF: by the name's ending).
+def draw_map(field: FieldMap, out: Path, *, title: str, caption: bool = True) -> None:
+    """Write a PNG (or SVG, PDF: by the name's ending); `caption`: with what is said of it under it.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -47,7 +47,8 @@ def draw_map(field: FieldMap, out: Path, *, title: str) -> None:
     axes.set_aspect("equal")
     axes.set_axis_off()
     axes.set_title(title, loc="left", color=INK, fontsize=13, fontweight="bold")
-    axes.text(0, -0.02, _caption(field), transform=axes.transAxes, va="top", fontsize=8.5, color=INK)
+    if caption:
+        axes.text(0, -0.02, _caption(field), transform=axes.transAxes, va="top", fontsize=8.5, color=INK)
     with whole_output(out) as path:
         figure.savefig(path, dpi=150, format=out.suffix.lstrip(".").lower() or "png")
     plt.close(figure)

@@ -98,6 +98,8 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
     """
     found, refused = all_loads(runs)
     days = sorted({load.labels["day"] for load in found})
+    # Belt without a load that carried nothing is nothing to tell.
+    found = [load for load in found if load.load is not None or load.one.totals.sums.count] or found
     loads = [load for load in found if day in (None, load.labels["day"])]
     if not loads:
         raise InputError(f"these runs hold no load of {day}: they hold {', '.join(days) or 'none at all'}")

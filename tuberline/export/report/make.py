@@ -56,7 +56,7 @@ def _drawn(field: FieldMap) -> bytes:
 
     with tempfile.TemporaryDirectory() as scratch:
         picture = Path(scratch) / "map.png"
-        draw_map(field, picture, title="")
+        draw_map(field, picture, title="", caption=False)
         return picture.read_bytes()
 
 
