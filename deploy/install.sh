@@ -259,7 +259,9 @@ if [ -z "$destdir" ]; then
     systemctl enable --quiet "tuberline@$line.target" prune-tuberline.timer
     echo "enabled   tuberline@$line.target prune-tuberline.timer"
     if [ "$start" = yes ]; then
-        [ -z "$switch_to" ] || systemctl stop "tuberline@$line.target"
+        # Each by its name: a node that is still stopping when its target starts is left running, with the old program.
+        [ -z "$switch_to" ] ||
+            systemctl stop "tuberline@$line.target" "tuberline-*@$line.service" "tuberline-*@$line:*.service"
         systemctl start "tuberline@$line.target" prune-tuberline.timer
         echo "started   tuberline@$line.target:$units"
     fi
