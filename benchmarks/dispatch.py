@@ -39,7 +39,7 @@ from tuberline.replayer import free_port
 CAMERA, RUN = "front", "bench"
 TURN_S, WAIT_S, LEAST_LEASE_MS = 0.01, 60.0, 500
 VIEW = View(
-    view_id="", track_id="", camera=CAMERA, run=RUN, seq=0, captured_ns=0, rank=0, depth_scale_m=0.001,
+    view_id="0/0", track_id="0", camera=CAMERA, run=RUN, seq=0, captured_ns=0, rank=0, depth_scale_m=0.001,
     intrinsics=Intrinsics(848, 480, 433.0, 433.0, 424.0, 240.0), u0=100, v0=100,
     depth=np.random.default_rng(1).integers(400, 460, (80, 80)).astype(np.uint16),
     belt_from_camera=straight_down_belt_from_camera(0.46),

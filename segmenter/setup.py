@@ -14,7 +14,7 @@ from segmenter.track.counting import CountSettings
 from segmenter.track.tracker import DECIDE_M, TrackSettings
 
 LIVE_DECIDE_M = 0.040
-"""Metres past the centre row at which a live line closes a track; a replay, where nobody waits, sees it for
+"""Metres past the centre row at which a live line closes a track; a replay, where no one waits, sees it for
 `DECIDE_M`. Every tuber of the line waits for the belt to move so far. Shorter is earlier, and sees fewer
 frames; see docs/performance.md for what it changed on simulated belts."""
 
