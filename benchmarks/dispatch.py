@@ -37,9 +37,11 @@ from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from tuberline.replayer import free_port
 
 CAMERA, RUN = "front", "bench"
+LATE = "late"
+"""Workers of this name start with the others and announce themselves when they are told to."""
 TURN_S, WAIT_S, LEAST_LEASE_MS = 0.01, 60.0, 500
 VIEW = View(
-    view_id="", track_id="", camera=CAMERA, run=RUN, seq=0, captured_ns=0, rank=0, depth_scale_m=0.001,
+    view_id="0/0", track_id="0", camera=CAMERA, run=RUN, seq=0, captured_ns=0, rank=0, depth_scale_m=0.001,
     intrinsics=Intrinsics(848, 480, 433.0, 433.0, 424.0, 240.0), u0=100, v0=100,
     depth=np.random.default_rng(1).integers(400, 460, (80, 80)).astype(np.uint16),
     belt_from_camera=straight_down_belt_from_camera(0.46),
@@ -73,10 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with contextlib.ExitStack() as stack:
         router = stack.enter_context(_child("router", config))
         workers = {name: stack.enter_context(_child(name, config)) for name in _names(options.workers)}
-        late = iter([f"late-{n}" for n in (1, 2)])
-        dispatcher, told = _send(
-            config, options, workers, lambda: stack.enter_context(_child(next(late), config)), router.pid
-        )
+        late = [stack.enter_context(_child(f"{LATE}-{n}", config)) for n in (1, 2)]
+        dispatcher, told = _send(config, options, workers, lambda: [_go(child) for child in late], router.pid)
     _print(dispatcher, told, options)
     return 0
 
@@ -102,13 +102,14 @@ def _send(
     events = [
         (0.25, f"{names[0]} is killed", lambda: workers[names[0]].kill()),
         (0.50, f"{names[1]} leaves", lambda: workers[names[1]].send_signal(signal.SIGTERM)),
-        (0.75, "two join", lambda: (join(), join())),
+        (0.75, "two join", join),
     ]
     with Node("segmenter", CAMERA, config=config, run=RUN) as node:
         presence = Presence(node, "regressor")
         answers = ReliableSubscriber(node, topics.WEIGHT, Weight, camera=CAMERA)
         deadline = time.monotonic() + WAIT_S
         while len(presence.names()) < options.workers and time.monotonic() < deadline:
+            node.progress()
             time.sleep(0.05)
         begun, cpu, router_cpu = time.monotonic(), time.process_time(), cpu_s(router)
         offered, seen = 0, presence.names()
@@ -175,6 +176,8 @@ def _serve(what: str, router: str) -> None:
     with Node("regressor", what, config=config, run=RUN, announce=False) as node:
         inbox = LatestSubscriber(node, topics.VIEW, View, capacity=1024, regressor=what)
         answers = ReliablePublisher(node, topics.WEIGHT, camera=CAMERA)
+        if what.startswith(LATE):
+            sys.stdin.readline()
         node.announce()
         while not node.stop.is_set():
             node.progress()
@@ -189,10 +192,18 @@ def _answer(view: View, regressor: str) -> Weight:
     )  # fmt: skip
 
 
+def _go(child: subprocess.Popen[str]) -> None:
+    assert child.stdin is not None
+    child.stdin.write("go\n")
+    child.stdin.flush()
+
+
 @contextlib.contextmanager
 def _child(what: str, config: LineConfig) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-m", "benchmarks", "dispatch", "--serve", what, config.link.router]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1])
+    child = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
+    )
     try:
         if what == "router":
             assert child.stdout is not None
