@@ -66,10 +66,16 @@ images boot powercuts: $(STAMP)
 
 install: $(STAMP)
 
-# torch first and by its pinned version: pip then takes one CPU build instead of gigabytes of CUDA packages.
+# torch first. On Linux the package index's own torch brings gigabytes of CUDA along: the CPU build of PyTorch's index is
+# taken where that can be reached, and the other where it cannot. For a GPU: make install TORCH_INDEX=
+ifeq ($(shell uname -s),Linux)
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+endif
+TORCH = torch==2.13.0
 $(DEMO_STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
+	test -n "$(TORCH_INDEX)" && $(BIN)/pip install --quiet --timeout 5 --retries 0 --no-deps --index-url $(TORCH_INDEX) $(TORCH) || \
+		$(BIN)/pip install --quiet --constraint constraints.txt $(TORCH)
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer]'
 	touch $@
 

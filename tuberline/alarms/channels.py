@@ -13,6 +13,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from conveyor.config_alarms import AlarmsConfig
 from conveyor.errors import ConfigError
+from conveyor.extras import install_hint
 from tuberline.alarms.message import AlarmMessage
 
 log = logging.getLogger("alarms")
@@ -147,4 +148,4 @@ def _lines(path: Path) -> list[str]:
 
 def needs_extra(what: str) -> ConfigError:
     """The error where a channel's library is missing."""
-    return ConfigError(f"alarms by {what} need one more package: pip install 'tuberline[alarms]'")
+    return ConfigError(f"alarms by {what} need one more package; install it {install_hint('alarms')}")

@@ -69,7 +69,7 @@ def _run() -> int:
         command = " ".join(sys.argv[1:2])
         sys.stderr.write(
             f"tuberline: `{command}` needs torch, which is not installed here (an edge host has none): run it where "
-            "torch is, in the image tuberline, or pip install tuberline\n"
+            "torch is, in the image tuberline, or install it there: pip install torch\n"
         )
         return PERMANENT
     except Exception:
