@@ -45,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             speed=options.speed,
             copies=options.cameras,
             regressors=options.regressors,
+            by_the_clock=True,
         )
         books = read_books(out)
         report = told(watch, books, minutes=options.minutes, warm_up_s=options.warm_up_s)

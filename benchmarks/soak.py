@@ -123,15 +123,20 @@ def soak(
     speed: float = 1.0,
     copies: int = 1,
     regressors: int = 2,
+    by_the_clock: bool = False,
 ) -> Watch:
     """Run a live line on `recording` and kill one process of each role in turn.
 
     Args:
         copies: cameras that play each camera of the recording.
+        by_the_clock: what a camera does not take in time is gone, as with a device; else it falls behind, until all of
+            its frames are too old.
     """
     prepare_out(out)
     names = recording_cameras(recording)
-    played = {"path": str(recording.resolve()), "speed": speed, "waits": False}
+    played: dict[str, Any] = {"path": str(recording.resolve()), "speed": speed, "waits": False}
+    if by_the_clock:
+        played["starts_at_s"] = time.time()
     cameras = {f"{name}{n or ''}": {**played, "camera": name} for name in names for n in range(copies)}
     config = replay_config(
         recording,

@@ -16,6 +16,8 @@ end a frame; device clocks jitter by a few ms, those of ROS nodes by tens."""
 PERIODS = 30
 """Newest frame periods whose median is the camera's."""
 UNKNOWN_PERIOD_NS = 33_000_000
+UNKNOWN_PERIODS_NS = (8_000_000, 250_000_000)
+"""Of cameras with 120 to 4 frames a second."""
 
 
 @dataclass(slots=True)
@@ -54,7 +56,9 @@ class CameraClock:
         if frames <= 0:  # sent again: it has the time it had
             return 0
         passed_ns = captured_ns - self._last[1]
-        by_number_ns = frames * (median(self._periods_ns) if self._periods_ns else UNKNOWN_PERIOD_NS)
+        # Before the period is known any of a camera's is right: a gap of 150 frames at half the usual rate was a step.
+        low_ns, high_ns = (median(self._periods_ns),) * 2 if self._periods_ns else UNKNOWN_PERIODS_NS
+        by_number_ns = min(max(passed_ns, frames * low_ns), frames * high_ns)
         by_arrival_ns = (arrived_ns - self._last[2]) * self.speed
         off_ns = min((passed_ns - by_number_ns, passed_ns - by_arrival_ns), key=abs)
         if self.speed <= 0:

@@ -86,3 +86,13 @@ def test_a_process_that_starts_again_goes_on_behind_the_one_before() -> None:
     assert step_ns < 0
     assert EPOCH_NS + HOUR_NS < steady_ns < EPOCH_NS + HOUR_NS + 10**9
     assert CameraClock(floor_ns=EPOCH_NS).steady_ns(500, EPOCH_NS + HOUR_NS, 0) == (EPOCH_NS + HOUR_NS, 0)
+
+
+@pytest.mark.parametrize("fps", [5, 15, 30, 90])
+def test_a_gap_before_the_rate_is_known_is_no_step(fps: int) -> None:
+    """At 15 frames a second, played faster than the line took them, the 196th frame after the first was 4.8 s back."""
+    clock = CameraClock(5.0)
+    period_ns = 10**9 // fps
+    assert clock.steady_ns(0, 10**15, 0) == (10**15, 0)
+    assert clock.steady_ns(196, 10**15 + 196 * period_ns, 60 * 10**9) == (10**15 + 196 * period_ns, 0)
+    assert clock.steady_ns(197, 10**15 + 197 * period_ns, 60 * 10**9 + period_ns)[1] == 0
