@@ -27,7 +27,7 @@ from conveyor.contract import read_contract
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Make what is not kept yet, write the run anew, judge it."""
+    """Make the belts that are not kept yet, write the run, judge it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/day"))
     parser.add_argument("--seed", type=int, default=SEED)
