@@ -1,6 +1,6 @@
 """A whole line and its page in a real browser: the belt is there to be seen, and a dead camera is told in time.
 
-By name: it takes minutes. TUBERLINE_SCREENSHOT=docs/images writes the pictures of docs/viewer.md there.
+By name: it takes minutes. TUBERLINE_SCREENSHOT=FOLDER writes pictures there.
 """
 
 from __future__ import annotations

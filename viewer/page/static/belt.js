@@ -2,6 +2,7 @@
 import { number, t, known } from "./words.js";
 
 const STALE_MS = 2500;
+const REST_MS = 60;
 const SETTLE_MS = 250; // while a person scrolls nothing is asked for
 const FONT_PX = 13;
 // A state has a colour, a line and a sign of its own: it can be told without colours.
@@ -32,7 +33,7 @@ export function beltPicture(canvas, line, camera) {
   forget(canvas);
   canvas.dataset.see = see;
   canvas.setAttribute("role", "img");
-  shown.set(see, { canvas, picture: null, image: null, cameAt: null });
+  shown.set(see, { canvas, picture: null, image: null, cameAt: null, next: null, busy: false });
   onScreen.observe(canvas);
 }
 
@@ -69,9 +70,26 @@ function listen() {
   events.onerror = () => { if (events?.readyState === EventSource.CLOSED) setTimeout(settle, 3000); };
 }
 
+// A device that is slow to draw skips pictures: of those that come meanwhile the newest is next.
 async function take(picture) {
   const view = shown.get(`${picture.line}/${picture.camera}`);
   if (!view) return;
+  view.next = picture;
+  if (view.busy) return;
+  view.busy = true;
+  try {
+    while (view.next) {
+      const next = view.next;
+      view.next = null;
+      await show(view, next);
+      await new Promise((resolve) => setTimeout(() => requestAnimationFrame(resolve), REST_MS));
+    }
+  } finally {
+    view.busy = false;
+  }
+}
+
+async function show(view, picture) {
   const bytes = Uint8Array.from(atob(picture.jpeg), (letter) => letter.charCodeAt(0));
   const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
   view.image?.close();
@@ -85,7 +103,7 @@ function draw({ canvas, picture, image }) {
   const scale = wide / picture.width;
   const high = Math.round(picture.height * scale);
   if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
-  const pen = canvas.getContext("2d");
+  const pen = canvas.getContext("2d", { willReadFrequently: true }); // small: no work for a weak graphics chip
   pen.drawImage(image, 0, 0, wide, high);
   for (const outline of picture.outlines) line(pen, outline, scale, dots);
   for (const outline of picture.outlines) label(pen, outline, scale, dots);
@@ -120,6 +138,7 @@ function label(pen, [state, weight_g, corners], scale, dots) {
     [top, bottom] = [Math.min(top, corners[n + 1]), Math.max(bottom, corners[n + 1])];
   }
   Object.assign(pen, { font: `700 ${FONT_PX * dots}px system-ui, sans-serif`, textAlign: "center", textBaseline: "middle", lineWidth: 3.5 * dots, strokeStyle: "rgb(0 0 0 / .8)", fillStyle: look.colour });
+  if (!look.sign && pen.measureText(words).width > 1.3 * (right - left) * scale) return; // it would hide its neighbours
   const at = [((left + right) / 2) * scale, ((top + bottom) / 2) * scale];
   pen.strokeText(words, ...at);
   pen.fillText(words, ...at);
