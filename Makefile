@@ -14,7 +14,7 @@ demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
