@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -156,6 +157,11 @@ def test_views_are_fused_by_how_well_they_know_it() -> None:
     assert fused.mesh_mm == pytest.approx(51.2)
     assert 0.8 < fused.mesh_sd_mm < 1.3
     assert fuse_sizes([]) is None
+
+
+def test_the_order_of_answers_changes_no_bit_of_a_size() -> None:
+    views = [sizes(57.123, 0.313), sizes(56.077, 2.891), sizes(58.951, 1.117), sizes(57.4, 0.7)]
+    assert len({repr(fuse_sizes(order)) for order in permutations(views)}) == 1
 
 
 @pytest.mark.parametrize(
