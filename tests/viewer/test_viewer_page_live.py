@@ -29,7 +29,9 @@ SIZES = {
     "phone": (390, 844, 1.5, "dark", "en", False),
     "german": (1280, 800, 1, "dark", "de", False),
 }
-CANVASES = "[...document.querySelectorAll('canvas')].map((c) => [c.dataset.see, Number(c.dataset.outlines || 0)])"
+CANVASES = (
+    "[...document.querySelectorAll('canvas[data-see]')].map((c) => [c.dataset.see, Number(c.dataset.outlines || 0)])"
+)
 
 
 def order(browser: Browser, action: str, **more: Any) -> dict[str, Any]:
