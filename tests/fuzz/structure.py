@@ -1,19 +1,16 @@
 """Messages built from what their classes declare: header by header, field by field, at and beyond each limit.
 
 `build` takes every choice by one function, so that hypothesis and a plain random generator drive the same builder; of
-the options the first is the plainest one. It says whether it put anything in that must be refused. `fault` finds,
-without the library that the decoder uses, what a decoded message holds that its class does not allow.
+the options the first is the plainest one. It says whether it put anything in that must be refused.
 """
 
 from __future__ import annotations
 
 import math
-import re
-import types
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 import msgpack
 import numpy as np
@@ -24,8 +21,9 @@ from conveyor import wire
 from conveyor.errors import MessageError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages.base import ArraySpec, Message
-from conveyor.ranges import Items, Range, Text
+from conveyor.ranges import Items
 from regressor.serve.messages import WeightsParcel, WeightsReport, WeightsState
+from tests.fuzz.declared import NO_FIELD, fault, form_of, hints_of, names_of, outside
 
 CLASSES: tuple[type[Message], ...] = (
     m.Frame, m.CameraInfo, m.FrameProgress, m.Travel, m.View, m.Weight, m.TrackEntry, m.Committed, m.Tuber, m.Totals,
@@ -33,13 +31,6 @@ CLASSES: tuple[type[Message], ...] = (
 )  # fmt: skip
 """Every message that crosses a process boundary."""
 Pick = Callable[[Sequence[Any]], Any]
-NO_FIELD: tuple[Any, ...] = (
-    None, True, False, "", "1", "nan", "\x00", "ü" * 300, "a/b", "9" * 5000, 0.5, -1.0, 1e300, -1e300, 5e-324, 1e308,
-    math.inf, -math.inf, math.nan, -1, 1 << 31, (1 << 53) + 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1, -(1 << 63),
-    [], {}, [[]], {"a": []}, [0] * 40, [1e308], {"": math.nan}, b"", b"x", msgpack.ExtType(1, b""),
-    msgpack.Timestamp(0), [[[[[[[[[[]]]]]]]]]], {"a": {"a": {"a": {"a": {"a": {"a": {"a": {}}}}}}}},
-)  # fmt: skip
-"""Values that many fields may not hold."""
 SMALL_BYTES = 4096
 MOST_ERROR_CHARACTERS = 2000
 
@@ -72,7 +63,7 @@ class _Builder:
 
     def _allowed(self, hint: Any, where: str) -> Any:
         """A value that the field may hold, though what lies in it may not be."""
-        form = _form(hint)
+        form = form_of(hint)
         if len(form.options) > 1:
             return self._allowed(self._pick(form.options), where)
         if form.is_record:
@@ -89,15 +80,15 @@ class _Builder:
 
     def record(self, cls: Any, where: str, *, arrays: Sequence[str] = ()) -> dict[str, Any]:
         """The fields of a dataclass."""
-        hints = _hints(cls)
-        return {name: self.value(hints[name], f"{where}.{name}") for name in _names(cls) if name not in arrays}
+        hints = hints_of(cls)
+        return {name: self.value(hints[name], f"{where}.{name}") for name in names_of(cls) if name not in arrays}
 
     def _key(self, hint: Any, where: str) -> str:
         if self._left and self._pick(range(6)) == 5:
             self._left -= 1
             self.wrong.append(f"{where}.key")
             return str(self._pick([v for v in outside(hint) if isinstance(v, str)]))
-        return str(self._pick(_form(hint).inside))
+        return str(self._pick(form_of(hint).inside))
 
     def _items(self, marks: tuple[Any, ...], where: str) -> int:
         most = next((mark.most for mark in marks if isinstance(mark, Items)), 3)
@@ -233,10 +224,10 @@ def _agree(cls: type[Message], header: dict[str, Any], pick: Pick) -> None:
     """Most messages of classes whose fields must fit each other are made to."""
     if pick(range(8)) == 7:
         return
-    if cls.__name__ == "Weight" and not fault(header["status"], _hints(cls)["status"], ""):
+    if cls.__name__ == "Weight" and not fault(header["status"], hints_of(cls)["status"], ""):
         weighed = all(header[name] is not None for name in ("weight_g", "low_g", "high_g"))
         header["status"] = "weighed" if weighed else "refused"
-    if cls.__name__ == "WeightsParcel" and not fault(header["file"], _hints(cls)["file"], ""):
+    if cls.__name__ == "WeightsParcel" and not fault(header["file"], hints_of(cls)["file"], ""):
         header["file"] = pick(("a.safetensors", "b.pth"))
 
 
@@ -259,184 +250,3 @@ def _shape_of(cls: type[Message], name: str, header: dict[str, Any], pick: Pick)
 @cache
 def _zeros(size: int) -> bytes:
     return zstandard.ZstdCompressor(level=1).compress(bytes(size))
-
-
-_HINTS: dict[Any, dict[str, Any]] = {}
-
-
-def _hints(cls: Any) -> dict[str, Any]:
-    if cls not in _HINTS:
-        _HINTS[cls] = get_type_hints(cls, include_extras=True)
-    return _HINTS[cls]
-
-
-@cache
-def _taken_apart(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """(type, marks) of `Annotated[type, *marks]`."""
-    if get_origin(hint) is Annotated:
-        kind, *marks = get_args(hint)
-        return kind, tuple(marks)
-    return hint, ()
-
-
-def _alternatives(kind: Any) -> tuple[Any, ...]:
-    return get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
-
-
-@dataclass(slots=True)
-class _Form:
-    """A field's type taken apart, once: asking `typing` again and again took two thirds of the time.
-
-    `options` are what a union is made of, `each` the same with the union's own marks; `inside` and `outside` are made
-    when they are first asked for.
-    """
-
-    hint: Any
-    kind: Any
-    marks: tuple[Any, ...]
-    options: tuple[Any, ...]
-    each: tuple[Any, ...]
-    origin: Any
-    args: tuple[Any, ...]
-    is_record: bool
-    _inside: tuple[Any, ...] | None = None
-    _outside: tuple[Any, ...] | None = None
-
-    @property
-    def inside(self) -> tuple[Any, ...]:
-        if self._inside is None:
-            self._inside = inside(self.hint)
-        return self._inside
-
-    @property
-    def outside(self) -> tuple[Any, ...]:
-        if self._outside is None:
-            self._outside = _outside(self.hint)
-        return self._outside
-
-
-_FORMS: dict[int, _Form] = {}
-
-
-def _form(hint: Any) -> _Form:
-    """By the object itself: to hash a type costs more than all that is done with it."""
-    form = _FORMS.get(id(hint))
-    if form is None or form.hint is not hint:
-        kind, marks = _taken_apart(hint)
-        options = _alternatives(kind)
-        each = tuple(Annotated[option, *marks] if marks else option for option in options)
-        form = _Form(hint, kind, marks, options, each, get_origin(kind), get_args(kind), is_dataclass(kind))
-        _FORMS[id(hint)] = form
-    return form
-
-
-@cache
-def _names(cls: Any) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(cls))
-
-
-@cache
-def inside(hint: Any) -> tuple[Any, ...]:
-    """Values of a simple field at, and just within, its limits."""
-    kind, marks = _taken_apart(hint)
-    if get_origin(kind) is Literal:
-        return get_args(kind)
-    if kind is type(None):
-        return (None,)
-    if kind is bool:
-        return (True, False)
-    for mark in marks:
-        if isinstance(mark, Range) and kind is int:
-            low, high = int(mark.low), int(mark.high)
-            near = (low, low + 1, low + 2, 1, 2, (low + high) // 2, high - 1, high)
-            return tuple(n for n in dict.fromkeys(near) if low <= n <= high)
-        if isinstance(mark, Range):
-            first, last = float(mark.low), float(mark.high)
-            steps = (first, math.nextafter(first, last), 0.0, -0.0, 5e-324, 0.5, math.nextafter(last, first), last)
-            return tuple(x for x in steps if first <= x <= last)
-        if isinstance(mark, Text):
-            texts = ("a", "r1", "a.b-c_d", "0" * mark.most, "m@1/x", "", "ü" * mark.most, "two words", "new\nline")
-            return tuple(text for text in texts if _fits(text, mark))
-    raise TypeError(f"{hint} declares no range")
-
-
-@cache
-def _outside(hint: Any) -> tuple[Any, ...]:
-    beyond: list[Any] = list(NO_FIELD)
-    for option in _alternatives(_taken_apart(hint)[0]):
-        kind, marks = _taken_apart(option)
-        for mark in (*_taken_apart(hint)[1], *marks):
-            if isinstance(mark, Range) and kind is int:
-                beyond += [int(mark.low) - 1, int(mark.high) + 1, float(mark.low)]
-            elif isinstance(mark, Range):
-                beyond += [math.nextafter(mark.low, -math.inf), math.nextafter(mark.high, math.inf), str(mark.low)]
-            elif isinstance(mark, Text):
-                beyond += ["a" * (mark.most + 1), "ü" * (mark.most + 1)]
-    return tuple(value for value in beyond if fault(value, hint, "it"))
-
-
-def outside(hint: Any) -> tuple[Any, ...]:
-    """Values that a field of this type may not hold: beyond its limits, of other types, of any other kind."""
-    return _form(hint).outside
-
-
-def _fits(text: str, mark: Text) -> bool:
-    pattern = mark.pattern.removeprefix("^").removesuffix("$")
-    return len(text) <= mark.most and (not pattern or re.fullmatch(pattern, text) is not None)
-
-
-def fault(value: Any, hint: Any, where: str) -> str:
-    """What `value` holds that a field of this type may not, with its place; empty where all is allowed."""
-    form = _form(hint)
-    kind, marks = form.kind, form.marks
-    if len(form.options) > 1:
-        found = [fault(value, each, where) for each in form.each]
-        return "" if "" in found else found[0]
-    if form.is_record:
-        return _record_fault(value, kind, where)
-    if form.origin is Literal:
-        return "" if isinstance(value, str) and value in form.args else f"{where} is {value!r}"
-    if kind in (type(None), bool):
-        return "" if type(value) is kind else f"{where} is {value!r}"
-    if form.origin in (dict, tuple):
-        return _container_fault(value, form, where)
-    for mark in marks:
-        if isinstance(mark, Text) and not (type(value) is str and _fits(value, mark)):
-            return f"{where} is {value!r:.60}"
-        if isinstance(mark, Range):
-            number = type(value) is int or (kind is float and type(value) is float and math.isfinite(value))
-            if not (number and mark.low <= value <= mark.high):
-                return f"{where} is {value!r:.60}"
-    return "" if any(isinstance(mark, (Text, Range)) for mark in marks) else f"{where} of {hint} declares no range"
-
-
-def _container_fault(value: Any, form: _Form, where: str) -> str:
-    most = next((mark.most for mark in form.marks if isinstance(mark, Items)), None)
-    if most is None:
-        return f"{where} declares no number of items"
-    if not isinstance(value, dict if form.origin is dict else list | tuple) or len(value) > most:
-        return f"{where} is {value!r:.60}"
-    if isinstance(value, dict):
-        keys, values = form.args
-        found = [fault(k, keys, f"{where}.key") or fault(v, values, f"{where}.{k}") for k, v in value.items()]
-    else:
-        found = [fault(item, form.args[0], f"{where}.{n}") for n, item in enumerate(value)]
-    return next(filter(None, found), "")
-
-
-def _record_fault(value: Any, cls: Any, where: str) -> str:
-    if not isinstance(value, cls):
-        return f"{where} is {value!r:.60}, no {cls.__name__}"
-    arrays: dict[str, ArraySpec] = getattr(cls, "ARRAYS", {})
-    hints = _hints(cls)
-    for name in _names(cls):
-        if name not in arrays and (found := fault(getattr(value, name), hints[name], f"{where}.{name}")):
-            return found
-    for name, spec in arrays.items():
-        array = getattr(value, name)
-        if array is None:
-            if not spec.optional:
-                return f"{where}.{name} is None"
-        elif found := spec.fault(array.dtype.str[1:], array.shape) or spec.value_fault(array):
-            return f"{where}.{name} {found}"
-    return ""
