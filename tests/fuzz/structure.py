@@ -22,13 +22,16 @@ from conveyor.errors import MessageError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages.base import ArraySpec, Message
 from conveyor.ranges import Items
-from regressor.serve.messages import WeightsParcel, WeightsReport, WeightsState
+from regressor.serve.messages import CloudAnswer, WeightsParcel, WeightsReport, WeightsState
 from tests.fuzz.declared import NO_FIELD, fault, form_of, hints_of, names_of, outside
 
 CLASSES: tuple[type[Message], ...] = (
-    m.Frame, m.CameraInfo, m.FrameProgress, m.Travel, m.View, m.Weight, m.TrackEntry, m.Committed, m.Tuber, m.Totals,
-    m.Counters, m.Picture, WeightsParcel, WeightsReport, WeightsState,
-)  # fmt: skip
+    *(cls for name in m.__all__ if issubclass(cls := getattr(m, name), Message) and cls is not Message),
+    CloudAnswer,
+    WeightsParcel,
+    WeightsReport,
+    WeightsState,
+)
 """Every message that crosses a process boundary."""
 Pick = Callable[[Sequence[Any]], Any]
 SMALL_BYTES = 4096
