@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +111,11 @@ def train(
 def load_sets(
     options: RunOptions, on_prepared: Callable[[str, int], None], *, keep: int = KEEP
 ) -> tuple[CloudSet, CloudSet]:
-    """(training, validation) sets without a tuber in both: shared ones are left out of the training."""
+    """(training, validation) sets without a tuber in both: shared ones are left out of the training.
+
+    So are tubers under soil (counted as refused): their truth is their weight without it, nothing in a view tells it,
+    and clean tubers would read light for it.
+    """
     cache = options.cache or options.out / "cache"
     validation = load_cloudset(
         options.validation,
@@ -131,7 +135,21 @@ def load_sets(
     shared = np.isin(_identity(data), _identity(validation))
     if shared.all():
         raise InputError(f"every tuber of {options.data} is also in {options.validation}: nothing is left to train on")
-    return data.subset(~shared) if shared.any() else data, validation
+    return clean_views(data.subset(~shared) if shared.any() else data, options.data), validation
+
+
+def clean_views(data: CloudSet, source: Path) -> CloudSet:
+    """The views of tubers that are not known to be under soil; the others are counted as refused.
+
+    Raises:
+        InputError: all are.
+    """
+    if not data.clean.any():
+        raise InputError(f"every tuber of {source} is under soil: nothing is left to train on")
+    under_soil = int((~data.clean).sum())
+    if not under_soil:
+        return data
+    return replace(data.subset(data.clean), refused={**data.refused, "under_soil": under_soil})
 
 
 def _identity(data: CloudSet) -> NDArray[np.str_]:
