@@ -21,7 +21,7 @@ from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoi
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN
-from regressor.training.train import SWIFT, predict
+from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
@@ -185,14 +185,7 @@ def recalibrate(
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
     views = load_cloudset(data, cache=cache, max_views=max_views, progress=preparing(data, on_work))
     views = views.with_target(sidecar.target)
-    network_g = predict(
-        model,
-        views,
-        highest_m=sidecar.input.max_height_m,
-        resolution=SWIFT,
-        compute=compute,
-        on_views=lambda done, of: on_work("weighing", done, of),
-    )
+    network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule, worlds=sidecar.worlds)

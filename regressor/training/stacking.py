@@ -17,7 +17,7 @@ from conveyor.errors import InputError
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
-from regressor.training.train import SWIFT, predict
+from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, fit_blend
 from regressor.weigh.quadratic import fit_quadratic
@@ -58,14 +58,7 @@ def restack(
             f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
             "blend is fitted over recordings, each of which shares one belt and one camera"
         )
-    network_g = predict(
-        model,
-        views,
-        highest_m=sidecar.input.max_height_m,
-        resolution=SWIFT,
-        compute=compute,
-        on_views=lambda done, of: on_work("weighing", done, of),
-    )
+    network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
     volume_g, found = cross_fitted(seen, views, with_seen=known)
     everything = joined([seen, views])

@@ -26,6 +26,7 @@ from regressor.network.reduced import FULL, Resolution
 from regressor.training.augment import augmented_batch
 from regressor.training.cloudset import TARGET_POWER, CloudSet
 from regressor.training.recipe import TrainSettings
+from regressor.training.work import Work, no_work
 
 CLASS_G = 50.0
 CLASSES = 10
@@ -242,3 +243,22 @@ def predict(
             out.append(weights.cpu().numpy())
             on_views(min(begin + batch, len(data)), len(data))
     return np.concatenate(out).astype(np.float64)
+
+
+def predict_swiftly(
+    model: Network,
+    data: CloudSet,
+    *,
+    highest_m: float,
+    compute: torch.dtype | None = None,
+    on_work: Work = no_work,
+) -> NDArray[np.float64]:
+    """(n,) grams as `predict` has them, at `SWIFT` resolution; `on_work` is told how many views are weighed."""
+    return predict(
+        model,
+        data,
+        highest_m=highest_m,
+        resolution=SWIFT,
+        compute=compute,
+        on_views=lambda done, of: on_work("weighing", done, of),
+    )
