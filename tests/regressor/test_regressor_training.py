@@ -25,7 +25,7 @@ from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.loop import load_state, save_state
 from regressor.training.recipe import TrainSettings
-from regressor.training.run import RunOptions, load_sets, train
+from regressor.training.run import RunOptions, clean_views, load_sets, train
 from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
 from regressor.weigh.volume import fit_volume_rule
@@ -181,6 +181,18 @@ def test_tubers_of_the_validation_set_are_left_out(packs: Path, tmp_path: Path) 
         load_sets(
             replace(options, data=packs / "val", validation=both, max_validation_views=99), lambda what, done: None
         )
+
+
+def test_tubers_under_soil_are_left_out_and_counted(data: CloudSet) -> None:
+    """Their truth is their weight without it; where nothing is known of soil, all stay."""
+    assert len(clean_views(data, Path("pack"))) == len(data)
+    soil_mm = np.where(np.arange(len(data)) < 7, 1.5, 0.0)
+    kept = clean_views(replace(data, soil_mm=soil_mm), Path("pack"))
+    assert len(kept) == len(data) - 7
+    assert kept.refused == {**data.refused, "under_soil": 7}
+    assert (kept.weight_g == data.weight_g[7:]).all()
+    with pytest.raises(InputError, match="pack is under soil"):
+        clean_views(replace(data, soil_mm=np.full(len(data), 1.5)), Path("pack"))
 
 
 def test_the_cache_notices_changed_inputs(tmp_path: Path) -> None:
