@@ -7,7 +7,7 @@ from collections.abc import Iterable
 CAMERA_NOISE = "camera_noise"
 """Its camera was noisier than those that the weights were trained for."""
 CAMERA_UNLIKE = "camera_unlike"
-"""Noise and holes on its skin are those of cameras that the weights were not trained for."""
+"""Noise and holes on its skin are those of a poor camera, unlike those of a good one."""
 MOUNT_MOVED = "mount_moved"
 """The camera was nearer to the belt, or farther, than calibrated: heights are from the belt as it is seen."""
 DEPTH_DRIFT = "depth_drift"

@@ -90,13 +90,17 @@ CAMERAS: dict[World, CameraRange] = {
 `tuberline camera profile`, at 0.345 and 0.460 m and in both depth units (docs/cameras.md); all else is what the
 simulator is told. Of `missing` all three are as measured."""
 
+GOOD: tuple[World, ...] = ("easy", "field")
+"""Worlds whose cameras are good ones, with clean front glasses: intervals of views tell them from poor ones
+(`regressor.weigh.unlike`)."""
+
 
 def camera_range(worlds: Iterable[str]) -> CameraRange:
     """What the cameras of `worlds` span together; of no known world: of `easy` and `field`.
 
     Worlds of other names ('mixed' packs say 'easy' and 'field' themselves) add nothing.
     """
-    known = [CAMERAS[name] for name in CAMERAS if name in set(worlds)] or [CAMERAS["easy"], CAMERAS["field"]]
+    known = [CAMERAS[name] for name in CAMERAS if name in set(worlds)] or [CAMERAS[name] for name in GOOD]
 
     def span(name: str) -> Range:
         ranges = [getattr(one, name) for one in known]

@@ -26,7 +26,7 @@ FACTOR_SD = math.hypot(DENSITY_SD, SCALE_SD, DRIFT_SD)
 """Of all that multiplies a load's weight: 3.8 %."""
 
 OTHER_CAMERA_SD = 0.07
-"""The same beside that for a camera unlike those that the weights were trained for, by its noise and holes: found in
+"""The same beside that for a camera unlike a good one, by its noise and holes: found in
 279 recordings of `harsh` (`regressor.training.calibration.load_shares`; 5.2 % of it are scale and drift, the rest the
 soil under which half of these tubers lie)."""
 
@@ -57,7 +57,7 @@ def factor_sd(*, gauged: bool) -> float:
 def shared_sd_share(offset_sd_mm: float, *, other_share: float = 0.0) -> float:
     """Of a load's weight before any ticket, as a share of it: standard deviation of what its tubers share.
 
-    `other_share`: of it, seen by cameras unlike those that the weights were trained for.
+    `other_share`: of it, seen by cameras unlike good ones.
     """
     return math.hypot(
         SHARE_PER_MM * offset_sd_mm, FACTOR_SD, CULTIVAR_SD, load_sd_share(), OTHER_CAMERA_SD * other_share

@@ -107,7 +107,7 @@ def camera_sd(other_share: float, off_mm: float) -> float:
     may have changed since.
 
     Args:
-        other_share: of its weight, seen by cameras unlike those that the weights were trained for.
+        other_share: of its weight, seen by cameras unlike good ones.
         off_mm: how far the belt was seen off its calibration with no gauge to say why, mean over its weight.
     """
     return math.hypot(OTHER_CAMERA_SD * other_share, OFF_SD_PER_MM * off_mm)

@@ -27,7 +27,7 @@ class LoadSums:
 
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
     `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
-    saw which are noisier than those the weights were trained for, or unlike them in other ways; `off_g_mm` its sum
+    saw which are noisier than those the weights were trained for, or unlike good ones; `off_g_mm` its sum
     times the millimetres by which the belt was seen off its calibration, with no gauge to say why.
     """
 
@@ -118,7 +118,7 @@ class LoadSums:
         return sum(weight_g for _, weight_g in self.weighed.values())
 
     def camera_doubt(self) -> tuple[float, float]:
-        """(share of the weight seen by cameras unlike those trained for, mean mm the belt was off, cause unknown)."""
+        """(share of the weight seen by cameras unlike good ones, mean mm the belt was off, cause unknown)."""
         whole_g = self.as_weighed_g
         return (self.noisy_g / whole_g, self.off_g_mm / whole_g) if whole_g > 0 else (0.0, 0.0)
 

@@ -48,7 +48,7 @@ class Evaluation:
         weight_g: (n,) truth. tuber, recording, and `groups` (name of a grouping to (n,) labels): (n,) str.
         level_sd_m: (n,) how well the resting level is known, standard deviation.
         flags: how many views carried each. refused: views that could not be weighed, by reason.
-        unlike: (n,) whether a view was flagged as one of a camera unlike those that the weights were trained for.
+        unlike: (n,) whether a view was flagged as one of a camera unlike a good one.
         shared_sd_share, shared_bias_share, shared_level_share_per_mm, shared_other_share: of the weights' sidecar, for
             the intervals of fused tubers and of loads.
     """

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from conveyor.camera_range import CAMERAS
+from conveyor.camera_range import CAMERAS, GOOD
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
@@ -61,16 +61,12 @@ def calibration(
     data: CloudSet,
     *,
     rule: BlendRule,
-    worlds: tuple[str, ...],
 ) -> Calibration:
-    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`.
-
-    `worlds`: that the weights were trained on; views of others have cameras unlike those.
-    """
+    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`."""
     weight_g = rule.weights_g(network_g, volume_g, data.features)
     terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
     recordings = len(np.unique(data.recording))
-    unlike = np.isin(data.preset, list(CAMERAS)) & ~np.isin(data.preset, worlds)
+    unlike = np.isin(data.preset, list(CAMERAS)) & ~np.isin(data.preset, GOOD)
     if all(len(np.unique(data.recording[kind])) >= MIN_RECORDINGS for kind in (unlike, ~unlike)):
         interval = calibrate_cameras(
             weight_g,
@@ -129,7 +125,7 @@ def load_shares(
 
     The bias of the total differs between recordings by more than their tubers' number explains: that part does not
     shrink with the count. Its square is own^2, plus (per mm times the standard deviation of the resting level)^2, plus
-    other^2 as far as the recording's views are of cameras unlike those trained for (`unlike`: (n,) chances); own,
+    other^2 as far as the recording's views are of cameras unlike good ones (`unlike`: (n,) chances); own,
     cultivar and what the weights misjudge, is at least 1 %. Where recordings are unknown, stock, distance and site
     stand for them and all of it is the load's own.
     """
@@ -188,7 +184,7 @@ def recalibrate(
     network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
     rule = sidecar.blend_rule
-    found = calibration(network_g, volume_g, views, rule=rule, worlds=sidecar.worlds)
+    found = calibration(network_g, volume_g, views, rule=rule)
     weight_g = rule.weights_g(network_g, volume_g, views.features)
     metrics = {**sidecar.metrics, "calibration": scores(weight_g, views.weight_g, views.tuber)}
     return save_checkpoint(

@@ -183,7 +183,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         length_mm=_range(data.features[:, 2], 0.0),
         worlds=worlds,
         volume_share=share,
-        **calibration(predicted, by_volume, validation, rule=BlendRule(share), worlds=worlds).sidecar_keys(),
+        **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,

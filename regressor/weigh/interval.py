@@ -5,7 +5,7 @@ suggests (`regressor.weigh.viewscale`). Their 5 % and 95 % quantiles per class o
 finite-sample correction) times the scale are added to a prediction; between the classes' centres they are
 interpolated, so that the interval does not jump. Sidecars made before there was a scale hold grams: their scale is 1.
 
-Views of cameras unlike those that the weights were trained for (`regressor.weigh.unlike`) have scale and quantiles of
+Views of cameras unlike good ones (`regressor.weigh.unlike`) have scale and quantiles of
 their own. Which camera took a view is known with a chance only; the interval lies between the two by that chance.
 """
 
@@ -34,7 +34,7 @@ class IntervalRule:
 
     Attributes:
         at_g: the predictions, rising, at which `below_g` and `above_g` hold.
-        camera, other: how likely the view is of a camera unlike those trained for, and the interval that it has then;
+        camera, other: how likely the view is of a camera unlike a good one, and the interval that it has then;
             None where only one kind of camera was calibrated.
     """
 
@@ -48,7 +48,7 @@ class IntervalRule:
     other: IntervalRule | None = None
 
     def unlike(self, noise_px: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) chance that a camera unlike those trained for took each view; arguments of `unlike.camera_terms`."""
+        """(n,) chance that a camera unlike a good one took each view; arguments of `unlike.camera_terms`."""
         return self.camera.chance(noise_px, features) if self.camera else np.zeros(len(features))
 
     def bounds_g(
@@ -136,15 +136,15 @@ def calibrate_cameras(
     recording: NDArray[np.str_],
     level: float = LEVEL,
 ) -> IntervalRule:
-    """The rule that covers `level` of the views of cameras trained for, and of those of all others.
+    """The rule that covers `level` of the views of good cameras, and of those of all others.
 
-    Some views of the others look like those trained for: their intervals are too narrow. So the ones that are
-    recognised are given a higher level, the least with which the others hold as a whole. Cameras trained for keep the
+    Some views of the others look like those of good ones: their intervals are too narrow. So the ones that are
+    recognised are given a higher level, the least with which the others hold as a whole. Good cameras keep the
     level that is asked for, though a few of their views get the others' width.
 
     Args:
         predicted_g, weight_g, terms, level: as for `calibrate`. noise_px, features: as for `unlike.camera_terms`.
-        unlike: (n,) which views cameras took that the weights were not trained for. recording: (n,) of each view.
+        unlike: (n,) which views poor cameras took. recording: (n,) of each view.
     """
     camera = fit_camera(noise_px, features, unlike)
     chance = camera.chance(noise_px, features)

@@ -1,8 +1,8 @@
-"""How far a view looks as if another kind of camera had taken it than those that the weights were trained for.
+"""How far a view looks as if a poor camera had taken it, unlike the good ones.
 
-A camera with more noise, or with more holes on skins, than any in training errs in ways that no single view shows: its
+A camera with more noise, or with more holes on skins, than a good one errs in ways that no single view shows: its
 depth scale, its drift. Its weights need wider intervals. A logistic regression on what each view tells of its camera
-says how likely that is; it is fitted to views of simulated worlds, those trained for and others.
+says how likely that is; it is fitted to views of simulated worlds (`conveyor.camera_range.GOOD` and the others).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from regressor.weigh.surface import NAMES
 
 TERMS = ("noise", "much_noise", "holes_root", "holes")
 TYPICAL_PX, LEAST_PX, MUCH_PX = 0.03, 0.02, 0.05
-"""Local noise of the cameras trained for, which one whose noise is not known is taken to have; below `LEAST_PX` a
-camera is only better; over `MUCH_PX` nearly none trained for is (0.1 mm steps: 0.02 to 0.025; 1 mm: up to 0.052)."""
+"""Local noise of good cameras, which one whose noise is not known is taken to have; below `LEAST_PX` a
+camera is only better; over `MUCH_PX` nearly no good one is (0.1 mm steps: 0.02 to 0.025; 1 mm: up to 0.052)."""
 MANY_HOLES = 0.006
-"""Share of the outline without depth, beyond which more makes no difference: nearly no camera trained for has it."""
+"""Share of the outline without depth, beyond which more makes no difference: nearly no good camera has it."""
 RIDGE = 1e-4
 HOLES = NAMES.index("hole_share")
 
@@ -47,7 +47,7 @@ class CameraRule:
     slopes: tuple[float, ...]
 
     def chance(self, noise_px: NDArray[np.float64], features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) between 0 and 1: that a camera unlike those trained for took the view; arguments of `camera_terms`."""
+        """(n,) between 0 and 1: that a camera unlike a good one took the view; arguments of `camera_terms`."""
         odds = self.intercept + camera_terms(noise_px, features) @ np.array(self.slopes)
         chances: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-odds))
         return chances
@@ -69,7 +69,7 @@ class CameraRule:
 
 
 def fit_camera(noise_px: NDArray[np.float64], features: NDArray[np.float64], unlike: NDArray[np.bool_]) -> CameraRule:
-    """The rule from n views; `unlike`: (n,) which of them cameras took that the weights were not trained for."""
+    """The rule from n views; `unlike`: (n,) which of them poor cameras took."""
     terms = camera_terms(noise_px, features)
     centre, spread = terms.mean(0), np.maximum(terms.std(0), 1e-9)
     design = np.column_stack([np.ones(len(terms)), (terms - centre) / spread])

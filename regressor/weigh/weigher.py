@@ -30,7 +30,7 @@ from regressor.weigh.volume import TYPICAL_RULE
 
 VOLUME_MODEL = "volume"
 SURELY_UNLIKE = 0.75
-"""Chance from which on a weight is flagged as one of a camera unlike those trained for."""
+"""Chance from which on a weight is flagged as one of a camera unlike a good one."""
 BATCHED = "batched"
 """Flag of a weight whose last digit may depend on the views that it was weighed together with."""
 
@@ -59,7 +59,7 @@ class Weigher:
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise), 'camera_unlike' (noise and holes of a camera that the training did not know),
+    visible volume says otherwise), 'camera_unlike' (noise and holes of a poor camera),
     'bfloat16', 'centroids_64' and 'batched' (not computed in the exact form).
     """
 
@@ -181,7 +181,7 @@ class Weigher:
         )
 
     def _unlike(self, cloud: PreparedCloud) -> float:
-        """The chance that a camera unlike those trained for took this view."""
+        """The chance that a camera unlike a good one took this view."""
         if self._interval is None:
             return 0.0
         noise_px = np.array([np.nan if cloud.noise_px is None else cloud.noise_px])
