@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Protocol
 
@@ -15,7 +16,7 @@ from regressor.network.pointnet import PointNet
 from regressor.network.sampling import farthest_points
 from regressor.weigh.prepare import PreparedCloud
 from regressor.weigh.volume import TYPICAL_RULE
-from regressor.weigh.weigher import Weighed, Weigher
+from regressor.weigh.weigher import Weighed, Weigher, features_of
 
 
 class Scale(Protocol):
@@ -47,7 +48,7 @@ class PointNetScale:
     def weigh(
         self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
     ) -> Weighed:
-        """The network's grams for the cloud's first 1024 farthest points; neither sd changes anything."""
+        """The network's grams for the cloud's first 1024 farthest points; neither sd changes them."""
         points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
         with torch.inference_mode():
             weight_g = float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])
@@ -56,7 +57,7 @@ class PointNetScale:
             low_g=weight_g,
             high_g=weight_g,
             network_g=weight_g,
-            volume_g=self._volume.weight_g(cloud.surface),
+            volume_g=float(self._volume.weights_g(features_of(cloud, math.hypot(belt_sd_m, resting_sd_m)))[0]),
             method="pointraft",
             model=self._sidecar.model_id,
             flags=cloud.flags,

@@ -22,7 +22,6 @@ from regressor.studies.metrics import scores
 from regressor.training.labelled import UNKNOWN, LabelledView, Resting, read_labelled
 from regressor.weigh.prepare import RefusedCloud
 from regressor.weigh.surface import NAMES
-from regressor.weigh.volume import TYPICAL_RULE
 from regressor.weigh.weigher import Weighed
 
 NETWORK = "PointRAFT"
@@ -138,12 +137,11 @@ def _collect(
 ) -> Evaluation:
     weight_g = np.array([getattr(view, weigher.sidecar.target) for view in views])
     tuber = np.array([view.tuber for view in views])
-    rule = weigher.sidecar.fitted_volume_rule or TYPICAL_RULE
     surface, box = features[:, : len(NAMES)], features[:, len(NAMES) :]
     predicted = {
         SHIPPED: np.array([answer.weight_g for answer in answers]),
         NETWORK: np.array([answer.network_g or answer.weight_g for answer in answers]),
-        VOLUME_RULE: rule.weights_g(surface),
+        VOLUME_RULE: np.array([answer.volume_g for answer in answers]),
         VISIBLE_VOLUME: cross_validated(fit_linear, surface[:, :1], weight_g, tuber),
         PRODUCT: cross_validated(fit_product, surface[:, 2:5], weight_g, tuber),
         LINEAR_BOX: cross_validated(fit_linear, box, weight_g, tuber),

@@ -63,7 +63,7 @@ def calibration(
     rule: BlendRule,
 ) -> Calibration:
     """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`."""
-    weight_g = rule.weights_g(network_g, volume_g, data.features)
+    weight_g = rule.weights_g(network_g, volume_g, data.view_features)
     terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
     recordings = len(np.unique(data.recording))
     unlike = np.isin(data.preset, list(CAMERAS)) & ~np.isin(data.preset, GOOD)
@@ -182,10 +182,10 @@ def recalibrate(
     views = load_cloudset(data, cache=cache, max_views=max_views, progress=preparing(data, on_work))
     views = views.with_target(sidecar.target)
     network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
-    volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.features)
+    volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule)
-    weight_g = rule.weights_g(network_g, volume_g, views.features)
+    weight_g = rule.weights_g(network_g, volume_g, views.view_features)
     metrics = {**sidecar.metrics, "calibration": scores(weight_g, views.weight_g, views.tuber)}
     return save_checkpoint(
         weights, model.state_dict(), sidecar.model_copy(update={**found.sidecar_keys(), "metrics": metrics})

@@ -27,6 +27,7 @@ from regressor.training import labelled
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
 from regressor.weigh import outline, prepare, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
+from regressor.weigh.view_features import view_features
 
 KEEP = 384
 
@@ -96,6 +97,11 @@ class CloudSet:
     def clean(self) -> NDArray[np.bool_]:
         """(n,) whether no soil is known to stick to the tuber: what soil adds to a volume no view shows."""
         return ~(self.soil_mm > 0)
+
+    @property
+    def view_features(self) -> NDArray[np.float64]:
+        """(n, 19) what rules read, as in `view_features.VIEW_NAMES`."""
+        return view_features(self.features, self.noise_px, self.level_sd_m)
 
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
         """The chosen rows."""

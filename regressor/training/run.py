@@ -79,7 +79,7 @@ def train(
     keep_memory()
     data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
     data, validation = (views.with_target(settings.target) for views in (data, validation))
-    rule = fit_volume_rule(data.features, data.weight_g)
+    rule = fit_volume_rule(data.view_features, data.weight_g)
     training = Training(data, validation, settings)
     if options.start is not None:
         training.start_from(read_checkpoint(options.start)[0])
@@ -164,7 +164,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
     Validation figures are a little kind: the volume rule's share and the intervals were chosen on the same views.
     """
     data, validation, progress = training.data, training.validation, training.progress
-    by_volume = rule.weights_g(validation.features)
+    by_volume = rule.weights_g(validation.view_features)
     share = best_share(predicted, by_volume, validation.weight_g)
     blended = blend(predicted, by_volume, share)
     worlds = tuple(str(name) for name in np.unique(data.preset) if name in CAMERAS)

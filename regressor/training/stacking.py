@@ -20,7 +20,8 @@ from regressor.training.cloudset import CloudSet, joined, load_cloudset
 from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, fit_blend
-from regressor.weigh.quadratic import fit_quadratic
+from regressor.weigh.quadratic import QuadraticRule, fit_quadratic
+from regressor.weigh.view_features import VIEW_NAMES
 from regressor.weigh.volume import fit_volume_rule
 
 FOLDS = 5
@@ -69,10 +70,12 @@ def restack(
         world=views.preset,
         found=found,
         truth=_truth(views) if known else None,
-        seen=tuple(fit_quadratic(everything.features, column) for column in _truth(everything).T) if known else (),
+        seen=tuple(fit_quadratic(everything.view_features, column, names=VIEW_NAMES) for column in _truth(everything).T)
+        if known
+        else (),
     )
-    volume_rule = fit_volume_rule(everything.features, everything.weight_g)
-    weight_g = rule.weights_g(network_g, volume_g, views.features)
+    volume_rule = fit_volume_rule(everything.view_features, everything.weight_g)
+    weight_g = rule.weights_g(network_g, volume_g, views.view_features)
     changes = {
         "volume_share": rule.share,
         "blend": rule.to_json(),
@@ -94,11 +97,16 @@ def cross_fitted(
     grams, found = np.empty(len(views)), np.empty((len(views), len(SEEN)))
     for which in range(FOLDS):
         rest, rows = joined([seen, views.subset(fold != which)]), fold == which
-        grams[rows] = fit_volume_rule(rest.features, rest.weight_g).weights_g(views.features[rows])
+        grams[rows] = fit_volume_rule(rest.view_features, rest.weight_g).weights_g(views.view_features[rows])
         if with_seen:
-            fits = [fit_quadratic(rest.features, column) for column in _truth(rest).T]
-            found[rows] = np.column_stack([fit.values(views.features[rows]) for fit in fits])
+            fits = _rules_of_seen(rest)
+            found[rows] = np.column_stack([fit.values(views.view_features[rows]) for fit in fits])
     return grams, found if with_seen else None
+
+
+def _rules_of_seen(data: CloudSet) -> tuple[QuadraticRule, ...]:
+    """What shows each of `blend.SEEN`, from views where it is known."""
+    return tuple(fit_quadratic(data.view_features, column, names=VIEW_NAMES) for column in _truth(data).T)
 
 
 def _truth(data: CloudSet) -> NDArray[np.float64]:

@@ -52,7 +52,7 @@ class BlendRule:
         volume_g: NDArray[np.float64],
         features: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """(n,) grams of n views: (n,) grams of both parts, (n, 17) features in the order of `surface.NAMES`."""
+        """(n,) grams of n views: (n,) grams of both parts, (n, 19) features in the order of `VIEW_NAMES`."""
         mixed = blend(network_g, volume_g, self.share)
         if self == BlendRule(self.share):  # the same bits as before there was a correction
             return mixed

@@ -20,6 +20,10 @@ from regressor.weigh.interval import IntervalRule
 from regressor.weigh.quadratic import UNITS, QuadraticRule
 from regressor.weigh.surface import NAMES
 from regressor.weigh.unlike import HOLES, LEAST_PX, MANY_HOLES, MUCH_PX, TYPICAL_PX, CameraRule
+from regressor.weigh.view_features import LEAST_PX as LEAST_NOISE_PX
+from regressor.weigh.view_features import LEAST_SD_MM, MOST_SD_MM, VIEW_NAMES
+from regressor.weigh.view_features import MOST_PX as MOST_NOISE_PX
+from regressor.weigh.view_features import TYPICAL_PX as TYPICAL_NOISE_PX
 from regressor.weigh.viewscale import OWN_ERROR, TYPICAL_G, ScaleRule
 from regressor.weigh.volume import TYPICAL_RULE, VolumeRule
 
@@ -50,8 +54,9 @@ class WeighingGraph(nn.Module):
                 noise of 0 is one that is not known.
         """
         network_g = self.network(groups, height_m.clamp(0.0, self._highest_m)).double()
-        volume_g = volume_rule(self._volume, features)
-        weight_g = blended(self._blend, network_g, volume_g, features)
+        view = view_features(features, noise_px, belt_sd_m)
+        volume_g = volume_rule(self._volume, view)
+        weight_g = blended(self._blend, network_g, volume_g, view)
         terms = view_terms(weight_g, network_g, volume_g, features, height_m.double(), belt_sd_m)
         low_g, high_g = self._bounds(weight_g, terms, features, noise_px)
         # A network that fails is not believed: the visible volume weighs alone.
@@ -78,6 +83,13 @@ class WeighingGraph(nn.Module):
         return (weight_g + below + idle).clamp(min=0.0), weight_g + above
 
 
+def view_features(features: Tensor, noise_px: Tensor, level_sd_m: Tensor) -> Tensor:
+    """(B, 19); as `view_features.view_features`, a noise of 0 being one that is not known."""
+    noise = torch.where(noise_px > 0, noise_px, TYPICAL_NOISE_PX * _one(noise_px)).clamp(LEAST_NOISE_PX, MOST_NOISE_PX)
+    level_sd_mm = (1e3 * level_sd_m).clamp(LEAST_SD_MM, MOST_SD_MM)
+    return torch.cat([features, noise[:, None], level_sd_mm[:, None]], dim=1)
+
+
 def volume_rule(rule: VolumeRule, features: Tensor) -> Tensor:
     """(B,) grams; as `VolumeRule.weights_g`."""
     terms = _terms(features, rule.names)
@@ -101,7 +113,7 @@ def blended(rule: BlendRule, network_g: Tensor, volume_g: Tensor, features: Tens
 
 def quadratic_rule(rule: QuadraticRule, features: Tensor) -> Tensor:
     """(B,); as `QuadraticRule.values`."""
-    terms = _between(_terms(features, NAMES), rule.low, rule.high)
+    terms = _between(_terms(features, rule.names), rule.low, rule.high)
     found = rule.intercept + terms @ _row(rule.coefficients) + _pairs(terms, rule.low, rule.high) @ _row(rule.products)
     return found.clamp(rule.least, rule.most)
 
@@ -156,7 +168,7 @@ def _interpolated(x: Tensor, at: Sequence[float], values: Sequence[float]) -> Te
 
 
 def _terms(features: Tensor, names: Sequence[str]) -> Tensor:
-    columns = [features[:, NAMES.index(name)] for name in names]
+    columns = [features[:, VIEW_NAMES.index(name)] for name in names]
     logs = [c.clamp(min=1e-3).log() if n.endswith(UNITS) else c for n, c in zip(names, columns, strict=True)]
     return torch.stack(logs, dim=1)
 

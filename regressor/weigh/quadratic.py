@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from regressor.weigh.surface import NAMES
+from regressor.weigh.view_features import VIEW_NAMES
 
-UNITS = ("_ml", "_cm2", "_mm")
+UNITS = ("_ml", "_cm2", "_mm", "_px")
 RIDGE = 3e-3
 CLIP_SHARE = 0.001
+FLAT = 1e-6
+"""Standard deviation of a column below which it says nothing: its slope is none."""
 
 
 def terms_of(
-    features: NDArray[np.float64], names: tuple[str, ...], *, known: tuple[str, ...] = NAMES
+    features: NDArray[np.float64], names: tuple[str, ...], *, known: tuple[str, ...] = VIEW_NAMES
 ) -> NDArray[np.float64]:
     """(n, k) of (n, m) features as in `known`: the logarithm of a feature with a unit, the feature itself else."""
     columns, with_unit = _columns(names, known)
@@ -59,6 +62,13 @@ def ranges_of(terms: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     """(low, high) of each term, without the outermost thousandth."""
     low, high = np.quantile(terms, [CLIP_SHARE, 1 - CLIP_SHARE], axis=0)
     return low, high
+
+
+def spreads_of(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(k,) standard deviation of (n, k) columns; infinite where a column is the same everywhere."""
+    spread = columns.std(0)
+    spreads: NDArray[np.float64] = np.where(spread > FLAT, spread, np.inf)
+    return spreads
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +117,7 @@ def fit_quadratic(
     low, high = ranges_of(terms)
     terms = np.clip(terms, low, high)
     columns = np.column_stack([terms, pairs_of(terms, low, high)])
-    centre, spread = columns.mean(0), np.maximum(columns.std(0), 1e-9)
+    centre, spread = columns.mean(0), spreads_of(columns)
     design = (columns - centre) / spread
     normal = design.T @ design + RIDGE * len(design) * np.eye(design.shape[1])
     slopes = np.linalg.solve(normal, design.T @ (target - target.mean())) / spread

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.quadratic import RIDGE, array_of, pairs_of, ranges_of, terms_of
-from regressor.weigh.surface import NAMES, SurfaceFeatures
+from regressor.weigh.quadratic import RIDGE, array_of, pairs_of, ranges_of, spreads_of, terms_of
+from regressor.weigh.view_features import VIEW_NAMES
 
 FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
 """What a rule from before the other features reads."""
@@ -43,12 +43,8 @@ class VolumeRule:
     high: tuple[float, ...] = ()
     products: tuple[float, ...] = ()
 
-    def weight_g(self, features: SurfaceFeatures) -> float:
-        """Grams."""
-        return float(self.weights_g(features.as_array()[None])[0])
-
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) grams of (n, 17) features in the order of `NAMES`."""
+        """(n,) grams of (n, 19) features in the order of `VIEW_NAMES`."""
         terms = terms_of(features, self.names)
         ln_g = self.intercept + terms @ array_of(self.coefficients)
         if self.products:
@@ -68,9 +64,9 @@ class VolumeRule:
             ValueError: it reads features that this code does not know.
         """
         names = tuple(data["names"])
-        unknown = sorted(set(names) - set(NAMES))
+        unknown = sorted(set(names) - set(VIEW_NAMES))
         if unknown:
-            raise ValueError(f"a volume rule reads {unknown}; known: {', '.join(NAMES)}")
+            raise ValueError(f"a volume rule reads {unknown}; known: {', '.join(VIEW_NAMES)}")
         low, high, products = (tuple(float(v) for v in data.get(key, ())) for key in ("low", "high", "products"))
         return cls(
             float(data["intercept"]),
@@ -87,7 +83,7 @@ def fit_volume_rule(
     features: NDArray[np.float64],
     weight_g: NDArray[np.float64],
     *,
-    names: tuple[str, ...] = NAMES,
+    names: tuple[str, ...] = VIEW_NAMES,
     squares: bool = True,
 ) -> VolumeRule:
     """Ridge-regularised gamma regression with a log link.
@@ -95,12 +91,12 @@ def fit_volume_rule(
     Its relative errors are uncorrelated with every term: no bias over size, pose or rim as far as the terms show them.
 
     Args:
-        features: (n, 17) in the order of `NAMES`. weight_g: (n,). squares: with products of terms.
+        features: (n, 19) in the order of `VIEW_NAMES`. weight_g: (n,). squares: with products of terms.
     """
     terms = terms_of(features, names)
     low, high = ranges_of(terms)
     columns = np.column_stack([terms, pairs_of(terms, low, high)]) if squares else terms
-    centre, spread = columns.mean(0), np.maximum(columns.std(0), 1e-9)
+    centre, spread = columns.mean(0), spreads_of(columns)
     design = np.column_stack([np.ones(len(columns)), (columns - centre) / spread])
     penalty = RIDGE * len(columns) * np.diag([0.0] + [1.0] * columns.shape[1])
     normal = design.T @ design + penalty

@@ -25,6 +25,7 @@ from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefi
 from regressor.network.pointraft import PointRaft
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
 from regressor.weigh.sizes import load_rules, size_features
+from regressor.weigh.view_features import view_features
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
@@ -105,7 +106,8 @@ class Weigher:
         """The weight of one prepared cloud. The same cloud gives the same bits, whatever was weighed before it.
 
         Args:
-            belt_sd_m: how well the belt's height is known, standard deviation; it widens the interval only.
+            belt_sd_m: how well the belt's height is known, standard deviation: the worse, the wider the interval, and
+                the less the height above it counts.
             resting_sd_m: the same of the resting level below it.
         """
         if self._together is not None:
@@ -140,13 +142,14 @@ class Weigher:
 
     def _weighed(self, cloud: PreparedCloud, network_g: float | None, level_sd_m: float) -> Weighed:
         """The weight with its interval, sizes and flags, from the network's answer."""
-        by_volume_g = self._volume.weight_g(cloud.surface)
+        features = features_of(cloud, level_sd_m)
+        by_volume_g = float(self._volume.weights_g(features)[0])
         if network_g is None:
             return self._by_volume(cloud, by_volume_g, cloud.flags, level_sd_m=level_sd_m)
         if not np.isfinite(network_g) or network_g <= 0:
             return self._by_volume(cloud, by_volume_g, (*cloud.flags, "network_failed"), level_sd_m=level_sd_m)
         parts = np.array([network_g]), np.array([by_volume_g])
-        weight_g = float(self._blend.weights_g(*parts, cloud.surface.as_array()[None])[0])
+        weight_g = float(self._blend.weights_g(*parts, features)[0])
         terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
         unlike = self._unlike(cloud)
         low, high = self._bounds(weight_g, terms, unlike)
@@ -204,6 +207,12 @@ class Weigher:
             "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,
         }
         return tuple(name for name, fine in checks.items() if not fine)
+
+
+def features_of(cloud: PreparedCloud, level_sd_m: float) -> NDArray[np.float64]:
+    """(1, 19) of `VIEW_NAMES`, over a resting level with that standard deviation."""
+    noise_px = np.nan if cloud.noise_px is None else cloud.noise_px
+    return view_features(cloud.surface.as_array()[None], [noise_px], [level_sd_m])
 
 
 def _terms(

@@ -15,16 +15,17 @@ from regressor.studies.worlds import by_class, by_preset, markdown
 from regressor.weigh.blend import BlendRule, fit_blend
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.quadratic import fit_quadratic
-from regressor.weigh.surface import NAMES, SurfaceFeatures
+from regressor.weigh.surface import NAMES
+from regressor.weigh.view_features import TYPICAL_PX, view_features
 from regressor.weigh.volume import FIRST_NAMES, VolumeRule, fit_volume_rule
-from regressor.weigh.weigher import Weigher
+from regressor.weigh.weigher import Weigher, features_of
 from tests.regressor.ellipsoids import ellipsoid_view
 
 SEED = 7
 
 
 def _views(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(features (n, 17), weight_g, share of the rim lost): a lost rim takes area and volume and lifts the rim."""
+    """(features (n, 19), weight_g, share of the rim lost): a lost rim takes area and volume and lifts the rim."""
     weight = rng.lognormal(5.0, 0.6, count)
     size = np.cbrt(weight / 150)
     squat = np.exp(rng.normal(0, 0.12, count))
@@ -46,7 +47,8 @@ def _views(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray
         "rim": 0.5 + 1.2 * lost,
         "rim_low": 0.4 + 1.2 * lost,
     }
-    return np.column_stack([values[name] for name in NAMES]), weight, lost
+    surface = np.column_stack([values[name] for name in NAMES])
+    return view_features(surface, np.full(len(surface), 0.03), np.full(len(surface), 0.002)), weight, lost
 
 
 def test_the_volume_rule_sees_through_a_lost_rim() -> None:
@@ -68,10 +70,30 @@ def test_a_rule_from_before_the_other_features_weighs_as_it_did() -> None:
     rule = load_checkpoint()[1].fitted_volume_rule
     assert rule is not None
     old = {"intercept": 0.5, "coefficients": [1.0, 0.0, 0.0, 0.0, -0.1], "residual_ln_sd": 0.1, "names": FIRST_NAMES}
-    surface = prepare_view(ellipsoid_view()).surface
-    expected = np.exp(0.5) * surface.volume_ml * surface.height_mm**-0.1
-    assert VolumeRule.from_json(old).weight_g(surface) == pytest.approx(expected)
-    assert isinstance(surface, SurfaceFeatures)
+    cloud = prepare_view(ellipsoid_view())
+    expected = np.exp(0.5) * cloud.surface.volume_ml * cloud.surface.height_mm**-0.1
+    assert VolumeRule.from_json(old).weights_g(features_of(cloud, 0.002)) == pytest.approx(expected)
+
+
+def test_a_rule_trusts_heights_as_far_as_the_level_is_known() -> None:
+    """And a fit over views that are all alike in something says nothing of it."""
+    rng = np.random.default_rng(SEED)
+    count, area = 6000, rng.lognormal(3.5, 0.4, 6000)
+    height = 9 * np.sqrt(area) * np.exp(0.1 * rng.standard_normal(count))
+    weight, known = 0.09 * area * height, rng.random(count) < 0.5
+    seen = height * np.where(known, 1.0, np.exp(0.1 * rng.standard_normal(count)))
+    surface = np.full((count, len(NAMES)), 0.1)
+    for name, values in (("volume_ml", 0.083 * area * seen), ("area_cm2", area), ("height_mm", seen)):
+        surface[:, NAMES.index(name)] = values
+    noise_px, sd_m = np.full(count, 0.03), np.where(known, 0.0005, 0.0025)
+    errors = []
+    for rows in (view_features(surface, noise_px, sd_m), view_features(surface, noise_px, np.full(count, 0.002))):
+        rule = fit_volume_rule(rows[:4000], weight[:4000])
+        errors.append(np.abs(rule.weights_g(rows[4000:]) / weight[4000:] - 1).mean())
+    assert errors[0] < 0.8 * errors[1], f"seed {SEED}: {errors}"
+    other = view_features(surface, np.full(count, 0.1), sd_m)
+    assert rule.weights_g(other) == pytest.approx(rule.weights_g(rows), rel=1e-9)
+    assert (view_features(surface, np.full(count, np.nan), sd_m)[:, -2] == TYPICAL_PX).all()
 
 
 def test_the_blend_leaves_no_bias_over_true_size_and_rim() -> None:

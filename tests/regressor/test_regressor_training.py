@@ -242,8 +242,8 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     model, loaded = load_checkpoint(tmp_path / "out" / "weights.safetensors")
     assert loaded == sidecar
     assert loaded.training["tubers"] == 20
-    rule = fit_volume_rule(data.features, data.weight_g)
-    assert rule.weights_g(data.features) == pytest.approx(data.weight_g, rel=0.15)
+    rule = fit_volume_rule(data.view_features, data.weight_g)
+    assert rule.weights_g(data.view_features) == pytest.approx(data.weight_g, rel=0.15)
     assert predict(model, data, highest_m=0.08).shape == (40,)
     assert Weigher(model, loaded).sidecar.interval_rule is not None
     before = (tmp_path / "out" / "weights.safetensors").read_bytes()
