@@ -30,6 +30,8 @@ class TrainSettings:
         warm_share, wide_share: share of the training at 32 neighbours and 32 centroids, and from there on with all
             neighbours but 32 centroids; the rest runs at full resolution.
         average: decay of the moving average of the weights that is evaluated and shipped; 0 ships the last ones.
+        start_share: of the weights to start from in what is shipped: the mean of both knows the new views and keeps
+            what the old ones taught (Wortsman et al., arXiv 2109.01903); 0 ships the trained ones.
         target: what is learned; where the code says weight and grams, read this target and its unit.
         network: 'pointraft', or the baseline 'pointnet', which has neither groups nor a height.
         points: of a cloud that the network is given: 1024, or 512 or 2048 as in the paper's ablation.
@@ -53,6 +55,7 @@ class TrainSettings:
     warm_share: float = 0.0
     wide_share: float = 0.97
     average: float = 0.999
+    start_share: float = 0.0
     height_embedding: bool = True
     points: int = CLOUD_POINTS
     max_height_m: float = 0.16

@@ -19,7 +19,7 @@ from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
 from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
-from regressor.weigh.blend import SEEN, fit_blend
+from regressor.weigh.blend import SEEN, BlendRule, best_share, fit_blend
 from regressor.weigh.quadratic import QuadraticRule, fit_quadratic
 from regressor.weigh.view_features import VIEW_NAMES
 from regressor.weigh.volume import fit_volume_rule
@@ -34,6 +34,7 @@ def restack(
     unseen: Path,
     *,
     cache: Path | None,
+    correction: bool = True,
     compute: torch.dtype | None = None,
     on_work: Work = no_work,
 ) -> Sidecar:
@@ -41,7 +42,8 @@ def restack(
 
     Args:
         data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for
-            the rule and the blend. compute: dtype of the network's wide products; None is its own.
+            the rule and the blend. correction: for weight, rim and pose; else the blend is its share alone. compute:
+            dtype of the network's wide products; None is its own.
 
     Raises:
         InputError: weights without a sidecar of their own, too few recordings, or views that cannot be used.
@@ -61,19 +63,20 @@ def restack(
         )
     network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
-    volume_g, found = cross_fitted(seen, views, with_seen=known)
+    volume_g, found = cross_fitted(seen, views, with_seen=known and correction)
     everything = joined([seen, views])
-    rule = fit_blend(
-        network_g,
-        volume_g,
-        views.weight_g,
-        world=views.preset,
-        found=found,
-        truth=_truth(views) if known else None,
-        seen=tuple(fit_quadratic(everything.view_features, column, names=VIEW_NAMES) for column in _truth(everything).T)
-        if known
-        else (),
-    )
+    if correction:
+        rule = fit_blend(
+            network_g,
+            volume_g,
+            views.weight_g,
+            world=views.preset,
+            found=found,
+            truth=_truth(views) if known else None,
+            seen=_rules_of_seen(everything) if known else (),
+        )
+    else:
+        rule = BlendRule(best_share(network_g, volume_g, views.weight_g))
     volume_rule = fit_volume_rule(everything.view_features, everything.weight_g)
     weight_g = rule.weights_g(network_g, volume_g, views.view_features)
     changes = {

@@ -60,6 +60,7 @@ class Training:
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.lr, weight_decay=settings.weight_decay)
         self.progress = Progress()
+        self._start: dict[str, Tensor] | None = None
         self._weights = class_weights(data.weight_g)
 
     @property
@@ -147,7 +148,8 @@ class Training:
     def finished_model(self) -> Network:
         """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights."""
         model = self._new_network()
-        model.load_state_dict(self.average if self.settings.average else self.model.state_dict())
+        state = self.average if self.settings.average else self.model.state_dict()
+        model.load_state_dict(mean_of(state, self._start, share=self.settings.start_share) if self._start else state)
         return model.eval()
 
     def _freeze(self) -> None:
@@ -171,6 +173,7 @@ class Training:
         except RuntimeError as error:
             raise InputError(f"the weights to start from are of another network: {error}") from error
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
+        self._start = {name: value.clone() for name, value in self.model.state_dict().items()}
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
@@ -195,6 +198,14 @@ class Training:
         if self.device.type == "cuda" and state.get("cuda_rng") is not None:
             torch.cuda.set_rng_state(state["cuda_rng"], self.device)
         self.progress = Progress(**state["progress"])
+
+
+def mean_of(state: dict[str, Tensor], other: dict[str, Tensor], *, share: float) -> dict[str, Tensor]:
+    """The weights of `state`, with a `share` of those of `other`; counters are those of `state`."""
+    return {
+        name: value.lerp(other[name].to(value.device), share) if value.is_floating_point() else value
+        for name, value in state.items()
+    }
 
 
 def start_at_mean(model: Network, weight_g: NDArray[np.float64]) -> None:

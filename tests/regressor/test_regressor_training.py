@@ -28,6 +28,7 @@ from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, clean_views, load_sets, train
 from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
+from regressor.weigh.blend import BlendRule
 from regressor.weigh.volume import fit_volume_rule
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
@@ -168,6 +169,24 @@ def test_a_broken_state_is_named(tmp_path: Path) -> None:
         load_state(tmp_path / "state.pt")
 
 
+def test_a_fine_tuning_may_keep_a_share_of_what_it_started_from(data: CloudSet) -> None:
+    """The mean of both, weight by weight; 0 is the trained one alone, 1 the one it began with."""
+    torch.manual_seed(3)
+    begin = {name: value.clone() for name, value in PointRaft().state_dict().items()}
+    found = {}
+    for share in (0.0, 0.5, 1.0):
+        training = Training(data, data, replace(QUICK, start_share=share, average=0.0))
+        training.start_from(begin)
+        for _ in range(2):
+            training.step()
+        found[share] = training.finished_model().state_dict()
+    for name, value in begin.items():
+        if value.is_floating_point():
+            assert torch.equal(found[1.0][name], value), name
+            assert torch.allclose(found[0.5][name], (found[0.0][name] + value) / 2, rtol=1e-5, atol=1e-7), name
+    assert any(not torch.equal(found[0.0][name], value) for name, value in begin.items())
+
+
 def test_tubers_of_the_validation_set_are_left_out(packs: Path, tmp_path: Path) -> None:
     both = tmp_path / "both"
     both.mkdir()
@@ -260,6 +279,11 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert stacked.blend_rule.share == stacked.volume_share
     assert stacked.volume_rule != again.volume_rule
     assert stacked.metrics["blend"]["views"] == 48
+    plain = restack(
+        tmp_path / "out" / "weights.safetensors", packs / "train", tmp_path / "unseen", cache=None, correction=False
+    )
+    assert plain.blend_rule == BlendRule(plain.volume_share)
+    assert plain.model_id != stacked.model_id
     assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
     with pytest.raises(InputError, match="--resume"):
         train(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
 
 from tuberline.cli.calibrate_interval import wide
 
@@ -16,6 +18,7 @@ def calibrate_blend(
     data: Path,
     unseen: Path,
     cache: Path | None = None,
+    correction: Annotated[bool, Parameter(negative="--no-correction")] = True,
     compute: Literal["float32", "bfloat16"] = "float32",
 ) -> None:
     """Fit the volume rule of saved weights and its blend with the network again; rewrites the sidecar, not the tensors.
@@ -32,6 +35,8 @@ def calibrate_blend(
         Views of recordings that the network has not seen, for the rule and the blend.
     cache
         Folder of prepared clouds, to save the preparing; default: none.
+    correction
+        For the weight, the rim that was lost and the pose; off fits the rule and the network's share alone.
     compute
         As for `train`.
     """
@@ -42,7 +47,9 @@ def calibrate_blend(
 
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
-        sidecar = restack(weights, data, unseen, cache=cache, compute=wide(compute), on_work=on_work)
+        sidecar = restack(
+            weights, data, unseen, cache=cache, correction=correction, compute=wide(compute), on_work=on_work
+        )
     figures = sidecar.metrics["blend"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "

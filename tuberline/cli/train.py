@@ -19,6 +19,7 @@ def train(
     out: Path,
     recipe: Literal["tuberline", "paper", "fine-tune"] = "tuberline",
     start: Path | None = None,
+    start_share: float | None = None,
     epochs: float | None = None,
     minutes: float | None = None,
     resume: bool = False,
@@ -53,6 +54,9 @@ def train(
         Defaults of everything below: ours, the paper's, or ours for going on from trained weights.
     start
         Weights to begin with (.safetensors), for the recipe fine-tune; default: random ones.
+    start_share
+        Of the weights to start from in what is written, 0 to 1: a half knows the new views and keeps what the old ones
+        taught (0).
     epochs
         Passes over the training views (50; 2 to fine-tune).
     minutes
@@ -101,6 +105,8 @@ def train(
 
     if (recipe == "fine-tune") != (start is not None):
         raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
+    if start_share is not None and not 0 <= start_share <= 1:
+        raise InputError(f"--start-share is {start_share:g}; a share lies between 0 and 1")
     torch.set_num_threads(threads)
     settings = recipe_named(
         recipe,
@@ -117,6 +123,7 @@ def train(
         seed=seed,
         shear=shear,
         target=target,
+        start_share=start_share,
     )
     options = RunOptions(
         data=data,
