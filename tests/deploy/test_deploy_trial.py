@@ -24,7 +24,7 @@ SITE = ROOT / "deploy" / "docker" / "compose.site.yaml"
 
 
 def test_every_setting_of_a_compose_service_becomes_a_word_of_podman() -> None:
-    site = services(SITE, {"RUN": "monday", "CERTS": "/certs"})
+    site = services(SITE, {"RUN": "monday", "CERTS": "/certs", "PAGE_TOKEN": "/token"})
     words = podman_words(site["aggregator"], configs={"line": Path("/line.toml")}, project="calm")
     for word in (
         "--read-only",
@@ -42,6 +42,8 @@ def test_every_setting_of_a_compose_service_becomes_a_word_of_podman() -> None:
         "--add-host=edge.field.internal:host-gateway",
     ):
         assert word in words
+    page = podman_words(site["page"], configs={"line": Path("/line.toml")}, project="calm")
+    assert "--volume=/token:/run/secrets/page-token:ro" in page
     assert words[words.index("--health-cmd") + 1].startswith("tuberline health --config")
     assert command_of(site["aggregator"])[1][-2:] == ["--run", "monday"]
     assert command_of(site["regressor"])[0] == ["--entrypoint", "/bin/sh"]
