@@ -164,8 +164,9 @@ def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0)
     seen = Seen(machine.disk)
     if seen.lines != reference:
         differ = [pair for pair in zip_longest(seen.lines, reference) if pair[0] != pair[1]]
+        told = "\n".join(f"{found}\ninstead of\n{wanted}" for found, wanted in differ)
         raise TrialError(
             f"the ledger differs from the replay's: {len(seen.tubers)} tubers, {len(differ)} lines, {seen.fault}\n"
-            f"{differ[0][0]}\ninstead of\n{differ[0][1]}"
+            f"{told}"
         )
     return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"
