@@ -18,6 +18,10 @@ SEED = 1616
 PARTS = ("one", "upgrade", "two")
 """One machine, an upgrade of it that loses its power, two machines of which the second is late."""
 Rows = list[tuple[str, str]]
+UNITS = (*field.UNITS, "tuberline-metrics@field.service", "tuberline-page@field.service")
+ROLES = f"{field.ROLES},metrics,page"
+TOKEN = ("--page-token", "/root/page-token")
+"""Of one machine: those that watch are there too."""
 
 
 def show(machine: Machine, unit: str, name: str) -> str:
@@ -35,10 +39,10 @@ def in_order(machine: Machine) -> str:
     began = started_us(machine, aggregator, "ExecMainStartTimestampMonotonic")
     if not 0 < ready <= began:
         raise TrialError(f"the aggregator was started {(ready - began) / 1e6:.2f} s before the router was ready")
-    first = min(started_us(machine, unit, "ExecMainStartTimestampMonotonic") for unit in field.UNITS)
+    first = min(started_us(machine, unit, "ExecMainStartTimestampMonotonic") for unit in UNITS)
     took = [
         f"{re.split('[-@]', unit)[1]} {(started_us(machine, unit, 'ActiveEnterTimestampMonotonic') - first) / 1e6:.1f}"
-        for unit in field.UNITS
+        for unit in UNITS
     ]
     return "seconds until ready: " + ", ".join(took)
 
@@ -48,7 +52,7 @@ def services_work(machine: Machine) -> Rows:
     rows: Rows = []
     status = machine.says("systemctl", "status", "--no-pager", "tuberline-*")
     active = status.count("Active: active (running)")
-    if active < len(field.UNITS):
+    if active < len(UNITS):
         raise TrialError(f"systemctl status shows {active} running units:\n{status[:800]}")
     rows.append(("`systemctl status 'tuberline-*'`", f"{active} units active (running)"))
     silent = [
@@ -156,19 +160,20 @@ def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]
     with Machine(folder, root, "harvester", 1, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
         rows.append(("boot of the bare root", f"{machine.booted():.1f} s"))
-        field.install(machine, field.config(), field.ROLES)
+        (machine.disk / "root/page-token").write_text("a-token-of-this-trial", encoding="utf-8")
+        field.install(machine, field.config(), ROLES, *TOKEN)
         rows.append(
             (
                 "`install.sh` in it",
-                f"all {len(field.UNITS)} units active after {field.all_active(machine, field.UNITS):.0f} s",
+                f"all {len(UNITS)} units active after {field.all_active(machine, UNITS):.0f} s",
             )
         )
-        again = machine.run("sh", field.INSTALL, "--roles", field.ROLES, "--run", "monday", "/root/field.toml")
+        again = machine.run("sh", field.INSTALL, "--roles", ROLES, *TOKEN, "--run", "monday", "/root/field.toml")
         changed = [line for line in again.splitlines() if line.startswith(("created", "updated"))]
         rows.append(("`install.sh` again", f"changes {len(changed)} files"))
         machine.shut_down()
         machine.power_on()
-        took = field.all_active(machine, field.UNITS)
+        took = field.all_active(machine, UNITS)
         rows.append(
             ("shut down, switched on", f"all units active by themselves after {took:.0f} s; {in_order(machine)}")
         )
