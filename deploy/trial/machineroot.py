@@ -43,8 +43,9 @@ def machines_on(what: str, *, keep: bool) -> Iterator[tuple[Path, Path]]:
 def machine_root(folder: Path) -> Path:
     """The root with this clone installed into /opt/tuberline; made once, the package again where the clone changed."""
     root = base.debian_root(folder / "root", base.FOR_MACHINES)
-    libraries, ours = folder / "libraries.ready", folder / "installed.version"
     copy_clone(root / SOURCE.lstrip("/"))
+    # Beside what they tell of: a root that is made again has neither.
+    libraries, ours = (root / "opt" / name for name in ("libraries.ready", "installed.version"))
     if not libraries.exists():
         say("installing torch and the libraries into /opt/tuberline of the root")
         in_root(folder, root, "python3", "-m", "venv", "/opt/tuberline")
