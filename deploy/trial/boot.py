@@ -11,7 +11,7 @@ from time import monotonic, sleep
 
 from deploy.trial import field, upgrade
 from deploy.trial.machine import Machine
-from deploy.trial.machineroot import machines_on
+from deploy.trial.machineroot import BOOTED_WITH, machines_on
 from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 SEED = 1616
@@ -242,7 +242,7 @@ def main() -> None:
                 say(f"{what}: {seen}")
             state.write_text(json.dumps(done), encoding="utf-8")
         if all(part in done for part in PARTS):
-            into_docs("boot", table(("what", "seen"), [row for part in PARTS for row in done[part]]))
+            into_docs("boot", table(("what", "seen"), [row for part in PARTS for row in done[part]]), BOOTED_WITH)
 
 
 if __name__ == "__main__":

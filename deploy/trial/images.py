@@ -20,6 +20,7 @@ FOR = {
     "node": "regressor, and all the rest",
     "viewer": "viewer",
 }
+BUILT_WITH = ("buildah", "podman", "runc")
 MOST_MB = {"edge": 700}
 SHUT = ("--read-only", "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--tmpfs", "/tmp:size=64m", *LIMITS)
 INSIDE = """
@@ -132,11 +133,11 @@ def main() -> None:
     engine = Engine(folder)
     try:
         if given.only in (None, "images"):
-            into_docs("images", make_images(engine))
+            into_docs("images", make_images(engine), BUILT_WITH)
         if given.only in (None, "line"):
             counted, seconds = demo(engine)
             say(f"demo in the image: {counted} ({seconds:.0f} s)")
-            into_docs("containers", containers.trial(engine, name_of, SHUT))
+            into_docs("containers", containers.trial(engine, name_of, SHUT), BUILT_WITH)
     finally:
         engine.close()
         if not given.keep:

@@ -15,6 +15,7 @@ from deploy.trial.pipsettings import write_settings
 from deploy.trial.tools import ROOT, need_root, need_tools, output, run, say, workdir
 
 SOURCE = "/usr/src/tuberline"
+BOOTED_WITH = ("systemd-nspawn",)
 TORCH = "torch==2.13.0"
 
 

@@ -22,7 +22,7 @@ from time import monotonic, sleep
 
 from deploy.trial import field
 from deploy.trial.machine import Machine
-from deploy.trial.machineroot import machines_on
+from deploy.trial.machineroot import BOOTED_WITH, machines_on
 from deploy.trial.tools import TrialError, ended, into_docs, say, table, until
 
 FPS = 10
@@ -222,7 +222,7 @@ def main() -> None:
         for row in rows:
             say(": ".join(map(str, row)))
         if rows:
-            into_docs("powercuts", table(("what", "seen"), rows))
+            into_docs("powercuts", table(("what", "seen"), rows), BOOTED_WITH)
 
 
 if __name__ == "__main__":

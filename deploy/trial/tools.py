@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs" / "deploy.md"
+SUITE = "bookworm"
+"""Debian's, of the roots."""
+MAKE = {"images": "make images", "containers": "make images", "boot": "make boot", "powercuts": "make powercuts"}
+"""The command that makes each table of the docs."""
 
 
 class TrialError(Exception):
@@ -91,14 +99,28 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(lines)
 
 
-def into_docs(name: str, text: str) -> None:
-    """Put a table between the marks of `name` in docs/deploy.md."""
+def made_by(command: str, tools: Iterable[str]) -> str:
+    """When, by what and with which versions a table was made."""
+    system = f"{platform.system()} {platform.release().split('-')[0]}, {os.cpu_count()} cores"
+    with_tools = [
+        " ".join(re.findall(r"^\S+|(?<=\s)v?\d[\w.+~]*", output([tool, "--version"]).splitlines()[0])[:2])
+        for tool in tools
+    ]
+    return (
+        f"{datetime.now(UTC):%d %B %Y}, `{command}`, tuberline {version()}, "
+        f"{', '.join(with_tools)}, Debian {SUITE} on {system}:"
+    )
+
+
+def into_docs(name: str, text: str, tools: Iterable[str]) -> None:
+    """Put a table between the marks of `name` in docs/deploy.md, under the line that says how it was made."""
     begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
     page = DOCS.read_text(encoding="utf-8")
     if begin not in page or end not in page:
         raise TrialError(f"{DOCS} lacks the marks {begin} and {end}")
     before, rest = page.split(begin)
-    DOCS.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+    line = textwrap.fill(made_by(MAKE[name], tools), 100)
+    DOCS.write_text(f"{before}{begin}\n{line}\n\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def ended(main: Callable[[], None]) -> None:
