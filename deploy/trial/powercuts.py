@@ -37,8 +37,8 @@ RUNNING_S = (4.0, 8.0)
 """The least that a machine is on before a cut of its running line."""
 LAST_CUT = 0.6
 """Of the belt's tubers."""
-GOES_ON_S = 240.0
-"""Within so long a started line has to have counted the tubers of its next cut."""
+GOES_ON_S = 900.0
+"""Within so long a started line has to have counted the tubers of its next cut, on a machine with other work too."""
 
 
 @dataclass(frozen=True, slots=True)
