@@ -36,8 +36,6 @@ AS_A_REPLAY = {
     "[segmenter]": "[segmenter]\nweigh_deadline_s = 600.0",
     "[aggregator]": "[aggregator]\ncamera_stall_s = 600.0",
 }
-WELL_WITHIN_S = 600.0
-"""On a machine with much other work; a quiet one takes some seconds."""
 TOKEN = "a-token-of-this-trial"
 ORDER_TO_PAGE = """
 import sys, urllib.error, urllib.request
@@ -82,7 +80,7 @@ class Line:
             *(*entrypoint, self._name_of(IMAGE[service["image"]]), *words),
         )
         if "healthcheck" in service and name != "camera-left":
-            until(lambda: self.well(name), f"{name} well", timeout_s=WELL_WITHIN_S)
+            until(lambda: self.well(name), f"{name} well")
         return monotonic() - start
 
     def _container(self, name: str) -> str:
@@ -97,11 +95,9 @@ class Line:
         pid, count = self._state(name)
         os.kill(pid, signal.SIGKILL)
         start = monotonic()
-        until(
-            lambda: self._state(name)[1] > count and self._state(name)[0] > 0, f"{name} back", timeout_s=WELL_WITHIN_S
-        )
+        until(lambda: self._state(name)[1] > count and self._state(name)[0] > 0, f"{name} back")
         if "healthcheck" in self.services[name]:
-            until(lambda: self.well(name), f"{name} well again", timeout_s=WELL_WITHIN_S)
+            until(lambda: self.well(name), f"{name} well again")
         return monotonic() - start
 
     def _state(self, name: str) -> tuple[int, int]:
@@ -164,7 +160,7 @@ def calm(line: Line, reference: list[str]) -> tuple[object, ...]:
     """Start everything, let it count: the table's row."""
     well = line.up()
     line.page_takes_orders()
-    took = until(line.counted, "the calm line", timeout_s=1800)
+    took = until(line.counted, "the calm line")
     compare("calm line", line.canonical(), reference)
     if not line.picture_mb():
         raise TrialError("the viewer has drawn nothing")
@@ -184,7 +180,7 @@ def shaken(line: Line, reference: list[str]) -> tuple[object, ...]:
             raise TrialError(f"the load was over before {name} was killed: it needs a longer recording")
         back[name] = line.kill(name)
         say(f"containers: {name} killed, well again after {back[name]:.1f} s")
-    until(line.counted, "the shaken line", timeout_s=1800)
+    until(line.counted, "the shaken line")
     compare("shaken line", line.canonical(), reference)
     say("containers: each killed once, ledger as the replay's")
     line.down()
@@ -223,7 +219,7 @@ def replayed(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) 
     """The canonical ledger of `tuberline replay` of the same recording, in one container."""
     words = ("replay", "/site/recordings/belt", "--out", "/site/reference/run")
     mounted = ("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none")
-    engine.podman(*mounted, name_of("node"), *words, timeout_s=1800)
+    engine.podman(*mounted, name_of("node"), *words)
     path = folder / "reference/run/ledger.db"
     with reading(path) as view:
         return list(canonical_lines(view, the_run(view, path, None)))

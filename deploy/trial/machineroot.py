@@ -79,4 +79,4 @@ def in_root(folder: Path, root: Path, *words: str, binds: Sequence[str] = ()) ->
     conf = folder / "pip.conf"
     lent = [f"--bind-ro={path}" for path in write_settings(conf)] + [f"--bind-ro={conf}:/etc/pip.conf"]
     nspawn = ["systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--pipe", f"--directory={root}"]
-    return output([*nspawn, *lent, *binds, *words], timeout_s=1800.0)
+    return output([*nspawn, *lent, *binds, *words])

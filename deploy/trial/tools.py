@@ -22,6 +22,10 @@ MAKE = {"images": "make images", "containers": "make images", "boot": "make boot
 """The command that makes each table of the docs."""
 
 
+PATIENCE_S = 1800.0
+"""The longest wait for one step: a machine that has other work takes minutes for what takes a quiet one seconds."""
+
+
 class TrialError(Exception):
     """What stopped a trial, in one sentence."""
 
@@ -46,7 +50,7 @@ def need_tools(tools: dict[str, str]) -> None:
 
 
 def run(
-    command: Sequence[str | Path], *, check: bool = True, timeout_s: float = 900.0, text: str | None = None
+    command: Sequence[str | Path], *, check: bool = True, timeout_s: float = PATIENCE_S, text: str | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command with its output kept; a failure is told with the end of what it said."""
     words = [str(word) for word in command]
@@ -65,7 +69,7 @@ def output(command: Sequence[str | Path], **options: float) -> str:
     return run(command, **options).stdout.strip()  # type: ignore[arg-type]
 
 
-def until(true: Callable[[], object], what: str, *, timeout_s: float, every_s: float = 0.5) -> float:
+def until(true: Callable[[], object], what: str, *, timeout_s: float = PATIENCE_S, every_s: float = 0.5) -> float:
     """Seconds until `true()` was; asking again and again, an error after `timeout_s`."""
     from time import sleep
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -93,6 +94,21 @@ def test_a_trial_refuses_anybody_but_root_with_what_it_would_change(monkeypatch:
     monkeypatch.setattr(tools.os, "geteuid", lambda: 1000)
     with pytest.raises(TrialError, match="make boot needs root: it mounts"):
         tools.need_root("make boot", "it mounts")
+
+
+def test_a_table_replaces_the_one_before_and_says_how_it_was_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "deploy.md"
+    page.write_text("before\n<!-- boot -->\n<!-- end of boot -->\nafter\n")
+    monkeypatch.setattr(tools, "DOCS", page)
+    for seen in ("first", "second"):
+        tools.into_docs("boot", tools.table(("what", "seen"), [("a boot", seen)]), ("env",))
+    lines = page.read_text().splitlines()
+    assert (lines[0], lines[-1]) == ("before", "after")
+    assert re.search(r"\d{4}, `make boot`,\s+tuberline " + re.escape(tools.version()), page.read_text())
+    assert "| a boot | second |" in lines
+    assert "first" not in page.read_text()
 
 
 def test_belt_that_passes_while_the_power_is_off_leaves_the_recording(tmp_path: Path) -> None:
