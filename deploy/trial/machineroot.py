@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.trial import base
-from deploy.trial.machine import TOOLS, make_network, remove_network
+from deploy.trial.machine import SPACE, TOOLS, make_network, remove_network
 from deploy.trial.pipsettings import write_settings
-from deploy.trial.tools import ROOT, need_root, need_tools, output, run, say, workdir
+from deploy.trial.tools import ROOT, alone, need_root, need_tools, output, run, say, workdir
 
 SOURCE = "/usr/src/tuberline"
 BOOTED_WITH = ("systemd-nspawn",)
@@ -31,14 +31,15 @@ def machines_on(what: str, *, keep: bool) -> Iterator[tuple[Path, Path]]:
     need_root(what, f"it makes a Debian root under {folder}, mounts, boots machines, kills them, adds control groups")
     os.umask(0o022)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        root = machine_root(folder)
-        make_network()
-        yield folder, root
-    finally:
-        remove_network()
-        if not keep:
-            shutil.rmtree(folder, ignore_errors=True)
+    with alone(SPACE):
+        try:
+            root = machine_root(folder)
+            make_network()
+            yield folder, root
+        finally:
+            remove_network()
+            if not keep:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def machine_root(folder: Path) -> Path:

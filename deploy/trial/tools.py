@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
 import re
@@ -9,7 +10,8 @@ import shutil
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
@@ -47,6 +49,17 @@ def need_tools(tools: dict[str, str]) -> None:
     if missing:
         packages = " ".join(sorted(set(missing.values())))
         raise TrialError(f"{', '.join(missing)} not found: apt-get install {packages}")
+
+
+@contextmanager
+def alone(space: str) -> Iterator[None]:
+    """Hold the names that a trial takes for its network and control groups; a second trial with them is refused."""
+    with (Path("/run/lock") / space).open("w", encoding="utf-8") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise TrialError(f"another trial has the network {space} of this machine: wait for it, or end it") from None
+        yield
 
 
 def run(

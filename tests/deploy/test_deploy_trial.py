@@ -96,6 +96,17 @@ def test_a_trial_refuses_anybody_but_root_with_what_it_would_change(monkeypatch:
         tools.need_root("make boot", "it mounts")
 
 
+def test_a_second_trial_is_refused_while_the_first_has_the_network() -> None:
+    space = f"tuberline-test-{os.getpid()}"
+    try:
+        with tools.alone(space), pytest.raises(TrialError, match=space), tools.alone(space):
+            pytest.fail("two trials at once")
+        with tools.alone(space):
+            pass
+    finally:
+        Path("/run/lock", space).unlink(missing_ok=True)
+
+
 def test_a_table_replaces_the_one_before_and_says_how_it_was_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
