@@ -228,9 +228,12 @@ def main() -> None:
     with machines_on("make boot", keep=given.keep or given.only is not None) as (folder, root):
         state = folder / "boot.json"
         done: dict[str, Rows] = json.loads(state.read_text(encoding="utf-8")) if given.only and state.exists() else {}
-        recordings = field.simulate(folder / "recordings", seed=SEED, tubers=24)
-        reference = field.replayed(recordings, folder / "reference")
-        for part in [given.only] if given.only else PARTS:
+        parts = [given.only] if given.only else PARTS
+        recordings, reference = folder / "recordings", list[str]()
+        if set(parts) & {"one", "two"}:
+            field.simulate(recordings, seed=SEED, tubers=24)
+            reference = field.replayed(recordings, folder / "reference")
+        for part in parts:
             if part == "one":
                 done[part] = one_machine(folder, root, recordings, reference)
             elif part == "upgrade":

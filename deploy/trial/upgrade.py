@@ -104,6 +104,7 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
     """Rows of the table of `make boot`."""
     make_wheel(folder, root)
     recordings = field.simulate(folder / "upgrade-recordings", seed=SEED, tubers=TUBERS, speed_mps=0.1)
+    reference = field.replayed(recordings, folder / "upgrade-reference")
     rng, cuts, reached = random.Random(SEED), Cuts(), []
     with Machine(folder, root, "upgrade", 4, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
@@ -128,7 +129,7 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
             raise TrialError(f"after the upgrade the line runs {runs(machine)}")
         held = in_the_load(machine, cuts)
         go_back(machine)
-        counted = field.counted_as(machine, field.replayed(recordings, folder / "upgrade-reference"))
+        counted = field.counted_as(machine, reference)
         take_stock(cuts, field.Seen(machine.disk))
     return [
         (
