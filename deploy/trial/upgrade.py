@@ -20,8 +20,8 @@ from deploy.trial.powercuts import Cuts, take_stock
 from deploy.trial.tools import TrialError, say, until, version
 
 SEED = 1616
-TUBERS = 90
-"""A load of 75 s, longer than a boot with an upgrade: each cut comes in the middle of it."""
+TUBERS, SPEED = 90, 0.4
+"""75 s of belt, replayed in three minutes: longer than a boot with an upgrade, so that each cut comes in the load."""
 INSTALLING_S = (0.5, 6.0)
 """From the upgrade's begin to a cut while the next version is installed; undisturbed that takes about ten seconds."""
 SWITCHING_S = (0.0, 4.0)
@@ -109,7 +109,7 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
     with Machine(folder, root, "upgrade", 4, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
         machine.booted()
-        field.install(machine, field.config(), field.ROLES)
+        field.install(machine, field.config(speed=SPEED), field.ROLES)
         field.all_active(machine, field.UNITS)
         for chosen, within_s in CUTS:
             after_s = rng.uniform(*within_s)
