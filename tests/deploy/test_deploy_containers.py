@@ -36,7 +36,7 @@ def parsed(words: list[str]) -> tuple[str, dict[str, Any]]:
 
 def filled(text: str) -> str:
     """Variables as compose, Kubernetes or a shell fill them in."""
-    text = text.replace("$$", "$").replace("$HOSTNAME", NAME).replace("$POD_NAME", NAME)
+    text = text.replace("$$", "$").replace("$(hostname)", NAME).replace("$POD_NAME", NAME)
     return re.sub(r"\$\{RUN(:[^}]*)?\}|\$\(RUN\)|\$RUN", RUN, text).replace("$(POD_NAME)", NAME)
 
 

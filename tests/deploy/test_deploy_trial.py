@@ -48,7 +48,7 @@ def test_every_setting_of_a_compose_service_becomes_a_word_of_podman() -> None:
     assert words[words.index("--health-cmd") + 1].startswith("tuberline health --config")
     assert command_of(site["aggregator"])[1][-2:] == ["--run", "monday"]
     assert command_of(site["regressor"])[0] == ["--entrypoint", "/bin/sh"]
-    assert "$HOSTNAME" in command_of(site["regressor"])[1][1]
+    assert "$(hostname)" in command_of(site["regressor"])[1][1]
     with pytest.raises(TrialError, match="compose key 'privileged' is not known"):
         podman_words({"privileged": True}, configs={}, project="calm")
     with pytest.raises(TrialError, match="variable RUN is not set"):
