@@ -216,10 +216,13 @@ def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -
 
 
 def replayed(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -> list[str]:
-    """The canonical ledger of `tuberline replay` of the same recording, in one container."""
+    """The canonical ledger of `tuberline replay` of the same recording, in one container.
+
+    A recording calls its camera front, the compose file calls it left.
+    """
     words = ("replay", "/site/recordings/belt", "--out", "/site/reference/run")
     mounted = ("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none")
     engine.podman(*mounted, name_of("node"), *words)
     path = folder / "reference/run/ledger.db"
     with reading(path) as view:
-        return list(canonical_lines(view, the_run(view, path, None)))
+        return [line.replace('"front', '"left') for line in canonical_lines(view, the_run(view, path, None))]

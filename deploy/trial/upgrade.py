@@ -22,6 +22,8 @@ from deploy.trial.tools import TrialError, say, until, version
 SEED = 1616
 TUBERS, SPEED = 90, 0.4
 """75 s of belt, replayed in three minutes: longer than a boot with an upgrade, so that each cut comes in the load."""
+TUBERS_EACH = 8
+"""So many more tubers are in the ledger before each upgrade begins."""
 INSTALLING_S = (0.5, 6.0)
 """From the upgrade's begin to a cut while the next version is installed; undisturbed that takes about ten seconds."""
 SWITCHING_S = (0.0, 4.0)
@@ -111,7 +113,9 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
         machine.booted()
         field.install(machine, field.config(speed=SPEED), field.ROLES)
         field.all_active(machine, field.UNITS)
-        for chosen, within_s in CUTS:
+        for number, (chosen, within_s) in enumerate(CUTS, start=1):
+            wanted = TUBERS_EACH * number
+            until(lambda n=wanted: field.holds(machine, n), f"{wanted} tubers", every_s=0.2)  # type: ignore[misc]
             after_s = rng.uniform(*within_s)
             cut_in_upgrade(machine, chosen, after_s)
             held = in_the_load(machine, cuts)
@@ -119,8 +123,8 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
             field.all_active(machine, field.UNITS)
             came = runs(machine)
             what = "once the next was chosen" if chosen else "while it was installed"
-            reached.append(f"{after_s:.1f} s {what}: {came}")
-            say(f"upgrade cut after {reached[-1]}, {held} tubers")
+            reached.append(f"{after_s:.1f} s {what} ({held} tubers): {came}")
+            say(f"upgrade cut after {reached[-1]}")
             if came != version():
                 go_back(machine)
         machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) 2>&1")
