@@ -5,9 +5,8 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from deploy.trial.tools import TrialError, run, say
+from deploy.trial.tools import SUITE, TrialError, run, say
 
-SUITE = "bookworm"
 FOR_IMAGES = ("python3", "python3-venv", "ca-certificates")
 FOR_MACHINES = (*FOR_IMAGES, "systemd", "systemd-sysv", "dbus", "iproute2", "procps")
 NOT_NEEDED = (

@@ -20,7 +20,10 @@ TAKEN_ELSEWHERE = {"image", "profiles", "command", "entrypoint", "depends_on", "
 
 
 def services(file: Path, variables: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """The services of a compose file, its variables filled in: ${NAME}, ${NAME:-default}, ${NAME:?text}, $$."""
+    """The services of a compose file, its variables filled in: ${NAME}, ${NAME:-default}, ${NAME:?text}, $$.
+
+    A service's secrets are given as their files, by name.
+    """
 
     def value(match: re.Match[str]) -> str:
         name, default = match[1], match[2] or ""
@@ -31,7 +34,11 @@ def services(file: Path, variables: Mapping[str, str]) -> dict[str, dict[str, An
         raise TrialError(f"{file.name}: variable {name} is not set {default[2:]}")
 
     text = re.sub(r"(?<!\$)\$\{(\w+)(:[-?][^}]*)?\}", value, file.read_text(encoding="utf-8")).replace("$$", "$")
-    loaded: dict[str, dict[str, Any]] = yaml.safe_load(text)["services"]
+    whole = yaml.safe_load(text)
+    loaded: dict[str, dict[str, Any]] = whole["services"]
+    for service in loaded.values():
+        if "secrets" in service:
+            service["secrets"] = {name: whole["secrets"][name]["file"] for name in service["secrets"]}
     return loaded
 
 
@@ -56,6 +63,8 @@ def podman_words(service: Mapping[str, Any], *, configs: Mapping[str, Path], pro
                 words.append(f"--stop-timeout={value.removesuffix('s')}")
             case "configs":
                 words += [f"--volume={configs[config['source']]}:{config['target']}:ro" for config in value]
+            case "secrets":
+                words += [f"--volume={file}:/run/secrets/{name}:ro" for name, file in value.items()]
             case "healthcheck":
                 words += ["--health-cmd", value["test"][1], "--health-interval=disable"]
             case _ if key in PLAIN:

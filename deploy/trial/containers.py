@@ -23,16 +23,28 @@ from deploy.trial.compose import command_of, podman_words, services
 from deploy.trial.engine import GATEWAY, LIMITS, SPACE, Engine
 from deploy.trial.tools import ROOT, TrialError, say, table, until
 
-ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page")
+ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page", "viewer")
 IMAGE = {"tuberline-edge:local": "edge", "tuberline:local": "node", "tuberline-viewer:local": "viewer"}
 """The image that a service names, as the target that it is built from."""
 UID = 10001
-RECORDING = ("--seed", "1607", "--tubers", "24", "--scene", "touching", "--fps", "15")
+WATCH = ("metrics", "page", "viewer")
+"""Whether the line still counts when they are killed does not matter."""
+RECORDING = ("--seed", "1607", "--tubers", "60", "--scene", "singulated", "--fps", "10", "--speed-mps", "0.1")
+"""A minute of belt, so that the line is counting while it is hurt."""
 AS_A_REPLAY = {
     'source = "realsense"': 'path = "/recordings/belt"\nspeed = 1.0',
     "[segmenter]": "[segmenter]\nweigh_deadline_s = 600.0",
     "[aggregator]": "[aggregator]\ncamera_stall_s = 600.0",
 }
+TOKEN = "a-token-of-this-trial"
+ORDER_TO_PAGE = """
+import sys, urllib.error, urllib.request
+asked = urllib.request.Request("http://127.0.0.1:9180/order", b"{}", {"x-tuberline-token": sys.argv[1]})
+try:
+    urllib.request.urlopen(asked)
+except urllib.error.HTTPError as error:
+    print(error.code)
+"""
 Named = Callable[[str], str]
 
 
@@ -42,7 +54,7 @@ class Line:
     def __init__(self, engine: Engine, name_of: Named, folder: Path, project: str) -> None:
         self._engine, self._name_of, self._project = engine, name_of, project
         self._site = folder / "site.toml"
-        variables = {"RUN": project, "CERTS": str(folder / "certs")}
+        variables = {"RUN": project, "CERTS": str(folder / "certs"), "PAGE_TOKEN": str(folder / "page-token")}
         self.services = services(ROOT / "deploy/docker/compose.site.yaml", variables)
         for service in self.services.values():
             # The harvester's services ask the site's name server; here there is none. Old podman lacks host-gateway.
@@ -68,7 +80,7 @@ class Line:
             *(*entrypoint, self._name_of(IMAGE[service["image"]]), *words),
         )
         if "healthcheck" in service and name != "camera-left":
-            until(lambda: self.well(name), f"{name} well", timeout_s=180)
+            until(lambda: self.well(name), f"{name} well")
         return monotonic() - start
 
     def _container(self, name: str) -> str:
@@ -83,9 +95,9 @@ class Line:
         pid, count = self._state(name)
         os.kill(pid, signal.SIGKILL)
         start = monotonic()
-        until(lambda: self._state(name)[1] > count and self._state(name)[0] > 0, f"{name} back", timeout_s=60)
+        until(lambda: self._state(name)[1] > count and self._state(name)[0] > 0, f"{name} back")
         if "healthcheck" in self.services[name]:
-            until(lambda: self.well(name), f"{name} well again", timeout_s=180)
+            until(lambda: self.well(name), f"{name} well again")
         return monotonic() - start
 
     def _state(self, name: str) -> tuple[int, int]:
@@ -93,19 +105,32 @@ class Line:
         said = self._engine.podman("inspect", "--format", form, self._container(name), check=False).stdout.split()
         return (int(said[0]), int(said[1])) if len(said) == 2 else (0, 0)
 
-    def ledger(self) -> Path:
-        form = "{{.Mountpoint}}"
-        volume = self._engine.podman("volume", "inspect", "--format", form, f"{self._project}-ledger").stdout.strip()
-        return Path(volume) / "ledger" / "ledger.db"
+    def page_takes_orders(self) -> None:
+        """The page has the token of its secret: it refuses another one, and with the right one reads the order."""
+        for token, wanted in (("another-token-of-nobody", "401"), (TOKEN, "400")):
+            words = (self._container("page"), "python", "-c", ORDER_TO_PAGE, token)
+            said = self._engine.podman("exec", *words, check=False).stdout.strip()
+            if said != wanted:
+                raise TrialError(f"an empty order with the token '{token}' was answered by '{said}', not {wanted}")
 
-    def counted(self) -> int | None:
-        """Tubers in the ledger once the run is finished; None before."""
+    def picture_mb(self) -> float:
+        """What the viewer has drawn into its volume."""
+        return sum(file.stat().st_size for file in self._volume("pictures").glob("*.rrd")) / 1e6
+
+    def _volume(self, name: str) -> Path:
+        words = ("volume", "inspect", "--format", "{{.Mountpoint}}", f"{self._project}-{name}")
+        return Path(self._engine.podman(*words).stdout.strip())
+
+    def ledger(self) -> Path:
+        return self._volume("ledger") / "ledger" / "ledger.db"
+
+    def counted(self) -> bool:
+        """The run in the ledger is finished."""
         try:
             with reading(self.ledger()) as view:
-                row = the_run(view, self.ledger(), None)
-                return sum(1 for _ in canonical_lines(view, row)) if row.finished else None
+                return the_run(view, self.ledger(), None).finished
         except (TuberlineError, OSError, sqlite3.Error):
-            return None
+            return False
 
     def canonical(self) -> list[str]:
         with reading(self.ledger()) as view:
@@ -123,26 +148,43 @@ def trial(engine: Engine, name_of: Named, shut: Sequence[str]) -> str:
     prepare(engine, name_of, folder, shut)
     reference = replayed(engine, name_of, folder, shut)
     engine.within_own_network()
-    rows: list[tuple[object, ...]] = []
     try:
-        calm = Line(engine, name_of, folder, "calm")
-        well = calm.up()
-        took = until(lambda: calm.counted() is not None, "the calm line", timeout_s=600)
-        compare("calm line", calm.canonical(), reference)
-        calm.down()
-        rows.append(("all well after start", *(f"{well[name]:.1f}" for name in ORDER), f"same, {took:.0f} s"))
-        say(f"containers: calm line counted in {took:.0f} s, ledger as the replay's")
-        shaken = Line(engine, name_of, folder, "shaken")
-        shaken.up()
-        back = {name: shaken.kill(name) for name in ORDER}
-        took = until(lambda: shaken.counted() is not None, "the shaken line", timeout_s=900)
-        compare("shaken line", shaken.canonical(), reference)
-        rows.append(("well again after SIGKILL", *(f"{back[name]:.1f}" for name in ORDER), f"same, {took:.0f} s"))
-        say(f"containers: each killed once, ledger as the replay's; back after {back}")
-        shaken.down()
+        rows = [calm(Line(engine, name_of, folder, "calm"), reference)]
+        rows.append(shaken(Line(engine, name_of, folder, "shaken"), reference))
     finally:
         engine.leave_own_network()
     return table(("seconds until", *ORDER, "ledger"), rows)
+
+
+def calm(line: Line, reference: list[str]) -> tuple[object, ...]:
+    """Start everything, let it count: the table's row."""
+    well = line.up()
+    line.page_takes_orders()
+    took = until(line.counted, "the calm line")
+    compare("calm line", line.canonical(), reference)
+    if not line.picture_mb():
+        raise TrialError("the viewer has drawn nothing")
+    say(
+        f"containers: calm line counted in {took:.0f} s, ledger as the replay's, {line.picture_mb():.0f} MB of pictures"
+    )
+    line.down()
+    return ("all well after start", *(f"{well[name]:.1f}" for name in ORDER), "same")
+
+
+def shaken(line: Line, reference: list[str]) -> tuple[object, ...]:
+    """Kill each container, those that count while they do."""
+    line.up()
+    back = {}
+    for name in ORDER:
+        if name not in WATCH and line.counted():
+            raise TrialError(f"the load was over before {name} was killed: it needs a longer recording")
+        back[name] = line.kill(name)
+        say(f"containers: {name} killed, well again after {back[name]:.1f} s")
+    until(line.counted, "the shaken line")
+    compare("shaken line", line.canonical(), reference)
+    say("containers: each killed once, ledger as the replay's")
+    line.down()
+    return ("well again after SIGKILL", *(f"{back[name]:.1f}" for name in ORDER), "same")
 
 
 def compare(what: str, found: list[str], wanted: list[str]) -> None:
@@ -160,6 +202,9 @@ def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -
     for old, new in AS_A_REPLAY.items():
         text = text.replace(old, new)
     (folder / "site.toml").write_text(text, encoding="utf-8")
+    (folder / "page-token").write_text(TOKEN, encoding="utf-8")
+    (folder / "page-token").chmod(0o400)
+    os.chown(folder / "page-token", UID, UID)
     made: tuple[tuple[str, Any], ...] = (
         ("edge", ("certs", "make", "/site/site.toml", "--out", "/site/certs/made")),
         ("edge", ("simulate", "--out", "/site/recordings/belt", *RECORDING)),
@@ -171,9 +216,13 @@ def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -
 
 
 def replayed(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -> list[str]:
-    """The canonical ledger of `tuberline replay` of the same recording, in one container."""
+    """The canonical ledger of `tuberline replay` of the same recording, in one container.
+
+    A recording calls its camera front, the compose file calls it left.
+    """
     words = ("replay", "/site/recordings/belt", "--out", "/site/reference/run")
-    engine.podman("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none", name_of("node"), *words)
+    mounted = ("run", "--rm", *shut, f"--volume={folder}:/site", "--network=none")
+    engine.podman(*mounted, name_of("node"), *words)
     path = folder / "reference/run/ledger.db"
     with reading(path) as view:
-        return list(canonical_lines(view, the_run(view, path, None)))
+        return [line.replace('"front', '"left') for line in canonical_lines(view, the_run(view, path, None))]

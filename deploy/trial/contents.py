@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.trial.engine import LIMITS, Engine
-from deploy.trial.pipsettings import write_settings
+from deploy.trial.pipsettings import settings, write_settings
 from deploy.trial.tools import TrialError, say
 
 PACKAGES = ("cyclonedx-bom==7.5.0", "pip-audit==2.10.1")
@@ -52,9 +52,14 @@ def audit(engine: Engine, image: str, file: Path) -> str:
             said = done.stderr.strip().splitlines() or ["nothing said"]
             say(f"pip-audit: {service} gave no answer: {said[-1][-200:]}")
             continue
+        checked = [p for p in found if "skip_reason" not in p]
+        if not checked:  # a mirror without the database's pages
+            say(f"pip-audit: {service} knows none of {len(found)} packages")
+            continue
         file.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-        bad = [f"{p['name']} {p['version']}: {v['id']}" for p in found for v in p.get("vulns", [])]
-        return f"audit ({service}): {len(found)} packages, {len(bad)} known vulnerabilities {'; '.join(bad)}"
+        bad = [f"{p['name']} {p['version']}: {v['id']}" for p in checked for v in p.get("vulns", [])]
+        asked = f"{len(checked)} of {len(found)} packages"
+        return f"audit ({service}): {asked} checked, {len(bad)} known vulnerabilities {'; '.join(bad)}"
     listed = file.with_suffix(".txt")
     listed.write_text(_inside(engine, image, "python", "-c", FROZEN), encoding="utf-8")
     return f"audit: no database answers here; what to check is in {listed}: pip-audit --no-deps -r {listed.name}"
@@ -77,18 +82,9 @@ def _tool(engine: Engine, image: str, program: str, *words: str) -> subprocess.C
     """Run a tool of an environment of its own beside the image's; it is made on first use, with the image's Python."""
     tools, conf = engine.folder / "tools", engine.folder / "pip.conf"
     lent = [f"--volume={path}:{path}:ro" for path in write_settings(conf)] + [f"--volume={conf}:/etc/pip.conf:ro"]
-    base = (
-        "run",
-        "--rm",
-        "--user",
-        "0",
-        *LIMITS,
-        "--network",
-        "host",
-        f"--volume={tools}:{TOOLS}",
-        *lent,
-        "--entrypoint",
-    )
+    lent += [f"--env=REQUESTS_CA_BUNDLE={path}" for path in settings().get("cert", [])]
+    base = ("run", "--rm", "--user", "0", *LIMITS, "--network", "host", f"--volume={tools}:{TOOLS}", *lent)
+    base += ("--entrypoint",)
     if not (tools / "bin/pip-audit").exists():
         tools.mkdir(exist_ok=True)
         engine.podman(*base, "/usr/bin/env", image, "python3", "-m", "venv", TOOLS)

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from deploy.trial.tools import run
+from deploy.trial.tools import PATIENCE_S, run
 
 TOOLS = {
     "buildah": "buildah",
@@ -58,11 +58,11 @@ class Engine:
             self._within = []
         run(["ip", "netns", "delete", SPACE], check=False)
 
-    def buildah(self, *words: str | Path, check: bool = True, timeout_s: float = 1800.0) -> str:
+    def buildah(self, *words: str | Path, check: bool = True, timeout_s: float = 4 * PATIENCE_S) -> str:
         return run(["buildah", *self.storage, *words], check=check, timeout_s=timeout_s).stdout.strip()
 
     def podman(
-        self, *words: str | Path, check: bool = True, timeout_s: float = 600.0
+        self, *words: str | Path, check: bool = True, timeout_s: float = PATIENCE_S
     ) -> subprocess.CompletedProcess[str]:
         # All of a container's processes share what one process of nice 0 would get: a replay has six.
         weight = ("--cpu-shares", str(round(5 * 1024 * 1.25 ** -os.nice(0)))) if words[0] == "run" else ()

@@ -16,7 +16,7 @@ from aggregator.ledger.reader import read_marks, read_runs, reading, the_run
 from conveyor.errors import TuberlineError
 from deploy.trial.machine import Machine
 from deploy.trial.machineroot import SOURCE
-from deploy.trial.tools import TrialError, run, until
+from deploy.trial.tools import PATIENCE_S, TrialError, run, until
 
 LEDGER = "var/lib/tuberline/field/ledger"
 UNITS = (
@@ -145,7 +145,7 @@ def install(machine: Machine, text: str, roles: str, *options: str) -> str:
     return machine.run("sh", INSTALL, "--roles", roles, "--run", "monday", *options, "/root/field.toml")
 
 
-def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = 240.0) -> float:
+def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = PATIENCE_S) -> float:
     """Seconds until every unit is active."""
     start = monotonic()
     try:
@@ -158,14 +158,15 @@ def all_active(machine: Machine, units: tuple[str, ...], timeout_s: float = 240.
     return monotonic() - start
 
 
-def counted_as(machine: Machine, reference: list[str], timeout_s: float = 600.0) -> str:
+def counted_as(machine: Machine, reference: list[str], timeout_s: float = PATIENCE_S) -> str:
     """The machine's ledger is finished and that of a replay on this computer."""
     until(lambda: Seen(machine.disk).finished, "the line counted", timeout_s=timeout_s, every_s=3.0)
     seen = Seen(machine.disk)
     if seen.lines != reference:
         differ = [pair for pair in zip_longest(seen.lines, reference) if pair[0] != pair[1]]
+        told = "\n".join(f"{found}\ninstead of\n{wanted}" for found, wanted in differ)
         raise TrialError(
             f"the ledger differs from the replay's: {len(seen.tubers)} tubers, {len(differ)} lines, {seen.fault}\n"
-            f"{differ[0][0]}\ninstead of\n{differ[0][1]}"
+            f"{told}"
         )
     return f"ledger as an undisturbed replay's: {len(seen.tubers)} tubers"

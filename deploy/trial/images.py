@@ -8,9 +8,21 @@ from pathlib import Path
 from time import monotonic
 
 from deploy.trial import base, containers, contents
-from deploy.trial.engine import LIMITS, TOOLS, Engine
+from deploy.trial.engine import LIMITS, SPACE, TOOLS, Engine
 from deploy.trial.pipsettings import write_settings
-from deploy.trial.tools import ROOT, TrialError, ended, into_docs, need_root, need_tools, say, table, version, workdir
+from deploy.trial.tools import (
+    ROOT,
+    TrialError,
+    alone,
+    ended,
+    into_docs,
+    need_root,
+    need_tools,
+    say,
+    table,
+    version,
+    workdir,
+)
 
 BASE = "docker.io/library/python:3.11-slim-bookworm"
 OWN_BASE = "localhost/tuberline-base:bookworm"
@@ -20,6 +32,7 @@ FOR = {
     "node": "regressor, and all the rest",
     "viewer": "viewer",
 }
+BUILT_WITH = ("buildah", "podman", "runc")
 MOST_MB = {"edge": 700}
 SHUT = ("--read-only", "--cap-drop", "ALL", "--security-opt", "no-new-privileges", "--tmpfs", "/tmp:size=64m", *LIMITS)
 INSIDE = """
@@ -130,19 +143,20 @@ def main() -> None:
     folder = workdir("images")
     need_root("make images", f"it builds under {folder} and runs containers in a network namespace of its own")
     engine = Engine(folder)
-    try:
-        if given.only in (None, "images"):
-            into_docs("images", make_images(engine))
-        if given.only in (None, "line"):
-            counted, seconds = demo(engine)
-            say(f"demo in the image: {counted} ({seconds:.0f} s)")
-            into_docs("containers", containers.trial(engine, name_of, SHUT))
-    finally:
-        engine.close()
-        if not given.keep:
-            engine.remove()
-            shutil.rmtree(folder / "base", ignore_errors=True)
-            (folder / "base.ready").unlink(missing_ok=True)
+    with alone(SPACE):
+        try:
+            if given.only in (None, "images"):
+                into_docs("images", make_images(engine), BUILT_WITH)
+            if given.only in (None, "line"):
+                counted, seconds = demo(engine)
+                say(f"demo in the image: {counted} ({seconds:.0f} s)")
+                into_docs("containers", containers.trial(engine, name_of, SHUT), BUILT_WITH)
+        finally:
+            engine.close()
+            if not given.keep:
+                engine.remove()
+                shutil.rmtree(folder / "base", ignore_errors=True)
+                (folder / "base.ready").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
 
-from deploy.trial.tools import TrialError, run, until
+from deploy.trial.tools import PATIENCE_S, TrialError, run, until
 
 TOOLS = {"systemd-nspawn": "systemd-container", "nsenter": "util-linux", "ip": "iproute2", "mount": "mount"}
 SPACE = "tuberline-trial"
@@ -105,7 +105,8 @@ class Machine:
             start_new_session=True,
         )
         log.close()
-        until(lambda: self._find_leader() or self._process.poll() is not None, "process 1", timeout_s=30, every_s=0.01)  # type: ignore[union-attr]
+        process = self._process
+        until(lambda: self._find_leader() or process.poll() is not None, "process 1", every_s=0.01)
         if not self._leader:
             raise TrialError(f"{self.name} did not start: {self.console()[-500:]}")
 
@@ -133,18 +134,16 @@ class Machine:
             if pid:
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGKILL)
-        self._process.wait(30)
+        self._process.wait(PATIENCE_S)
         leader, self._process, self._leader = self._leader, None, 0
-        until(
-            lambda: not Path(f"/proc/{leader}/stat").exists() or leader == 0, "the end of all processes", timeout_s=30
-        )
+        until(lambda: not Path(f"/proc/{leader}/stat").exists() or leader == 0, "the end of all processes")
         self._remove_cgroups()
 
     def shut_down(self) -> None:
         """As a person would: systemctl poweroff."""
         assert self._process is not None
         self.run("systemctl", "poweroff", check=False)
-        self._process.wait(90)
+        self._process.wait(PATIENCE_S)
         self._process, self._leader = None, 0
         self._remove_cgroups()
 
@@ -152,7 +151,7 @@ class Machine:
     def on(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
-    def run(self, *words: str, check: bool = True, timeout_s: float = 240.0) -> str:
+    def run(self, *words: str, check: bool = True, timeout_s: float = PATIENCE_S) -> str:
         """What a command said inside the running machine."""
         enter = ["nsenter", f"--target={self._leader}", "--mount", "--uts", "--ipc", "--net", "--pid", "--root", "--wd"]
         environment = ["env", "-i", "PATH=/opt/tuberline/bin:/usr/sbin:/usr/bin:/sbin:/bin", "LC_ALL=C.UTF-8"]
@@ -163,7 +162,7 @@ class Machine:
         """The same where the command may fail."""
         return self.run(*words, check=False)
 
-    def booted(self, timeout_s: float = 120.0) -> float:
+    def booted(self, timeout_s: float = PATIENCE_S) -> float:
         """Seconds until systemd has started everything that it wants."""
         start = monotonic()
         until(

@@ -10,11 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.trial import base
-from deploy.trial.machine import TOOLS, make_network, remove_network
+from deploy.trial.machine import SPACE, TOOLS, make_network, remove_network
 from deploy.trial.pipsettings import write_settings
-from deploy.trial.tools import ROOT, need_root, need_tools, output, run, say, workdir
+from deploy.trial.tools import ROOT, alone, need_root, need_tools, output, run, say, workdir
 
 SOURCE = "/usr/src/tuberline"
+BOOTED_WITH = ("systemd-nspawn",)
 TORCH = "torch==2.13.0"
 
 
@@ -30,21 +31,23 @@ def machines_on(what: str, *, keep: bool) -> Iterator[tuple[Path, Path]]:
     need_root(what, f"it makes a Debian root under {folder}, mounts, boots machines, kills them, adds control groups")
     os.umask(0o022)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        root = machine_root(folder)
-        make_network()
-        yield folder, root
-    finally:
-        remove_network()
-        if not keep:
-            shutil.rmtree(folder, ignore_errors=True)
+    with alone(SPACE):
+        try:
+            root = machine_root(folder)
+            make_network()
+            yield folder, root
+        finally:
+            remove_network()
+            if not keep:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def machine_root(folder: Path) -> Path:
     """The root with this clone installed into /opt/tuberline; made once, the package again where the clone changed."""
     root = base.debian_root(folder / "root", base.FOR_MACHINES)
-    libraries, ours = folder / "libraries.ready", folder / "installed.version"
     copy_clone(root / SOURCE.lstrip("/"))
+    # Beside what they tell of: a root that is made again has neither.
+    libraries, ours = (root / "opt" / name for name in ("libraries.ready", "installed.version"))
     if not libraries.exists():
         say("installing torch and the libraries into /opt/tuberline of the root")
         in_root(folder, root, "python3", "-m", "venv", "/opt/tuberline")
@@ -77,4 +80,4 @@ def in_root(folder: Path, root: Path, *words: str, binds: Sequence[str] = ()) ->
     conf = folder / "pip.conf"
     lent = [f"--bind-ro={path}" for path in write_settings(conf)] + [f"--bind-ro={conf}:/etc/pip.conf"]
     nspawn = ["systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--pipe", f"--directory={root}"]
-    return output([*nspawn, *lent, *binds, *words], timeout_s=1800.0)
+    return output([*nspawn, *lent, *binds, *words])

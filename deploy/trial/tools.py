@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs" / "deploy.md"
+SUITE = "bookworm"
+"""Debian's, of the roots."""
+MAKE = {"images": "make images", "containers": "make images", "boot": "make boot", "powercuts": "make powercuts"}
+"""The command that makes each table of the docs."""
+
+
+PATIENCE_S = 1800.0
+"""The longest wait for one step: a machine that has other work takes minutes for what takes a quiet one seconds."""
 
 
 class TrialError(Exception):
@@ -37,8 +51,19 @@ def need_tools(tools: dict[str, str]) -> None:
         raise TrialError(f"{', '.join(missing)} not found: apt-get install {packages}")
 
 
+@contextmanager
+def alone(space: str) -> Iterator[None]:
+    """Hold the names that a trial takes for its network and control groups; a second trial with them is refused."""
+    with (Path("/run/lock") / space).open("w", encoding="utf-8") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise TrialError(f"another trial has the network {space} of this machine: wait for it, or end it") from None
+        yield
+
+
 def run(
-    command: Sequence[str | Path], *, check: bool = True, timeout_s: float = 900.0, text: str | None = None
+    command: Sequence[str | Path], *, check: bool = True, timeout_s: float = PATIENCE_S, text: str | None = None
 ) -> subprocess.CompletedProcess[str]:
     """Run a command with its output kept; a failure is told with the end of what it said."""
     words = [str(word) for word in command]
@@ -57,7 +82,7 @@ def output(command: Sequence[str | Path], **options: float) -> str:
     return run(command, **options).stdout.strip()  # type: ignore[arg-type]
 
 
-def until(true: Callable[[], object], what: str, *, timeout_s: float, every_s: float = 0.5) -> float:
+def until(true: Callable[[], object], what: str, *, timeout_s: float = PATIENCE_S, every_s: float = 0.5) -> float:
     """Seconds until `true()` was; asking again and again, an error after `timeout_s`."""
     from time import sleep
 
@@ -91,14 +116,28 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(lines)
 
 
-def into_docs(name: str, text: str) -> None:
-    """Put a table between the marks of `name` in docs/deploy.md."""
+def made_by(command: str, tools: Iterable[str]) -> str:
+    """When, by what and with which versions a table was made."""
+    system = f"{platform.system()} {platform.release().split('-')[0]}, {os.cpu_count()} cores"
+    with_tools = [
+        " ".join(re.findall(r"^\S+|(?<=\s)v?\d[\w.+~]*", output([tool, "--version"]).splitlines()[0])[:2])
+        for tool in tools
+    ]
+    return (
+        f"{datetime.now(UTC):%d %B %Y}, `{command}`, tuberline {version()}, "
+        f"{', '.join(with_tools)}, Debian {SUITE} on {system}:"
+    )
+
+
+def into_docs(name: str, text: str, tools: Iterable[str]) -> None:
+    """Put a table between the marks of `name` in docs/deploy.md, under the line that says how it was made."""
     begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
     page = DOCS.read_text(encoding="utf-8")
     if begin not in page or end not in page:
         raise TrialError(f"{DOCS} lacks the marks {begin} and {end}")
     before, rest = page.split(begin)
-    DOCS.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+    line = textwrap.fill(made_by(MAKE[name], tools), 100)
+    DOCS.write_text(f"{before}{begin}\n{line}\n\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
 
 
 def ended(main: Callable[[], None]) -> None:

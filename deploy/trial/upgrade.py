@@ -17,12 +17,20 @@ from deploy.trial import field
 from deploy.trial.machine import Machine
 from deploy.trial.machineroot import copy_clone, in_root
 from deploy.trial.powercuts import Cuts, take_stock
-from deploy.trial.tools import TrialError, say, version
+from deploy.trial.tools import TrialError, say, until, version
 
-CUTS = 4
 SEED = 1616
-AFTER_S = (0.5, 12.0)
-"""From the upgrade's begin to the cut; undisturbed it takes about ten seconds."""
+TUBERS, SPEED = 90, 0.4
+"""75 s of belt, replayed in three minutes: longer than a boot with an upgrade, so that each cut comes in the load."""
+TUBERS_EACH = 8
+"""So many more tubers are in the ledger before each upgrade begins."""
+INSTALLING_S = (0.5, 6.0)
+"""From the upgrade's begin to a cut while the next version is installed; undisturbed that takes about ten seconds."""
+SWITCHING_S = (0.0, 4.0)
+"""From the moment that the next version is the chosen one to a cut while the line is started with it."""
+CUTS = ((False, INSTALLING_S), (True, SWITCHING_S)) * 2
+"""(whether the next version was chosen already, seconds) of each cut."""
+CHOSEN = "/etc/tuberline/environment"
 TUBERLINE = "/opt/tuberline/bin/tuberline"
 NEXT = "/opt/tuberline-next"
 WHEELS = "/usr/src/tuberline-next"
@@ -67,41 +75,70 @@ def runs(machine: Machine) -> str:
     return said
 
 
+def cut_in_upgrade(machine: Machine, chosen: bool, after_s: float) -> None:
+    """Begin the upgrade and take the power away, so long after its begin or after the next version was chosen."""
+    machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) >/root/upgrade.log 2>&1 &")
+    if chosen:
+        file = machine.disk / CHOSEN.lstrip("/")
+        until(lambda: NEXT in file.read_text(encoding="utf-8"), "the next version chosen", every_s=0.02)
+    sleep(after_s)
+    machine.cut_power()
+
+
+def go_back(machine: Machine) -> None:
+    """The old program's name is all that it takes."""
+    machine.run(*BACK)
+    field.all_active(machine, field.UNITS)
+    if runs(machine) != version():
+        raise TrialError(f"after the way back the line runs {runs(machine)}")
+
+
+def in_the_load(machine: Machine, cuts: Cuts) -> int:
+    """Tubers that the ledger holds now, none lost; what is tried next is tried while more come."""
+    seen = field.Seen(machine.disk)
+    take_stock(cuts, seen)
+    if seen.finished:
+        raise TrialError("the load was over before the upgrade: it needs a longer recording")
+    return len(seen.tubers)
+
+
 def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
     """Rows of the table of `make boot`."""
     make_wheel(folder, root)
-    recordings = field.simulate(folder / "upgrade-recordings", seed=SEED, tubers=60, speed_mps=0.1)
+    recordings = field.simulate(folder / "upgrade-recordings", seed=SEED, tubers=TUBERS, speed_mps=0.1)
+    reference = field.replayed(recordings, folder / "upgrade-reference")
     rng, cuts, reached = random.Random(SEED), Cuts(), []
     with Machine(folder, root, "upgrade", 4, {str(recordings): "/recordings"}) as machine:
         machine.power_on()
         machine.booted()
-        field.install(machine, field.config(), field.ROLES)
+        field.install(machine, field.config(speed=SPEED), field.ROLES)
         field.all_active(machine, field.UNITS)
-        for _ in range(CUTS):
-            machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) >/root/upgrade.log 2>&1 &")
-            after_s = rng.uniform(*AFTER_S)
-            sleep(after_s)
-            machine.cut_power()
-            take_stock(cuts, field.Seen(machine.disk))
+        for number, (chosen, within_s) in enumerate(CUTS, start=1):
+            wanted = TUBERS_EACH * number
+            until(lambda n=wanted: field.holds(machine, n), f"{wanted} tubers", every_s=0.2)  # type: ignore[misc]
+            after_s = rng.uniform(*within_s)
+            cut_in_upgrade(machine, chosen, after_s)
+            held = in_the_load(machine, cuts)
             machine.power_on()
             field.all_active(machine, field.UNITS)
-            reached.append(f"{after_s:.1f} s: {runs(machine)}")
-            say(f"upgrade cut after {reached[-1]}, {len(cuts.committed)} tubers")
-        machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) 2>&1", timeout_s=300)
+            came = runs(machine)
+            what = "once the next was chosen" if chosen else "while it was installed"
+            reached.append(f"{after_s:.1f} s {what} ({held} tubers): {came}")
+            say(f"upgrade cut after {reached[-1]}")
+            if came != version():
+                go_back(machine)
+        machine.run("sh", "-c", f"({PREPARE}\n{SWITCH}) 2>&1")
         field.all_active(machine, field.UNITS)
         if runs(machine) != next_version():
             raise TrialError(f"after the upgrade the line runs {runs(machine)}")
-        take_stock(cuts, field.Seen(machine.disk))
-        machine.run(*BACK, timeout_s=300)
-        field.all_active(machine, field.UNITS)
-        if runs(machine) != version():
-            raise TrialError(f"after the way back the line runs {runs(machine)}")
-        counted = field.counted_as(machine, field.replayed(recordings, folder / "upgrade-reference"))
+        held = in_the_load(machine, cuts)
+        go_back(machine)
+        counted = field.counted_as(machine, reference)
         take_stock(cuts, field.Seen(machine.disk))
     return [
         (
-            f"power lost {CUTS} times during an upgrade, seed {SEED}",
-            f"came back by itself; cut after {', '.join(reached)}",
+            f"power lost {len(CUTS)} times during an upgrade, seed {SEED}",
+            f"came back by itself, no tuber lost; cut after {', '.join(reached)}",
         ),
-        ("that upgrade to its end, and the way back, in the load", counted),
+        ("that upgrade to its end, and the way back, in the load", f"{held} tubers at the way back; {counted}"),
     ]

@@ -36,7 +36,7 @@ def parsed(words: list[str]) -> tuple[str, dict[str, Any]]:
 
 def filled(text: str) -> str:
     """Variables as compose, Kubernetes or a shell fill them in."""
-    text = text.replace("$$", "$").replace("$HOSTNAME", NAME).replace("$POD_NAME", NAME)
+    text = text.replace("$$", "$").replace("$(hostname)", NAME).replace("$POD_NAME", NAME)
     return re.sub(r"\$\{RUN(:[^}]*)?\}|\$\(RUN\)|\$RUN", RUN, text).replace("$(POD_NAME)", NAME)
 
 
@@ -50,7 +50,8 @@ def shell_words(text: str) -> list[str]:
 def compose(name: str) -> dict[str, Any]:
     """A compose file with its variables filled in and its merges resolved."""
     text = filled((DOCKER / name).read_text()).replace("${RECORDINGS:-./recordings}", "./recordings")
-    loaded: dict[str, Any] = yaml.safe_load(text.replace("${CERTS:-./certs}", "./certs"))
+    text = text.replace("${CERTS:-./certs}", "./certs").replace("${PAGE_TOKEN:-/dev/null}", "/dev/null")
+    loaded: dict[str, Any] = yaml.safe_load(text)
     return loaded
 
 
@@ -84,10 +85,17 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
         assert spec["read_only"] is True
         assert spec["cap_drop"] == ["ALL"]
         assert "mem_limit" in spec
-        if "healthcheck" in spec:
-            node = parsed(shell_words(spec["healthcheck"]["test"][1]))[1].get("node")
-            expected = {"aggregator": "aggregator", "regressor": NAME}.get(command, arguments.get("camera"))
-            assert node == (f"{command}/{expected}" if expected else None)
+        # What the token opens stands in a file that only the page gets.
+        assert spec.get("secrets", []) == (["page-token"] if command == "page" else [])
+        assert arguments.get("token_file") == (Path("/run/secrets/page-token") if command == "page" else None)
+        asked = spec.get("healthcheck", {}).get("test", ["", ""])[1]
+        if command in ("metrics", "page"):
+            assert f"http://127.0.0.1:{arguments['listen'].split(':')[1]}/" in asked
+        elif asked:
+            node = parsed(shell_words(asked))[1].get("node")
+            expected = {"aggregator": "aggregator", "regressor": NAME, "viewer": arguments.get("name", "viewer")}
+            name = expected.get(command, arguments.get("camera"))
+            assert node == (f"{command}/{name}" if name else None)
     assert cameras == {(role, camera) for role in ("camera", "segmenter") for camera in line.cameras}
     assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "page", "viewer"} <= roles
 
@@ -142,7 +150,7 @@ def documents() -> dict[str, dict[str, Any]]:
 
 def test_manifests_follow_the_kubernetes_schemas() -> None:
     validate = pytest.importorskip("kubernetes_validate", reason="kubernetes-validate is not installed: unchecked")
-    assert len(documents()) == 12
+    assert len(documents()) == 14
     for document in documents().values():
         validate.validate(document, desired_version="1.31", strict=True)
     broken = documents()["Deployment/tuberline-regressor"]
@@ -160,13 +168,18 @@ def test_kustomization_lists_every_manifest() -> None:
 def test_every_pod_runs_a_command_tuberline_takes_unprivileged() -> None:
     line = load_config(KUBERNETES / "line.toml")
     workloads = {k: d for k, d in documents().items() if k.startswith(("Deployment/", "StatefulSet/"))}
-    assert len(workloads) == 4
+    assert len(workloads) == 5
     for workload in workloads.values():
         pod = workload["spec"]["template"]["spec"]
         (container,) = pod["containers"]
         command, arguments = parsed([filled(word) for word in container["args"]])
         assert workload["metadata"]["name"] == f"tuberline-{command}"
-        assert arguments["config"] == Path("/etc/tuberline/line.toml")
+        assert arguments["config"] in (Path("/etc/tuberline/line.toml"), (Path("/etc/tuberline/line.toml"),))
+        mounts = {mount["mountPath"]: mount["name"] for mount in container["volumeMounts"]}
+        secrets = {volume["name"]: volume["secret"]["secretName"] for volume in pod["volumes"] if "secret" in volume}
+        assert secrets[mounts["/etc/tuberline/certs"]] == f"tuberline-certs-{command}"
+        if command == "page":
+            assert secrets[mounts[str(arguments["token_file"].parent)]] == "tuberline-page-token"
         assert pod["securityContext"]["runAsNonRoot"] is True
         assert container["securityContext"]["readOnlyRootFilesystem"] is True
         for probe in ("startupProbe", "livenessProbe"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -24,7 +25,7 @@ SITE = ROOT / "deploy" / "docker" / "compose.site.yaml"
 
 
 def test_every_setting_of_a_compose_service_becomes_a_word_of_podman() -> None:
-    site = services(SITE, {"RUN": "monday", "CERTS": "/certs"})
+    site = services(SITE, {"RUN": "monday", "CERTS": "/certs", "PAGE_TOKEN": "/token"})
     words = podman_words(site["aggregator"], configs={"line": Path("/line.toml")}, project="calm")
     for word in (
         "--read-only",
@@ -42,10 +43,12 @@ def test_every_setting_of_a_compose_service_becomes_a_word_of_podman() -> None:
         "--add-host=edge.field.internal:host-gateway",
     ):
         assert word in words
+    page = podman_words(site["page"], configs={"line": Path("/line.toml")}, project="calm")
+    assert "--volume=/token:/run/secrets/page-token:ro" in page
     assert words[words.index("--health-cmd") + 1].startswith("tuberline health --config")
     assert command_of(site["aggregator"])[1][-2:] == ["--run", "monday"]
     assert command_of(site["regressor"])[0] == ["--entrypoint", "/bin/sh"]
-    assert "$HOSTNAME" in command_of(site["regressor"])[1][1]
+    assert "$(hostname)" in command_of(site["regressor"])[1][1]
     with pytest.raises(TrialError, match="compose key 'privileged' is not known"):
         podman_words({"privileged": True}, configs={}, project="calm")
     with pytest.raises(TrialError, match="variable RUN is not set"):
@@ -91,6 +94,32 @@ def test_a_trial_refuses_anybody_but_root_with_what_it_would_change(monkeypatch:
     monkeypatch.setattr(tools.os, "geteuid", lambda: 1000)
     with pytest.raises(TrialError, match="make boot needs root: it mounts"):
         tools.need_root("make boot", "it mounts")
+
+
+def test_a_second_trial_is_refused_while_the_first_has_the_network() -> None:
+    space = f"tuberline-test-{os.getpid()}"
+    try:
+        with tools.alone(space), pytest.raises(TrialError, match=space), tools.alone(space):
+            pytest.fail("two trials at once")
+        with tools.alone(space):
+            pass
+    finally:
+        Path("/run/lock", space).unlink(missing_ok=True)
+
+
+def test_a_table_replaces_the_one_before_and_says_how_it_was_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "deploy.md"
+    page.write_text("before\n<!-- boot -->\n<!-- end of boot -->\nafter\n")
+    monkeypatch.setattr(tools, "DOCS", page)
+    for seen in ("first", "second"):
+        tools.into_docs("boot", tools.table(("what", "seen"), [("a boot", seen)]), ("env",))
+    lines = page.read_text().splitlines()
+    assert (lines[0], lines[-1]) == ("before", "after")
+    assert re.search(r"\d{4}, `make boot`,\s+tuberline " + re.escape(tools.version()), page.read_text())
+    assert "| a boot | second |" in lines
+    assert "first" not in page.read_text()
 
 
 def test_belt_that_passes_while_the_power_is_off_leaves_the_recording(tmp_path: Path) -> None:

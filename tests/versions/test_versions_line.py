@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -23,6 +24,7 @@ from conveyor import __version__
 from conveyor.config import dump_toml
 from tests.belts import simulate
 from tests.conftest import ROOT, wait_until
+from tests.viewer.viewer_line import free_port
 from tuberline.replayer import fingerprint, recording_cameras, replay_config
 
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(600)]
@@ -112,6 +114,13 @@ class Line:
                 process.kill()
                 process.wait()
 
+    def page(self) -> str:
+        """Start this version's page; the address of what it tells a browser."""
+        port = free_port()
+        words = ["page", "--config", str(self.out / "line.toml"), "--listen", f"127.0.0.1:{port}"]
+        self.processes["page"] = subprocess.Popen([sys.executable, "-m", "tuberline", *words], cwd=ROOT)
+        return f"http://127.0.0.1:{port}/events"
+
     def upgrade(self, host: str, *, version: str) -> None:
         self.stop(*HOSTS[host])
         self.start(*HOSTS[host], version=version)
@@ -148,6 +157,15 @@ class Line:
         self.stop(*self.processes)
 
 
+def told(page: str) -> str:
+    """What a page tells a browser that opens it now."""
+    try:
+        with urllib.request.urlopen(page, timeout=10) as events:
+            return next(line for line in events if line.startswith(b"data:")).decode()
+    except OSError:
+        return ""
+
+
 @pytest.fixture
 def line(belt: Path, old: Path, tmp_path: Path) -> Iterator[Line]:
     made = Line(belt, tmp_path, old)
@@ -182,7 +200,9 @@ def test_what_0_1_cannot_read_it_refuses_in_words(line: Line, role: str, host: s
     time.sleep(1.0)
     line.start(*(name for name in ("aggregator", "regressor", "segmenter", "camera") if name != role), version="new")
     line.start(role, version="old")
+    page = line.page()
     wait_until(lambda: word in line.log(role), what="the refusal in words", timeout_s=120)
+    wait_until(lambda: f"Version 0.1.0 on {role}/" in told(page), what="it told by the page", timeout_s=60)
     wait_until(lambda: "runs tuberline 0.1.0" in line.log("aggregator"), what="it told by the ledger", timeout_s=60)
     assert "Traceback" not in line.log(role)
     line.upgrade(host, version="new")

@@ -47,7 +47,8 @@ def page(
         deploy/proxy before it.
     token_file
         A file with the token, at least 16 characters, that a browser needs to start and end loads and to enter
-        tickets. Without one a terminal gets a new token at each start; elsewhere the page only looks.
+        tickets. Without one a terminal gets a new token at each start; elsewhere the page only looks, as with an
+        empty file.
     """
     from conveyor.access import known_nodes
     from conveyor.notify import notify
@@ -119,14 +120,17 @@ def _live_maps(addresses: list[LineAddress], maps: FieldMaps) -> list[LiveMap]:
 
 
 def _token(file: Path | None) -> str:
-    """The token of `file`, or a new one where a person sees it: a journal keeps no secrets. '' elsewhere."""
+    """The token of `file`, or a new one where a person sees it: a journal keeps no secrets. '' elsewhere.
+
+    An empty file is none too: containers mount one where nobody is to act.
+    """
     if file is None:
         return secrets.token_urlsafe(12) if sys.stdout.isatty() else ""
     try:
         token = file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"--token-file {file} cannot be read: {error}; give a text file with the token") from error
-    if not 16 <= len(token) <= 256 or not token.isascii():
+    if (token and not 16 <= len(token) <= 256) or not token.isascii():
         raise ConfigError(f"--token-file {file} holds {len(token)} characters; give 16 to 256 ASCII ones")
     return token
 
