@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from functools import reduce
+from operator import xor
 from pathlib import Path
 
 import pytest
@@ -29,19 +31,16 @@ FAULTS = (
     "viewer viewer.foxglove.server_sink ServerSink._send 3",
     "viewer conveyor.delivery.inbox Inbox.push 4",
 )
-FIX = "$GPGGA,1201{:05.2f},5231.0000,N,00525.0000,E,4,12,0.7,1.0,M,45.0,M,,"
 
 
 def nmea(fixes: int) -> str:
-    """Recorded positions, one a second, with their checksums."""
-    lines = []
+    """Recorded positions, one a second, each with the date and with their checksums."""
+    said = []
     for n in range(fixes):
-        line = FIX.format(float(n % 60))
-        check = 0
-        for letter in line[1:]:
-            check ^= ord(letter)
-        lines.append(f"{line}*{check:02X}\r\n")
-    return "".join(lines)
+        clock = f"12{n // 60:02d}{n % 60:02d}.00"
+        said.append(f"GNRMC,{clock},A,5231.0000,N,00525.0000,E,2.7,0.0,221126,,,A")
+        said.append(f"GNGGA,{clock},5231.0000,N,00525.0000,E,4,18,0.7,12.0,M,45.0,M,1.0,0001")
+    return "".join(f"${body}*{reduce(xor, body.encode()):02X}\r\n" for body in said)
 
 
 def test_every_one_ends_its_process_and_the_line_is_whole_again(
