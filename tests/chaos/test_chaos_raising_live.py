@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 from conveyor.config import dump_toml, parse_config
+from conveyor.errors import FAULT
 from tests.chaos.test_chaos_raising_watchers import answer, inject
+from tests.chaos.test_chaos_resume import child
 from tests.conftest import wait_until
 from tuberline.replayer import free_port
 from tuberline.supervisor import ProcessSpec, Supervisor
@@ -85,3 +87,27 @@ def test_every_one_ends_its_process_and_the_line_is_whole_again(
         wait_until(lambda: '"front"' in answer(port, "/snapshot.json"), what="the page again", timeout_s=60)
         assert Counter(line.crashes) == ended
         assert line.failures == {}
+
+
+def test_a_supervisor_that_fails_ends_and_takes_its_nodes_along(
+    live_recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = parse_config(
+        {
+            "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
+            "cameras": {"front": {"path": str(live_recording), "waits": False, "speed": 0.02}},
+            "aggregator": {"out": str(tmp_path / "run")},
+        },
+        where="of this test",
+    )
+    (tmp_path / "line.toml").write_text(dump_toml(config))
+    inject(("run tuberline.supervisor Supervisor.poll 60",), tmp_path, monkeypatch)
+    line = subprocess.Popen([sys.executable, "-m", "tuberline", "run", str(tmp_path / "line.toml")])
+    try:
+        roles = ("router", "aggregator", "camera", "segmenter")
+        wait_until(lambda: all(child(line.pid, role) for role in roles), what="its nodes", timeout_s=60)
+        nodes = [child(line.pid, role) for role in roles]
+        assert line.wait(timeout=120) == FAULT
+        wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in nodes), what="their end", timeout_s=60)
+    finally:
+        line.kill()
