@@ -142,6 +142,20 @@ def test_a_live_camera_that_came_late_is_charged_for_the_belt_before_its_first_f
     assert found.share == pytest.approx(3.0 / 4.5, abs=0.001)
 
 
+def test_a_camera_that_hardly_looked_says_nothing_of_its_lane() -> None:
+    """One was stopped after 2 cm of belt: as it had seen no tuber, its lane counted as empty, 60 % for 39 % counted."""
+    belt_m = np.arange(0, 301) * 0.015
+    right = look(belt_m, [Outage(18.0, 1e9)], estimated=False, final=False).sight
+    left = look(belt_m, [Outage(0.2, 1e9)], estimated=False, final=False).sight
+    found = coverage({"left": left, "right": right}, seen_by={frozenset({"right"}): 114}, moment=OVER)
+    assert found.cameras["right"] == pytest.approx(0.6, abs=0.01)
+    assert 0.36 < (found.share or 0.0) < 0.44
+    both = look(belt_m, [], estimated=False, final=True).sight  # the same camera, had it looked at all of the belt
+    assert coverage({"left": both, "right": both}, seen_by={frozenset({"right"}): 2}, moment=OVER).share == 1.0
+    told = coverage({"left": both, "right": right}, seen_by={frozenset({"right"}): 114}, moment=OVER)
+    assert told.share == pytest.approx(0.6, abs=0.02)
+
+
 def test_a_camera_that_never_looked_is_a_lane_of_its_own() -> None:
     well = look(np.arange(0, 101) * 0.03, [], estimated=False, final=True).sight
     never = look(np.arange(0, 101) * 0.03, [Outage(0.0, 1e9)], estimated=False, final=True).sight
