@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
-from aggregator.core.machine import Aggregation
 from aggregator.ledger.writer import Ledger
+from aggregator.opening import core_of, open_run
 from aggregator.report import Reporter
 from conveyor.config import LineConfig
 from conveyor.counters import CounterSet
@@ -24,38 +24,22 @@ def write_late_summary(config: LineConfig, run: str, *, stopped_s: float | None 
     Raises:
         LedgerError: the ledger cannot be trusted, or an aggregator is at work on it.
     """
-    settings = config.aggregator
-    path = settings.out / "ledger.db"
+    out = config.aggregator.out
+    path = out / "ledger.db"
     if not path.is_file():
         return False
     with Ledger(path) as ledger:
         row = ledger.run_row(run)
         if row is None:
             return False
-        restored = ledger.open_run(
-            run,
-            line=row.line,
-            cameras=row.cameras,
-            version=row.version,
-            started_ns=row.started_ns,
-            may_be_finished=True,
-            histogram_step_g=settings.histogram_step_g,
-        )
+        restored = open_run(ledger, run, config=config, cameras=row.cameras, may_be_finished=True)
         now_s = time.monotonic()
-        core = Aggregation(
-            run,
-            cameras=row.cameras,
-            merge_gate_mm=settings.merge_gate_mm,
-            camera_stall_s=settings.camera_stall_s,
-            committed=ledger.committed(run),
-            now_s=now_s,
-            restored=restored,
-        )
+        core = core_of(ledger, run, restored, config=config, cameras=row.cameras, now_s=now_s)
         if stopped_s is not None:
             core.cameras.ran_until(round(stopped_s * 1e9), now_s)
         reporter = Reporter(ledger, core, config=config, counters=CounterSet())
         reporter.stopped()
-        reporter.write(settings.out, now_s)
+        reporter.write(out, now_s)
         if core.finished:  # it was down between the last entry and its goodbye
             ledger.finish(run, reporter.summary_text(now_s), sights=core.cameras.sights)
     return True

@@ -11,8 +11,9 @@ from typing import Self
 
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.core.cameras import STANDS_AFTER_S
-from aggregator.core.machine import Aggregation, Batch
+from aggregator.core.machine import Batch
 from aggregator.ledger.writer import Ledger
+from aggregator.opening import core_of, open_run
 from aggregator.orders import Orders, answer_all
 from aggregator.queries import Queries
 from aggregator.report import Reporter
@@ -77,29 +78,27 @@ class AggregatorNode:
         with ExitStack() as stack:
             self._ledger = stack.enter_context(Ledger(self.ledger_path))
             opened_s = time.monotonic()
-            restored = self._ledger.open_run(
+            cameras = list(self._config.cameras)
+            restored = open_run(
+                self._ledger,
                 self._run,
-                line=self._config.name,
-                cameras=list(self._config.cameras),
-                version=__version__,
-                started_ns=time.time_ns(),
-                fingerprint=self._fingerprint,
+                config=self._config,
+                cameras=cameras,
                 may_be_finished=not self._settings.exit_when_final,
-                histogram_step_g=self._settings.histogram_step_g,
+                fingerprint=self._fingerprint,
             )
             self._node = stack.enter_context(
                 Node("aggregator", "aggregator", config=self._config, run=self._run, announce=False)
             )
             for name in COUNTED:
                 self._node.counters.add(name, 0)
-            self._core = Aggregation(
+            self._core = core_of(
+                self._ledger,
                 self._run,
-                cameras=list(self._config.cameras),
-                merge_gate_mm=self._settings.merge_gate_mm,
-                camera_stall_s=self._settings.camera_stall_s,
-                committed=self._ledger.committed(self._run),
+                restored,
+                config=self._config,
+                cameras=cameras,
                 now_s=time.monotonic(),
-                restored=restored,
                 count=self._node.counters.add,
             )
             if (age_s := self._age_s(begun=restored.begun)) is not None:

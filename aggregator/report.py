@@ -131,6 +131,7 @@ class Reporter:
             state=state,
             reason=reason,
             belt_m=seen.belt_m,
+            most_m=seen.most_m,
             unseen_m=seen.mean_unseen_m(),
             load=self.open_load(now_s),
             contract=contract.told if contract else "",

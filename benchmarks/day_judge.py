@@ -65,7 +65,7 @@ class Evening:
         """The same against the truth."""
         found = []
         for load, true_kg in zip(self.loads(tickets), self._true_kg, strict=True):
-            grams = load.one.totals.estimated(load.one.coverage, belt_m=load.one.belt_m)
+            grams = load.one.estimated
             whole = (load.one.coverage or 0) > WHOLE
             found.append(Judged(whole, true_kg, *(value / 1000 for value in grams)))
         return found

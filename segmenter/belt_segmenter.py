@@ -78,7 +78,7 @@ class BeltSegmenter:
         )
         self.belt = belt
         self.tracker = Tracker(belt, settings.track, offsets_m)
-        self.follower = BeltFollower(belt, travel_m=resume.travel_m if resume else 0.0, resumed=resume is not None)
+        self.follower = BeltFollower(belt, resume=resume)
         self.coverage = Coverage(high_m - low_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.noise = NoiseWatch()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Picture, Track, Travel, View, Weight
+from conveyor.messages.tracks import UNFOLLOWED
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
@@ -220,8 +221,9 @@ class CameraRun:
         logged = {**tracks, "counted": tracks["counted"] - waiting, "open": tracks["open"] + waiting}
         if foreign:
             logged["foreign"] = tracks["foreign"] - foreign
+        unfollowed = {UNFOLLOWED: ms} if (ms := self.core.unfollowed_ms) else {}
         return {
-            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0},
+            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0, **unfollowed},
             "views": _sum(self.dispatcher.balance(), self._base_views),
             "tracks": _sum(logged, self._base_tracks),
         }
@@ -307,7 +309,7 @@ class CameraRun:
         )
 
 
-def _resume(mark: Mark, logged: list[Track], speed_mps: float) -> Resume:
+def _resume(mark: Mark, logged: list[Track], speed_mps: float | None) -> Resume:
     """Where the process that wrote `mark`, and the tracks `logged` after it, left off.
 
     Without an encoder what it logged last is told from what it did not by its place alone, which is a guess after the
@@ -324,6 +326,7 @@ def _resume(mark: Mark, logged: list[Track], speed_mps: float) -> Resume:
         travelled_m=mark.travelled_m,
         captured_ns=mark.captured_ns,
         speed_mps=speed_mps,
+        unfollowed_ms=mark.frames.get(UNFOLLOWED, 0),
     )
 
 

@@ -149,6 +149,11 @@ class Segmenter:
         """Belt that passed the centre row, metres."""
         return self._running.coverage.travelled_m if self._running else self._waiting.travelled_m
 
+    @property
+    def unfollowed_ms(self) -> int:
+        """How long load passed of which it is not known how far it moved, milliseconds."""
+        return self._running.follower.unfollowed_ms if self._running else self._waiting.unfollowed_ms
+
     def track_counts(self) -> dict[str, int]:
         """opened = counted + discarded by reason + open; 'foreign' of the discarded are kept."""
         opened = self._running.tracker.opened if self._running else 0

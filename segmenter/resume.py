@@ -13,7 +13,8 @@ class Resume:
     """All that crossed at or before `complete` is in the log.
 
     `travel_m` is what it saw last, at `captured_ns`; what had crossed since `complete` it took with it. `speed_mps` is
-    the belt's last speed, for where no encoder says how far it went since.
+    the belt's last speed, for where no encoder says how far it went since; None: not known. `unfollowed_ms` is how long
+    load passed of which it did not know how far it moved (`TravelEstimator.unfollowed_ms`).
     """
 
     complete_ns: int
@@ -22,7 +23,8 @@ class Resume:
     looked_at_m: float
     travelled_m: float
     captured_ns: int = 0
-    speed_mps: float = 0.0
+    speed_mps: float | None = None
+    unfollowed_ms: int = 0
 
     def unlogged_m(self, row_x_m: float) -> float:
         """Belt that had passed the centre row, at `row_x_m`, since counting began and is not in the log."""
@@ -30,16 +32,23 @@ class Resume:
         return min(max(0.0, unlogged_m), self.travelled_m)
 
     def missed_m(self, captured_ns: int) -> float:
-        """Belt that went by unseen until `captured_ns`, at the last speed; 0 where the clock says nothing."""
-        gap_s = (captured_ns - self.captured_ns) * 1e-9
-        return self.speed_mps * min(gap_s, STANDS_AFTER_S) if gap_s > 0 else 0.0
+        """Belt that went by unseen until `captured_ns`, at the last speed; 0 where that is not known."""
+        return (self.speed_mps or 0.0) * self._gap_s(captured_ns)
+
+    def _gap_s(self, captured_ns: int) -> float:
+        """Seconds that no process looked; 0 where the clock says nothing."""
+        return min(max(0.0, (captured_ns - self.captured_ns) * 1e-9), STANDS_AFTER_S)
 
     def brought_to(self, captured_ns: int) -> Resume:
         """The same as of the first frame, without an encoder: the belt has run on, and no process looked at it.
 
         The travel at which counting goes on moves with it. So whatever the belt really did, no tuber that was logged is
-        counted again, and those that crossed meanwhile count as belt not looked at.
+        counted again, and those that crossed meanwhile count as belt not looked at. Where no speed is known yet, that
+        belt is told once there is one.
         """
+        if self.speed_mps is None:
+            gap_ms = round(1000 * self._gap_s(captured_ns))
+            return replace(self, unfollowed_ms=self.unfollowed_ms + gap_ms)
         missed_m = self.missed_m(captured_ns)
         if missed_m <= 0:
             return self

@@ -9,6 +9,7 @@ from typing import Self
 
 from conveyor.errors import StorageError
 from conveyor.messages import Mark, Track, TrackEntry
+from conveyor.messages.tracks import UNFOLLOWED
 from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
 
@@ -68,11 +69,13 @@ class TrackLog:
         return [entry.track for entry in self._since_mark if entry.track is not None]
 
     @property
-    def speed_mps(self) -> float:
-        """The belt's speed between the last two marks, metres per second of the camera's clock; 0 if not known."""
+    def speed_mps(self) -> float | None:
+        """The belt's speed between the last two marks, metres per second of the camera's clock; None: not known."""
         before, last = self._mark_before.mark if self._mark_before else None, self.last_mark
         if before is None or last is None or last.captured_ns <= before.captured_ns:
-            return 0.0
+            return None
+        if last.frames.get(UNFOLLOWED):
+            return None
         return max(0.0, (last.travel_m - before.travel_m) / (last.captured_ns - before.captured_ns) * 1e9)
 
     @property

@@ -34,6 +34,11 @@ class WaitingSegmenter:
         """Belt that passed under the earlier process."""
         return self.resume.travelled_m if self.resume else 0.0
 
+    @property
+    def unfollowed_ms(self) -> int:
+        """How long load passed under it of which it did not know how far it moved."""
+        return self.resume.unfollowed_ms if self.resume else 0
+
     def complete_travel_m(self) -> float:
         """Travel up to which the earlier process logged everything."""
         return -self.resume.complete_place_x_m if self.resume else float("-inf")

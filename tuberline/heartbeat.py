@@ -23,7 +23,7 @@ class Heartbeat:
 
     Args:
         now_s: the monotonic clock.
-        patience: times `STILL_AFTER_S` it may stand still.
+        patience: times `STILL_AFTER_S` it may stand still, and times `START_WITHIN_S` it may take to start.
     """
 
     def __init__(self, now_s: float, *, patience: float = 1.0) -> None:
@@ -32,7 +32,7 @@ class Heartbeat:
         self._channel: socket.socket | None = None
         self._ready = False
         self._heard_s = now_s
-        self._start_until_s = now_s + START_WITHIN_S
+        self._start_until_s = now_s + patience * START_WITHIN_S
         name = f"tuberline-{os.getpid()}-{next(_numbers)}"
         channel = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
         try:

@@ -19,7 +19,13 @@ IDLE_S = 1.0
 
 
 class Sink(ABC):
-    """A queue and the thread that empties it. Subclasses know how to open, to draw and to finish a batch."""
+    """A queue and the thread that empties it. Subclasses know how to open, to draw and to finish a batch.
+
+    Attributes:
+        given_up_after: faults after which the others go on without it; any other one ends the process.
+    """
+
+    given_up_after: tuple[type[Exception], ...] = ()
 
     def __init__(self, name: str, *, run: str, tick_s: float, counters: CounterSet, log: logging.Logger) -> None:
         self.name = name
@@ -57,7 +63,7 @@ class Sink(ABC):
     def _main(self) -> None:
         try:
             self._work()
-        except Exception:
+        except self.given_up_after:
             self._log.exception("%s sink failed; the viewer goes on without it", self.name)
             self._counters.add(f"{self.name}_dropped_failed", self._under_way)
             self._discard_until_stop()

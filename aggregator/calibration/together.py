@@ -18,12 +18,18 @@ from conveyor.statistics import NORMAL_90
 
 @dataclass(frozen=True, slots=True)
 class OneLoad:
-    """A load to be added: its totals, the share of its belt that was seen, and its variety."""
+    """A load to be added: its totals, the share of its belt that was seen, its variety; `most_m` as in `Coverage`."""
 
     totals: LoadTotals
     coverage: float | None
     belt_m: float
     variety: str = ""
+    most_m: float | None = None
+
+    @property
+    def estimated(self) -> tuple[float, float, float]:
+        """(weight, low, high) of its whole belt, grams."""
+        return self.totals.estimated(self.coverage, belt_m=self.belt_m, most_m=self.most_m)
 
     @property
     def whole(self) -> float:
@@ -39,7 +45,7 @@ class OneLoad:
     @property
     def unseen_sd_g(self) -> float:
         """Standard deviation of the weight on belt that was not seen."""
-        whole_g, _, high_g = self.totals.estimated(self.coverage, belt_m=self.belt_m)
+        whole_g, _, high_g = self.estimated
         _, seen_high_g = self.totals.interval_g()
         seen_half_g = (seen_high_g - self.totals.weight_g) * self.whole
         return math.sqrt(max(0.0, (high_g - whole_g) ** 2 - seen_half_g**2)) / NORMAL_90

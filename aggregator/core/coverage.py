@@ -52,16 +52,19 @@ class Coverage:
     """What of a load was seen.
 
     Attributes:
-        share: of the line's tubers that passed under a looking camera, 0 to 1; None before the belt moved.
-        belt_m: from the load's first metre to its last.
+        share: of the line's tubers that passed under a looking camera, 0 to 1; None before the belt moved, and where
+            it is not known how far it moved.
+        belt_m: from the load's first metre to its last, as far as known.
         cameras: each camera's own share; None before the belt moved.
         unseen_m: by camera and reason, metres.
+        most_m: the belt that can have passed at most, where it is not known how far it moved; else None.
     """
 
     share: float | None
     belt_m: float
     cameras: Mapping[str, float | None]
     unseen_m: Mapping[str, Mapping[Unseen, float]]
+    most_m: float | None = None
 
     def mean_unseen_m(self) -> dict[str, float]:
         """Metres not seen by reason, in the mean of the cameras; reasons that did not happen are left out."""
@@ -105,7 +108,8 @@ def coverage(
     first, last = max(low, window[0]), min(high, window[1])
     belt_m = last - first
     if belt_m <= WHOLE:
-        return Coverage(None, 0.0, dict.fromkeys(sights), {name: {} for name in sights})
+        most_m = None if placed else max((m for s in sights.values() if (m := s.most_m) is not None), default=None)
+        return Coverage(None, 0.0, dict.fromkeys(sights), {name: {} for name in sights}, most_m)
     stretches: dict[str, list[Stretch]] = {}
     unseen: dict[str, dict[Unseen, float]] = {}
     for name in sights:
@@ -124,8 +128,10 @@ def coverage(
 
 
 def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str, _Placed]:
-    """Cameras that looked, on one axis: by their encoder, or by the time at which they began."""
-    looked = {name: sight for name, sight in sights.items() if sight.first_ns is not None}
+    """Cameras that looked, on one axis: by their encoder, or by the time at which they began. What one looked at that
+    does not know how far its belt moved lies nowhere on it.
+    """
+    looked = {name: own for name, own in sights.items() if own.first_ns is not None and own.most_m is None}
     if not looked:
         return {}
     earliest = min(looked, key=lambda name: (looked[name].first_ns or 0, name))

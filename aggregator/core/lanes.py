@@ -6,8 +6,9 @@ and B both looked, tubers that only A saw ride in A's lane; where only A looked 
 
     n[O] ~ Poisson(sum over S of a[O, S] * density[S])
 
-and the densities follow by maximum likelihood (expectation maximisation). Seen is density times the belt on which any
-camera of the lane looked.
+and the densities follow by maximum likelihood (expectation maximisation), lanes of one camera held together by a few
+tubers' worth of belief that they are equally full: a camera that looked at a hand's breadth of belt and saw no tuber
+says nothing of its lane. Seen is density times the belt on which any camera of the lane looked.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from itertools import combinations, pairwise
 import numpy as np
 
 ROUNDS = 300
+BELIEF_TUBERS = 3.0
+"""That the lanes of one camera each are equally full is believed as firmly as if so many tubers had shown it."""
 MOST_FOR_ALL_LANES = 4
 """With more cameras only the lanes of one camera, of neighbours by name, and those that were seen are thought of."""
 
@@ -115,6 +118,9 @@ def _densities(
     lanes: Sequence[frozenset[str]], lengths: Mapping[frozenset[str], float], counts: Mapping[frozenset[str], float]
 ) -> np.ndarray:
     """(lanes,) float64 tubers per metre, by expectation maximisation from equal densities."""
+    alone = np.array([len(lane) == 1 for lane in lanes])
+    others = max(1, int(alone.sum()) - 1)
+    belief = BELIEF_TUBERS * (alone if alone.sum() > 1 else np.zeros(len(lanes)))
     groups = sorted({lane & at for lane in lanes for at in lengths if lane & at} | set(counts), key=sorted)
     a = np.array(
         [[sum(m for at, m in lengths.items() if lane & at == group) for lane in lanes] for group in groups], np.float64
@@ -124,5 +130,7 @@ def _densities(
     density = np.full(len(lanes), n.sum() / max(a.sum(), 1e-9))
     for _ in range(ROUNDS):
         fitted = np.maximum(a @ density, 1e-12)
-        density = np.where(whole > 0, density * (a.T @ (n / fitted)) / np.maximum(whole, 1e-12), 0.0)
+        elsewhere = np.maximum((density[alone].sum() - density) / others, 1e-12)
+        found = density * (a.T @ (n / fitted)) + belief
+        density = np.where(whole > 0, found / np.maximum(whole + belief / elsewhere, 1e-12), 0.0)
     return density

@@ -6,8 +6,11 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 
 from aggregator.core.coverage import Coverage
-from aggregator.core.reasons import LoadState, why_nothing
+from aggregator.core.reasons import LoadState, NothingSeen, why_nothing
 from aggregator.core.sight import CameraSight
+
+NO_SPEED_FROM_M = 15.0
+"""Belt that may have passed, metres (5 s of the fastest one): so long a belt's speed may take to be seen."""
 
 
 def load_state(
@@ -30,13 +33,14 @@ def load_state(
     waiting = [name for name, sight in sights.items() if sight.first_ns is None and name not in given_up]
     # Belt looked at that is in no tuber yet was not seen: of it there is no number either.
     saw = bool(coverage.share) or count > 0
+    no_speed = str(NothingSeen.NO_SPEED) if coverage.most_m is not None else ""
     if over:
-        return (LoadState.ENDED, "") if saw else (LoadState.NOTHING_SEEN, _why(sights, sheets))
+        return (LoadState.ENDED, no_speed) if saw else (LoadState.NOTHING_SEEN, _why(sights, sheets))
     if waiting:
         return LoadState.STARTING, f"no frame processed yet of {', '.join(sorted(waiting))}"
     if all(sight.first_ns is None for sight in sights.values()):
         return LoadState.NOTHING_SEEN, _why(sights, sheets)
-    return LoadState.COUNTING, ""
+    return LoadState.COUNTING, no_speed if (coverage.most_m or 0.0) > NO_SPEED_FROM_M else ""
 
 
 def _why(sights: Mapping[str, CameraSight], sheets: Mapping[str, Mapping[str, int]]) -> str:

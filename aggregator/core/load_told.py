@@ -27,12 +27,14 @@ class LoadCounted:
     Attributes:
         sums: over its tubers. coverage: share of its belt that was looked at; None where it has no belt.
         belt_m: of all its stretches. unseen_m: of that not seen, by reason, metres in the mean of the cameras.
+        most_m: the belt that can have passed at most, where it is not known how far it moved; else None.
     """
 
     sums: LoadSums
     coverage: float | None
     belt_m: float
     unseen_m: Mapping[str, float]
+    most_m: float | None = None
 
 
 def span_coverage(
@@ -55,6 +57,8 @@ def counted(parts: Sequence[tuple[LoadSums, Coverage]]) -> LoadCounted:
         seen_m += (seen.share or 0.0) * seen.belt_m
         for why, metres in seen.mean_unseen_m().items():
             unseen_m[why] = unseen_m.get(why, 0.0) + metres
+    if any(seen.most_m is not None for _, seen in parts):  # then nor is it of the whole
+        return LoadCounted(sums, None, belt_m, unseen_m, sum(seen.most_m or seen.belt_m for _, seen in parts))
     return LoadCounted(sums, seen_m / belt_m if belt_m > 0 else None, belt_m, unseen_m)
 
 
@@ -71,7 +75,7 @@ def load_now(
     """The open load as the totals tell it; `cultivar` where it names no variety of its own."""
     totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=load.variety or cultivar)
     low_g, high_g = totals.interval_g()
-    whole_g, whole_low_g, whole_high_g = totals.estimated(found.coverage, belt_m=found.belt_m)
+    whole_g, whole_low_g, whole_high_g = totals.estimated(found.coverage, belt_m=found.belt_m, most_m=found.most_m)
     return LoadNow(
         number=load.number,
         name=load.name,

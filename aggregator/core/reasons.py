@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 
+from conveyor.messages.tracks import UNFOLLOWED
+
 
 class LoadState(StrEnum):
     """What the numbers of a load are worth."""
@@ -57,6 +59,7 @@ class NothingSeen(StrEnum):
     NO_CAMERA = "no camera was heard of"
     NO_FRAME = "no frame arrived"
     NO_MOTION = "the belt did not move"
+    NO_SPEED = "no two frames share any belt, so how fast it runs is not known"
     UNKNOWN = "no frame was processed"
 
 
@@ -80,6 +83,8 @@ def why_nothing(published: int, frames: Mapping[str, int], *, moved: bool = Fals
         moved: a camera that processed frames says that the belt moved.
     """
     dropped = {name.removeprefix("dropped_"): n for name, n in frames.items() if name.startswith("dropped_") and n}
+    if frames.get(UNFOLLOWED, 0):
+        return str(NothingSeen.NO_SPEED)
     if frames.get("processed", 0) and not moved:
         return str(NothingSeen.NO_MOTION)
     if dropped:

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any, Self
 
 from conveyor.messages import CameraInfo, Mark
+from conveyor.messages.tracks import UNFOLLOWED
 
 PIECES = 256
 """Stretches of one looked-at share that are told apart per camera; beyond it the shortest neighbours become one."""
@@ -28,6 +29,9 @@ SAMPLES = 96
 FIRST_SPEED_NS, LAST_SPEED_NS = 5_000_000_000, 2_000_000_000
 """Over so much of the marks the belt's first and last speed are taken. Without an encoder, and with few frames on a
 busy machine, the first second of a belt is known to a quarter."""
+FASTEST_MPS = 3.0
+"""Metres per second. Belt of which no speed was ever seen ran no faster: ten times a harvester's belt."""
+
 WHOLE = 1e-6
 """Metres: less than this is rounding."""
 
@@ -108,6 +112,12 @@ class CameraSight:
     def looked_at_m(self) -> float:
         """Of that, looked at."""
         return sum(looked for _, looked in self.pieces)
+
+    @property
+    def most_m(self) -> float | None:
+        """Belt that can have passed at most, where it is not known how far it moved while load passed; else None."""
+        unfollowed_ms = self.frames.get(UNFOLLOWED, 0) if self.estimated else 0
+        return self.length_m + FASTEST_MPS * unfollowed_ms / 1000 if unfollowed_ms else None
 
     @property
     def last_ns(self) -> int:

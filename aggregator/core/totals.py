@@ -101,14 +101,22 @@ class LoadTotals:
         low_sd_g, high_sd_g = math.hypot(seen.low_sd_g, on_others_g), math.hypot(seen.high_sd_g, on_others_g)
         return max(0.0, seen.weight_g - NORMAL_90 * low_sd_g), seen.weight_g + NORMAL_90 * high_sd_g
 
-    def estimated(self, coverage: float | None, *, belt_m: float | None = None) -> tuple[float, float, float]:
+    def estimated(
+        self, coverage: float | None, *, belt_m: float | None = None, most_m: float | None = None
+    ) -> tuple[float, float, float]:
         """(weight, low, high) in grams for the whole belt: seen and hidden, over the share that was looked at.
 
         The unseen part is known to `UNSEEN_SPREAD`, as evenly as the belt's metres are loaded (`UNEVEN`), and as the
         numbers of tubers seen and not seen allow: with n seen and m expected unseen, m scatters by
         sqrt(m + m^2 / (n + 1)). Where no belt was looked at there is no estimate: it is what was seen; but the belt
-        under a tuber that was counted was.
+        under a tuber that was counted was. Where it is not known how far the belt moved (`most_m` metres at most), the
+        estimate is what was seen too, and the interval reaches up to a belt of that length loaded as what was seen.
         """
+        if coverage is None and most_m and self.sums.count:
+            seen_m = TUBER_M * self.sums.count
+            high_g = self.estimated(min(1.0, seen_m / most_m), belt_m=most_m)[2]
+            there_g, low_g, seen_high_g = self.estimated(None)
+            return there_g, low_g, max(high_g, seen_high_g)
         if coverage is not None and self.sums.count and belt_m:
             coverage = max(coverage, TUBER_M / belt_m)
         (low_g, high_g), under = self._seen_g(), self.hidden()
@@ -145,15 +153,16 @@ class LoadTotals:
         state: LoadState = LoadState.COUNTING,
         reason: str = "",
         belt_m: float | None = None,
+        most_m: float | None = None,
         unseen_m: Mapping[str, float] | None = None,
         load: LoadNow | None = None,
         contract: str = "",
         classes: tuple[ClassTotal, ...] = (),
         foreign: ForeignTotal | None = None,
     ) -> Totals:
-        """The totals as published."""
+        """The totals as published; `most_m` as in `estimated`."""
         low_g, high_g = self.interval_g()
-        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m)
+        estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m, most_m=most_m)
         seen, under = self.calibrated(), self.hidden()
         return Totals(
             run=run,

@@ -120,7 +120,7 @@ def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> 
 
 def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:
     totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=variety)
-    return OneLoad(totals, found.coverage, found.belt_m, variety)
+    return OneLoad(totals, found.coverage, found.belt_m, variety, found.most_m)
 
 
 def _labels(load: Load) -> dict[str, str]:

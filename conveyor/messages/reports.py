@@ -114,6 +114,11 @@ class Totals(Message):
         """Nothing was seen, or nothing is counted yet: then no weight is to be shown, but why."""
         return self.state == "nothing seen" or (self.state == "starting" and not self.count)
 
+    @property
+    def belt_unknown(self) -> bool:
+        """There is a weight, and it is not known how much of the belt was looked at: `reason` says why."""
+        return self.coverage is None and self.state in ("counting", "ended") and bool(self.reason)
+
 
 @dataclass(frozen=True, slots=True)
 class Counters(Message):

@@ -9,6 +9,7 @@ from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances
+from segmenter.resume import Resume
 from segmenter.track.history import TravelHistory
 from segmenter.track.tracker import Tracker
 from segmenter.track.travel import EarlierMove, TravelEstimator
@@ -35,15 +36,20 @@ class BeltMotion:
 class BeltFollower:
     """Travel of one camera's belt. `estimated`: the load tells it, there is no encoder."""
 
-    def __init__(self, belt: BeltGeometry, *, travel_m: float, resumed: bool) -> None:
-        self.travel_m = travel_m
+    def __init__(self, belt: BeltGeometry, *, resume: Resume | None = None) -> None:
+        self.travel_m = resume.travel_m if resume else 0.0
         self.estimated = False
         self.history = TravelHistory()
         self._estimator = TravelEstimator(belt)
         self._begun = False
         self._earlier: list[EarlierMove] = []
-        if resumed:
-            self._estimator.start_at(travel_m)
+        if resume is not None:
+            self._estimator.start_at(resume.travel_m, unfollowed_ms=resume.unfollowed_ms)
+
+    @property
+    def unfollowed_ms(self) -> int:
+        """As the estimator has it; 0 with an encoder."""
+        return self._estimator.unfollowed_ms
 
     def step(self, frame: Frame, heights: HeightMap, instances: Instances, tracker: Tracker) -> BeltMotion:
         """Travel at this frame, and the matches of tracks and instances."""

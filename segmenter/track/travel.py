@@ -78,10 +78,16 @@ class TravelEstimator:
         """Median of the last readings; 0 before the first one."""
         return float(np.median(self._speeds)) if self._speeds else 0.0
 
-    def start_at(self, travel_m: float) -> None:
-        """Carry on from a travel known from before."""
+    @property
+    def unfollowed_ms(self) -> int:
+        """How long, in milliseconds, load passed of which it is not known how far it moved: no speed was ever seen."""
+        return sum(ms * n for (ms, bare), n in self._blind.items() if not bare)
+
+    def start_at(self, travel_m: float, *, unfollowed_ms: int = 0) -> None:
+        """Carry on from a travel known from before; how far the belt moved in `unfollowed_ms` is to be told yet."""
         self.travel_m = travel_m
-        self._looked_back = True
+        self._blind = Counter({(unfollowed_ms, False): 1} if unfollowed_ms else {})
+        self._looked_back = not unfollowed_ms
         self._last = None
 
     def step(self, heights: HeightMap, captured_ns: int) -> float:
@@ -110,6 +116,7 @@ class TravelEstimator:
             return []
         self._looked_back = True
         moves = [EarlierMove(self.speed_mps * ms / 1000, n, bare=bare) for (ms, bare), n in self._blind.items()]
+        self._blind.clear()
         self.travel_m += sum(move.all_m for move in moves)
         return moves
 

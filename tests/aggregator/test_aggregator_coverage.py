@@ -11,10 +11,12 @@ from aggregator.core.coverage import Moment, coverage
 from aggregator.core.lanes import share_seen
 from aggregator.core.load_state import load_state
 from aggregator.core.load_sums import LoadSums
-from aggregator.core.reasons import LoadState, Unseen
-from aggregator.core.sight import PIECES, CameraSight
+from aggregator.core.load_told import counted
+from aggregator.core.reasons import LoadState, NothingSeen, Unseen
+from aggregator.core.sight import FASTEST_MPS, PIECES, CameraSight
 from aggregator.core.totals import LoadTotals
 from conveyor.messages import Mark, Tuber
+from conveyor.messages.tracks import UNFOLLOWED
 from conveyor.statistics import NORMAL_90
 from tests.aggregator.looking_story import FPS, START_NS, Outage, look, positions_m, share_of, some_outages
 
@@ -140,6 +142,20 @@ def test_a_live_camera_that_came_late_is_charged_for_the_belt_before_its_first_f
     assert found.share == pytest.approx(3.0 / 4.5, abs=0.001)
 
 
+def test_a_camera_that_hardly_looked_says_nothing_of_its_lane() -> None:
+    """One was stopped after 2 cm of belt: as it had seen no tuber, its lane counted as empty, 60 % for 39 % counted."""
+    belt_m = np.arange(0, 301) * 0.015
+    right = look(belt_m, [Outage(18.0, 1e9)], estimated=False, final=False).sight
+    left = look(belt_m, [Outage(0.2, 1e9)], estimated=False, final=False).sight
+    found = coverage({"left": left, "right": right}, seen_by={frozenset({"right"}): 114}, moment=OVER)
+    assert found.cameras["right"] == pytest.approx(0.6, abs=0.01)
+    assert 0.36 < (found.share or 0.0) < 0.44
+    both = look(belt_m, [], estimated=False, final=True).sight  # the same camera, had it looked at all of the belt
+    assert coverage({"left": both, "right": both}, seen_by={frozenset({"right"}): 2}, moment=OVER).share == 1.0
+    told = coverage({"left": both, "right": right}, seen_by={frozenset({"right"}): 114}, moment=OVER)
+    assert told.share == pytest.approx(0.6, abs=0.02)
+
+
 def test_a_camera_that_never_looked_is_a_lane_of_its_own() -> None:
     well = look(np.arange(0, 101) * 0.03, [], estimated=False, final=True).sight
     never = look(np.arange(0, 101) * 0.03, [Outage(0.0, 1e9)], estimated=False, final=True).sight
@@ -180,6 +196,31 @@ def test_no_number_without_sight() -> None:
     assert state_of({"a": early}, over=True)[0] is LoadState.NOTHING_SEEN
     still = look(np.zeros(50), [], estimated=False, final=True).sight
     assert state_of({"a": still}, over=True) == (LoadState.NOTHING_SEEN, "the belt did not move")
+
+
+def test_a_belt_whose_speed_was_never_seen_has_no_coverage_and_an_interval_that_says_so() -> None:
+    belt_m = np.arange(0, 101) * 0.03
+    lost = look(belt_m, [], estimated=True, final=True).sight
+    lost.frames[UNFOLLOWED] = 20_000
+    found = coverage({"a": lost}, seen_by={frozenset("a"): 9}, moment=OVER)
+    assert (found.share, found.belt_m) == (None, 0.0)
+    assert found.most_m == pytest.approx(3.0 + 20.0 * FASTEST_MPS)
+    assert state_of({"a": lost}, count=9, over=True) == (LoadState.ENDED, NothingSeen.NO_SPEED)
+    assert state_of({"a": lost}, count=9) == (LoadState.COUNTING, NothingSeen.NO_SPEED)
+    assert state_of({"a": lost}, over=True) == (LoadState.NOTHING_SEEN, NothingSeen.NO_SPEED)
+    sums = LoadSums(50.0)
+    for _ in range(9):
+        sums.add(TUBER)
+    totals = LoadTotals(sums)
+    weight_g, low_g, high_g = totals.estimated(found.share, most_m=found.most_m)
+    assert (weight_g, low_g) == totals.estimated(None)[:2]
+    assert high_g > 9 * TUBER.weight_g * 63 / 0.9  # it may be that only the belt under these nine was looked at
+
+    well = look(belt_m, [], estimated=False, final=True).sight
+    both = coverage({"a": lost, "b": well}, seen_by={frozenset("b"): 9}, moment=OVER)
+    assert (both.cameras, both.most_m) == ({"a": 0.0, "b": 1.0}, None)
+    load = counted([(sums, both), (sums, found)])
+    assert (load.coverage, load.most_m) == (None, pytest.approx(both.belt_m + 63.0))
 
 
 def test_a_restarted_segmenter_takes_back_what_it_had_not_logged() -> None:

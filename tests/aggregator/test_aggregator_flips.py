@@ -6,6 +6,7 @@ import ast
 import shutil
 import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +16,19 @@ from aggregator.calibration.load import ticket_of
 from aggregator.ledger.audit import audit_run
 from aggregator.ledger.check import check_file
 from aggregator.ledger.export import canonical_lines, full_lines
+from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.loads import last_loads
-from aggregator.ledger.reader import read_sums, read_tubers, reading, the_run
+from aggregator.ledger.reader import read_bodies, read_sums, read_tubers, reading, the_run
 from aggregator.ledger.schema import TABLES
+from aggregator.ledger.totals_by import totals_by
 from aggregator.ledger.verified import LedgerView
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError, LedgerError
-from tests.aggregator.belt_story import tell
-from tests.aggregator.virtual_line import Aggregator
+from conveyor.messages import TrackEntry
+from conveyor.messages.sizes import Sizes
+from tests.aggregator.belt_story import Story, tell
+from tests.aggregator.test_aggregator_foreign import with_others
+from tests.aggregator.test_aggregator_load_ledger import Loads
 from tests.conftest import ROOT
 
 QUICK, MANY = 60, 1000
@@ -32,15 +38,39 @@ NOT_FOUND_IN_ROWS = 0.5
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger at rest with a run that ended: all tables have rows."""
+    """A ledger at rest with a run that ended: all tables have rows, and all columns hold something somewhere."""
     path = tmp_path_factory.mktemp("finished") / "ledger.db"
     with Ledger(path) as ledger:
-        it = Aggregator(ledger, tell(11, n=12, cameras=2))
-        it.commit_one_by_one()
+        it = Loads(ledger, with_sizes(with_others(tell(11, n=14, cameras=2), {2, 7})))
+        for n in it.commits():
+            if n == 2:
+                it.order("a", "start", x_m=-0.3, fields={"name": "A", "variety": "Agria"})
+            if n == 4:
+                it.order("b", "end", x_m=-0.8)
+        it.order("c", "ticket", load="1", kg=1.5)
         assert it.core.finished
         ledger.finish(it.story.run, '{"totals": {"count": 12, "weight_g": 1.0, "low_g": 1.0, "high_g": 1.0, '
                       '"coverage": 1.0, "final": true}}')  # fmt: skip
+    db = sqlite3.connect(path)
+    for table in TABLES:
+        for name in table.names:
+            assert db.execute(f"SELECT 1 FROM {table.name} WHERE {name} IS NOT NULL").fetchone(), (table.name, name)
+    db.close()
     return path
+
+
+def with_sizes(story: Story) -> Story:
+    """Every view says sizes, every track what the classifier believed."""
+    sizes = Sizes(70.0, 55.0, 45.0, 50.0, 2.0, 2.0, 3.0, 2.0)
+
+    def sized(entry: TrackEntry) -> TrackEntry:
+        if entry.track is None:
+            return entry
+        views = tuple(replace(view, sizes=sizes) for view in entry.track.views)
+        log_odds = 4.0 if entry.track.log_odds is None else entry.track.log_odds
+        return replace(entry, track=replace(entry.track, views=views, log_odds=log_odds))
+
+    return replace(story, logs={camera: [sized(entry) for entry in log] for camera, log in story.logs.items()})
 
 
 def copied(finished: Path, folder: Path) -> Path:
@@ -153,7 +183,10 @@ READERS: dict[str, Callable[[LedgerView, Path], object]] = {
     "tubers": lambda view, path: list(read_tubers(view, "story")),
     "canonical": lambda view, path: list(canonical_lines(view, the_run(view, path, None))),
     "export": lambda view, path: list(full_lines(view, the_run(view, path, None))),
-    "loads": lambda view, path: last_loads(view, limit=5),
+    "runs": lambda view, path: last_loads(view, limit=5),
+    "loads": lambda view, path: told_loads(view, limit=5),
+    "totals by field": lambda view, path: [total.sums for total in totals_by([path], "field")[0]],
+    "foreign": lambda view, path: list(read_bodies(view, "story")),
     "sums": lambda view, path: read_sums(view, "story").text(),
     "ticket": lambda view, path: ticket_of(path, run=None, ticket_g=1e3, ticket_sd_g=1.0),
 }
@@ -174,7 +207,7 @@ def test_a_reader_gives_the_truth_or_one_clear_error(
 
     expected, size, loud = read(finished), finished.stat().st_size, 0
     quiet = 0
-    trials = QUICK * 6 if reader == "loads" else QUICK  # it reads a few rows of the file alone
+    trials = QUICK * (6 if reader in ("runs", "loads", "foreign") else 1)  # they read a few rows of the file alone
     for i in range(trials):
         path = copied(finished, tmp_path / str(i))
         flip(path, int(rng.integers(size)), int(rng.integers(8)))

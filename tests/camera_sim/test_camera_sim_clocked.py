@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from camera_sim.clocked import ClockedSource
 from camera_sim.configured import configured_source
 from conveyor.config import parse_config
 from conveyor.errors import ConfigError
-from conveyor.formats import open_source
+from conveyor.formats import Refused, open_source
+from conveyor.formats.source import RecordedSource
 from conveyor.messages import Frame
 
 
@@ -47,6 +50,29 @@ def test_what_passes_a_process_that_stands_still_is_a_gap_in_the_numbers(recordi
     gaps = [b - a for a, b in pairwise(seqs)]
     assert max(gaps) >= 4, "0.5 s of 15 frames a second are gone"
     assert seqs[-1] == last
+
+
+def test_a_machine_that_is_slow_enough_still_gets_frames(recording: Path) -> None:
+    """Each frame was read for so long that it was gone by then: there was none, for 13 minutes of six cameras."""
+
+    class Slow:
+        def __init__(self, inner: RecordedSource) -> None:
+            self.inner = inner
+            self.description = inner.description
+            self.keys = inner.keys
+
+        def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+            for frame in self.inner.frames(run=run, after=after):
+                time.sleep(0.6)
+                yield frame
+
+    inner = open_source(recording, camera="left")
+    last = inner.keys()[-1].seq
+    source = ClockedSource(Slow(inner), starts_at_s=time.time(), speed=1.0)
+    seqs = [frame.seq for frame in source.frames(run="r")]
+    assert len(seqs) >= 2
+    assert seqs[-1] == last
+    assert max(b - a for a, b in pairwise(seqs)) >= 4
 
 
 def test_it_needs_a_camera_that_waits_for_no_one() -> None:

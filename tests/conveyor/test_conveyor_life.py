@@ -166,4 +166,15 @@ def test_codes_are_those_of_the_units() -> None:
     assert "\nStartLimitIntervalSec=0\n" in unit
     assert f"\nWatchdogSec={heartbeat.STILL_AFTER_S:g}\n" in unit
     assert f"\nTimeoutStartSec={heartbeat.START_WITHIN_S:g}\n" in unit
+
+
+def test_a_process_that_starts_slowly_gets_more_time_each_time() -> None:
+    """All of a line were killed after 5 minutes of starting on a busy machine, and would have been again and again."""
+    for patience in (1.0, 2.0):
+        beat = heartbeat.Heartbeat(0.0, patience=patience)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as process:
+            for at_s in (200.0, 299.0, 301.0):
+                process.sendto(b"STATUS=here", "\0" + beat.environment["NOTIFY_SOCKET"][1:])
+                assert bool(beat.standstill(at_s)) == (at_s > 300 * patience), (patience, at_s)
+        beat.close()
     assert len({PERMANENT, PASSING, FAULT}) == 3

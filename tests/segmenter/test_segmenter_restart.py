@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segmenter_scene import Scene, scattered
+from segmenter_scene import Body, Scene, scattered
 from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish, play
 
 from conveyor.messages import Frame, Mark, Track
+from conveyor.messages.tracks import UNFOLLOWED
 from segmenter.camera_run import CameraRun
 from segmenter.resume import STANDS_AFTER_S, Resume
 
@@ -53,6 +54,34 @@ def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
     crossed = np.array([[t.crossed_ns / 1e9 * RUN_FPS * STEP_M, t.y_m] for t in tracks])
     away = np.hypot(*(crossed[:, None] - crossed[None]).transpose(2, 0, 1)) + np.eye(len(crossed))
     assert away.min() > 0.04, "one tuber was logged twice"
+
+
+@pytest.mark.parametrize("killed_after", [2, 5])
+def test_belt_that_passes_before_any_speed_is_known_is_told_once_there_is_one(
+    frames: list[Frame], tmp_path: Path, killed_after: int
+) -> None:
+    """A segmenter that died within its first frames knew no speed: what passed until it was back was missing."""
+    tracks, mark = restarted(frames, tmp_path / "front.db", killed_after=killed_after, back_at=60)
+    assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.05)
+    assert mark.looked_at_m / mark.travelled_m == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
+    assert UNFOLLOWED not in mark.frames
+
+
+def test_a_belt_of_which_no_two_frames_share_any_says_so(tmp_path: Path) -> None:
+    """Its coverage was told from the little that was known of it: 50 points too much."""
+    rng = np.random.default_rng(0)
+    places = zip(rng.uniform(-0.2, 3.6, 30), rng.uniform(-0.2, 0.2, 30), strict=True)
+    scene = Scene([Body(-float(x_m), float(y_m)) for x_m, y_m in places], noise_m=0.001)
+    apart = [scene.frame(i, i * STEP_M, encoder=False) for i in range(0, 240, 48)]  # 0.64 m; 0.51 m are in view
+    for part in (apart[:3], apart[3:]):  # the second process knows as little
+        it = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
+        it.open()
+        play(it, part, names={"a"})
+    finish(it, 9.0, {"a"}, last_seq=apart[-1].seq)
+    mark = it.log.last_mark
+    assert mark is not None
+    assert mark.travelled_m == 0.0
+    assert mark.frames[UNFOLLOWED] == 1000 * apart[-1].seq // RUN_FPS
 
 
 @pytest.mark.parametrize("missing", [12, 55, 90])

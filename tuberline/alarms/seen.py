@@ -78,6 +78,13 @@ def _lost_regressors(state: LineState, config: LineConfig) -> Iterator[Seen]:
 
 def _coverage(state: LineState, limit: float) -> Iterator[Seen]:
     totals = state.totals
+    if totals is not None and totals.belt_unknown:
+        yield Seen(
+            f"coverage-{totals.run}",
+            "warning",
+            f"How much of this load's belt was looked at is not known: {totals.reason}.",
+            "Free the computer for more frames a second, or connect an encoder.",
+        )
     if totals is None or totals.coverage is None or totals.count < ENOUGH_TUBERS or totals.coverage >= limit:
         return
     if not (state.in_contact or state.final):

@@ -71,7 +71,7 @@ PARTS: Commands = {
 }
 """The parts that `run` starts by itself, and what an integrator needs of them."""
 
-LONG_RUNNING = {*PARTS, "run", "replay", "page"} - {"access", "topics", "graph", "health", "bundle"}
+LONG_RUNNING = {*PARTS, "run", "replay", "page", "watch", "sync"} - {"access", "topics", "graph", "health", "bundle"}
 """Commands that work unattended: a thread of theirs that fails ends them."""
 
 LAB: Commands = {

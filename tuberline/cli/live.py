@@ -106,6 +106,8 @@ def totals_panel(totals: Totals | None) -> Panel:
     text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
     if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
+    if totals.belt_unknown:
+        text += f"\n[yellow]{totals.reason}[/]"
     if totals.state == "starting":
         text += f"   [yellow]starting: {totals.reason}[/]"
     lit = classes_line(totals.load.classes if totals.load else totals.classes)

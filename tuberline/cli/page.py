@@ -104,7 +104,8 @@ def page(
         while not stop.wait(TICK_S):
             if not server.serves:
                 raise RuntimeError("the page's server has ended")
-            notify("WATCHDOG=1")
+            if server.moves and all(watch.moves for watch in watches):
+                notify("WATCHDOG=1")
         for each in kept:
             each.stop()
 

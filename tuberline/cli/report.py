@@ -41,7 +41,8 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
 
 def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any]) -> None:
     coverage = totals["coverage"]
-    seen = "unknown" if coverage is None else f"{100 * coverage:.1f} %"
+    not_known = f"not known: {summary['reason']}" if summary.get("reason") else "unknown"
+    seen = not_known if coverage is None else f"{100 * coverage:.1f} %"
     unseen = "".join(f", {m:.2f} m {REASONS.get(why, why)}" for why, m in summary.get("unseen_m", {}).items())
     table = Table(show_header=False, box=None, padding=(0, 2))
     table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
@@ -50,7 +51,7 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     layers = layers_in_words(totals.get("hidden", 0.0), totals.get("layered_m", 0.0), totals.get("belt_m"))
     if layers:
         table.add_row("layers", f"[yellow]{layers}[/]")
-    if layers or (coverage is not None and coverage < 1):
+    if layers or (totals["estimated_high_g"] > totals["high_g"] if coverage is None else coverage < 1):
         table.add_row(
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )

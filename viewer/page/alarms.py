@@ -159,6 +159,8 @@ def layers(totals: Totals) -> dict[str, Value]:
 
 def _coverage(state: LineState) -> Iterator[Alarm]:
     totals = state.totals
+    if totals is not None and totals.belt_unknown:
+        yield Alarm("coverage", "warning", "alarm.coverage_unknown", "todo.coverage_unknown", {"why": totals.reason})
     if totals is None or totals.coverage is None or totals.count < ENOUGH_TUBERS:
         return
     if totals.coverage < LITTLE_COVERAGE:

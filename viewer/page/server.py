@@ -6,6 +6,7 @@ import asyncio
 import logging
 import socket
 import threading
+import time
 
 import uvicorn
 
@@ -18,6 +19,7 @@ from viewer.page.files import read_files
 from viewer.page.maps import FieldMaps
 from viewer.page.pictures import Pictures
 from viewer.page.streams import PictureStreams, Streams
+from viewer.page.watch import STILL_AFTER_S
 
 KEEP_ALIVE_S = 5
 MAX_HEADER_BYTES = 16 * 1024
@@ -68,6 +70,7 @@ class PageServer:
                 h11_max_incomplete_event_size=MAX_HEADER_BYTES,
             )
         )
+        self._turned_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, name="page-server", daemon=True)
 
     @property
@@ -79,6 +82,11 @@ class PageServer:
     def serves(self) -> bool:
         """Its thread is there: uvicorn ends without an exception where it cannot begin."""
         return self._thread.is_alive()
+
+    @property
+    def moves(self) -> bool:
+        """Its loop turns."""
+        return time.monotonic() - self._turned_s < STILL_AFTER_S
 
     def __enter__(self) -> PageServer:
         self._thread.start()
@@ -98,7 +106,14 @@ class PageServer:
     async def _serve(self) -> None:
         self.streams.start(asyncio.get_running_loop())
         self.pictures.start(asyncio.get_running_loop())
+        turning = asyncio.create_task(self._turn())
         await self._server.serve(sockets=[self._socket])
+        turning.cancel()
+
+    async def _turn(self) -> None:
+        while True:
+            self._turned_s = time.monotonic()
+            await asyncio.sleep(1.0)
 
 
 def _listening(host: str, port: int) -> socket.socket:

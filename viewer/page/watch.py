@@ -35,6 +35,8 @@ TOLD = 24
 MAX_NODES = 256
 """Processes that are remembered. Those of the config first, then those alive, then those heard of last."""
 MAX_CAMERAS = 64
+STILL_AFTER_S = 15.0
+"""A look comes four times a second, and where it must connect or ask for loads within 6 s."""
 
 
 @dataclass(slots=True)
@@ -81,6 +83,7 @@ class LineWatch:
         self._told: tuple[ToldLoad, ...] = ()
         self._changed_s: float | None = None
         self._asked_s: float | None = None
+        self._turned_s = time.monotonic()
         self._thread = threading.Thread(target=self._watch, name=f"watch-{line}", daemon=True)
 
     def start(self) -> None:
@@ -92,12 +95,18 @@ class LineWatch:
         self._stop.set()
         self._thread.join(within_s)
 
+    @property
+    def moves(self) -> bool:
+        """Its thread turns; else something that it called does not come back."""
+        return time.monotonic() - self._turned_s < STILL_AFTER_S
+
     def ask_soon(self) -> None:
         """Something of the loads was changed: ask for them at the next look. From any thread."""
         self._asked_s = None
 
     def _watch(self) -> None:
         while not self._stop.is_set():
+            self._turned_s = time.monotonic()
             try:
                 with Observer(self._link, line=self.line, known=self._known) as observer:
                     self._log.info("watching line %s at %s", self.line, self._link.router)
@@ -123,7 +132,7 @@ class LineWatch:
         told_s = -TELL_EVERY_S
         signs: object = None
         while not self._stop.wait(LOOK_EVERY_S):
-            now_s = time.monotonic()
+            now_s = self._turned_s = time.monotonic()
             while len(travels) and (travel := travels.get(0.0)) is not None:
                 self._belt.add(travel, now_s)
             while len(places) and (place := places.get(0.0)) is not None:

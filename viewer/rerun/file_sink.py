@@ -19,6 +19,9 @@ class FileSink(RerunSink):
         limit_bytes: from this size on pictures and clouds are left out, counted; weights and totals go on.
     """
 
+    given_up_after = (OSError, RuntimeError)
+    """A full disk, in Rerun's word or ours: a viewer that was started again would find it full too."""
+
     def __init__(
         self, path: Path, *, limit_bytes: int, run: str, tick_s: float, counters: CounterSet, log: logging.Logger
     ) -> None:

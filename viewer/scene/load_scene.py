@@ -94,6 +94,8 @@ def page(totals: Totals) -> str:
                 f"With the belt that was missed: **{_kg(totals.estimated_weight_g)}** "
                 f"({_kg(totals.estimated_low_g)} to {_kg(totals.estimated_high_g)})"
             )
+    if totals.belt_unknown:
+        rows.append(f"Belt looked at: **not known**, {totals.reason}")
     if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
         rows.append(f"{layers[0].upper()}{layers[1:]}. With them: **{_kg(totals.estimated_weight_g)}**")
     rows += cameras

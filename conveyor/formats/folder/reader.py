@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -35,9 +36,9 @@ class FolderSource:
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """Frames in order; a file that is missing or broken is refused by name and the rest goes on."""
-        for row in self._rows:
-            if row.seq > after:
-                yield self._frame(row, run)
+        first = bisect_right(self._rows, after, key=lambda row: row.seq)
+        for n in range(first, len(self._rows)):
+            yield self._frame(self._rows[n], run)
 
     def keys(self) -> list[FrameKey]:
         """From frames.csv."""

@@ -135,7 +135,7 @@ def _settings(runs: Sequence[Path], contract: Path | None) -> tuple[Contract, Fo
 
 def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> LoadFacts:
     one, load = found.one, found.load
-    kg, low_kg, high_kg = (grams / 1000 for grams in one.totals.estimated(one.coverage, belt_m=one.belt_m))
+    kg, low_kg, high_kg = (grams / 1000 for grams in one.estimated)
     offset_s = load.utc_offset_s if load else 0
     return LoadFacts(
         label=found.labels["load"],

@@ -1,0 +1,56 @@
+"""How a run of the ledger is opened and gone on with: by the aggregator's process and by a late summary alike."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+from aggregator.core.machine import Aggregation, Restored
+from aggregator.ledger.writer import Ledger
+from conveyor import __version__
+from conveyor.config import LineConfig
+
+
+def open_run(
+    ledger: Ledger,
+    run: str,
+    *,
+    config: LineConfig,
+    cameras: Sequence[str],
+    may_be_finished: bool,
+    fingerprint: str = "",
+) -> Restored:
+    """Begin `run` of this line now, or go on with it; arguments and errors as `Ledger.open_run` has them."""
+    return ledger.open_run(
+        run,
+        line=config.name,
+        cameras=cameras,
+        version=__version__,
+        started_ns=time.time_ns(),
+        fingerprint=fingerprint,
+        may_be_finished=may_be_finished,
+        histogram_step_g=config.aggregator.histogram_step_g,
+    )
+
+
+def core_of(
+    ledger: Ledger,
+    run: str,
+    restored: Restored,
+    *,
+    config: LineConfig,
+    cameras: Sequence[str],
+    now_s: float,
+    count: Callable[[str], None] = lambda name: None,
+) -> Aggregation:
+    """The state machine that goes on with the run as `restored`; `count` as in `Aggregation`."""
+    return Aggregation(
+        run,
+        cameras=cameras,
+        merge_gate_mm=config.aggregator.merge_gate_mm,
+        camera_stall_s=config.aggregator.camera_stall_s,
+        committed=ledger.committed(run),
+        now_s=now_s,
+        restored=restored,
+        count=count,
+    )
