@@ -7,9 +7,13 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from aggregator.ledger.reader import read_tubers, reading
+from aggregator.ledger.verified import TOLD_EVERY, told_rows
+from benchmarks.written_run import write_run
 from tuberline.cli import progress
 from tuberline.cli.markdown import print_markdown
 
@@ -49,6 +53,21 @@ def test_a_new_part_of_the_work_has_a_remaining_time_of_its_own(monkeypatch: pyt
     said = out.getvalue()
     assert "weighing" in said
     assert "100%" in said
+
+
+def test_a_reading_of_a_ledger_says_how_far_it_is(tmp_path: Path) -> None:
+    count = 2 * TOLD_EVERY + 1
+    crossed_ns = 10**18 + 10**8 * np.arange(count)
+    write_run(tmp_path, run="r", crossed_ns=crossed_ns, weight_g=np.full(count, 150.0))
+    told: list[tuple[str, int, int | None]] = []
+    with reading(tmp_path / "ledger.db") as view:
+        list(read_tubers(view, "r"))
+        assert told == [], "no one asked"
+        with told_rows(lambda *said: told.append(said)):
+            list(read_tubers(view, "r"))
+    assert [said for said in told if said[0] == "ledger: tuber"] == [
+        ("ledger: tuber", done, count) for done in (0, TOLD_EVERY, 2 * TOLD_EVERY)
+    ]
 
 
 def test_every_long_command_shows_the_bar_of_the_house() -> None:
