@@ -52,12 +52,18 @@ def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lam
             result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
             target.flush()
             os.fsync(target.fileno())
-    except InvalidMagic as error:
+    except (InvalidMagic, _Nothing) as error:
         out.unlink(missing_ok=True)
-        raise InputError(f"{path} is no MCAP file: it does not begin with MCAP's magic bytes") from error
+        raise InputError(
+            f"{path} is no MCAP file: it does not begin with MCAP's magic bytes and a whole record"
+        ) from error
     except OSError as error:
         raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
     return result
+
+
+class _Nothing(Exception):
+    """Not one record is whole."""
 
 
 class _Records:
@@ -83,6 +89,8 @@ class _Records:
                 self.damage = f"{type(error).__name__}: {error}"
                 return
             except DAMAGE as error:
+                if self.good_bytes == 0:
+                    raise _Nothing from error
                 self.damage = f"{type(error).__name__}: {error}"
                 return
             self.good_bytes = self._stream.tell()
