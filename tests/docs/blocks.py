@@ -35,7 +35,6 @@ SMALL = {
     "line_virtual": "--seconds 5",
     "load_intervals": "--recordings 1 --tubers 6",
     "perception": "--scenes singulated --tubers 6 --every 30",
-    "recordings": "--tubers 6 --only 0",
     "regressor": "--batches 1 --rounds 1",
     "site": "--hosts 1 --undisturbed --tubers 6",
     "sizes": "--tubers 6 --only 0",
