@@ -87,6 +87,7 @@ def bucket(stage: Stage) -> None:
     kg = sum(tuber["weight_g"] for tuber in truth) / 1000
     stage.words |= {
         "--kg 8.61": f"--kg {kg:.2f}",
+        "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
         "--first 12 --last 61": f"--first 1 --last {len(truth)}",
     }

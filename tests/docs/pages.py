@@ -14,6 +14,7 @@ DEVICE = "needs a RealSense on this machine; a simulated SDK stands in: tests/ca
 DISPLAY = "needs a display; the file is opened by tests/viewer/test_viewer_file.py"
 PROXY = "writes to /etc and needs a host's certificate: tests/deploy/test_deploy_remote.py types it elsewhere"
 HOSTS = "needs a second host; hosts of their own: tests/deploy/test_deploy_remote_graph.py, python -m benchmarks site"
+SCALE = "needs a load that met a scale: tests/aggregator/test_aggregator_calibrate_commands.py weighs one"
 DAEMON = "zenohd is in no package index; its files are opened by tests/deploy/test_deploy_access.py"
 
 
@@ -86,8 +87,10 @@ PAGES: dict[str, Page] = {
     "docs/formats.md": Page(given=("recording", "foreign_frames", "clouds")),
     "docs/index.md": Page(given=("recording",)),
     "docs/layers.md": Page(),
-    "docs/ledger.md": Page(given=("recording", "run")),
-    "docs/loads.md": Page(given=("recording", "run"), line="line"),
+    "docs/ledger.md": Page(given=("recording", "run", "bucket")),
+    "docs/loads.md": Page(
+        given=("recording", "run"), line="line", shown={'tuberline calibrate load runs/today --load "trailer 7"': SCALE}
+    ),
     "docs/map.md": Page(given=("recording", "run", "track")),
     "docs/operate.md": Page(given=("recording", "other_weights"), line="line"),
     "docs/performance.md": Page(given=("recording",)),

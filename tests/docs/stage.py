@@ -16,6 +16,8 @@ STAYS_S = {"page": 5, "viewer": 8, "watch": 8, "top": 5, "recorder": 12, "regres
 """Commands that go on until Ctrl-C, which comes after so many seconds; `run` goes on to the end of its page."""
 SPEAKS_S = 120
 """The first word of such a command comes within this time on a busy machine."""
+READY = {"run": ("segmenter/front: started", "regressor/r1: started", "aggregator: started")}
+"""What a line has said when others may ask it."""
 ENDS_S = 90
 ENDED = (0, 130, -signal.SIGINT)
 
@@ -77,7 +79,8 @@ class Stage(Walk):
             )  # fmt: skip
         self._running.append((line, log, process))
         deadline = time.monotonic() + SPEAKS_S
-        while not log.stat().st_size:
+        first = READY.get(command(line), ("",))
+        while not log.stat().st_size or not all(words in log.read_text(encoding="utf-8") for words in first):
             assert process.poll() is None, f"{line} ended with {process.returncode} and said nothing"
             assert time.monotonic() < deadline, f"{line} said nothing within {SPEAKS_S} s"
             time.sleep(0.2)
