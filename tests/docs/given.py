@@ -55,12 +55,20 @@ def recordings_folder(stage: Stage) -> None:
 
 
 def run(stage: Stage) -> None:
-    """runs/monday and runs/today, a replay's."""
+    """runs/monday, a replay's."""
+    _copy_of_run(stage, "monday")
+
+
+def run_today(stage: Stage) -> None:
+    """runs/today, the same under another name."""
+    _copy_of_run(stage, "today")
+
+
+def _copy_of_run(stage: Stage, name: str) -> None:
     made = stage.clone.parent.parent / "run-of-pages"
     if not (made / "summary.json").is_file():
         stage.type(f"tuberline replay recordings/monday --out {made} --regressors 1")
-    for name in ("monday", "today"):
-        shutil.copytree(made, stage.clone / "runs" / name)
+    shutil.copytree(made, stage.clone / "runs" / name)
 
 
 def line_file(stage: Stage) -> None:
@@ -81,11 +89,19 @@ def router(stage: Stage) -> None:
     stage.do(f"tuberline router --listen {stage.router} &")
 
 
+def graphviz(stage: Stage) -> None:
+    """Graphviz draws, where it is installed; elsewhere what it would be given is kept."""
+    if shutil.which("dot") is None:
+        stage.words["| dot -Tsvg > north.svg"] = "> north.dot"
+
+
 def bucket(stage: Stage) -> None:
     """A bucket of all tubers that ran over the belt."""
     truth = json.loads((stage.clone / "truth.json").read_text(encoding="utf-8"))["tubers"]
     kg = sum(tuber["weight_g"] for tuber in truth) / 1000
+    (summary,) = (stage.clone / "runs").glob("*/summary.json")
     stage.words |= {
+        "--run monday --kind load": f"--run {json.loads(summary.read_text(encoding='utf-8'))['run']} --kind bucket",
         "--kg 8.61": f"--kg {kg:.2f}",
         "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
@@ -265,7 +281,7 @@ def beside(stage: Stage, wanted: tuple[str, ...]) -> Iterator[None]:
 
 OUTSIDE = ("database", "hub")
 MADE: tuple[Callable[[Stage], None], ...] = (
-    *(apples, bucket, checkpoint, cloud, clouds, contract, foreign_frames, line_file, other_weights, packs),
-    *(page_token, recording, recordings_folder, router, run, shared, today, track, twin, two_lines),
+    *(apples, bucket, checkpoint, cloud, clouds, contract, foreign_frames, graphviz, line_file, other_weights, packs),
+    *(page_token, recording, recordings_folder, router, run, run_today, shared, today, track, twin, two_lines),
 )
 GIVEN = {made.__name__: made for made in MADE}

@@ -64,7 +64,7 @@ PAGES: dict[str, Page] = {
     "docs/design.md": Page(),
     "docs/evaluation-real.md": Page(given=("shared",)),
     "docs/evaluation-segmentation.md": Page(),
-    "docs/evaluation.md": Page(given=("packs",), words={"PACK": "packs/test-field", "TRAIN": "packs", "VAL": "packs"}),
+    "docs/evaluation.md": Page(words={"PACK": "packs/test-field", "TRAIN": "packs/easy", "VAL": "packs/field"}),
     "docs/exports.md": Page(given=("recording", "run", "contract", "today")),
     "docs/first-line.md": Page(
         given=("recordings_folder",),
@@ -87,9 +87,11 @@ PAGES: dict[str, Page] = {
     "docs/formats.md": Page(given=("recording", "foreign_frames", "clouds")),
     "docs/index.md": Page(given=("recording",)),
     "docs/layers.md": Page(),
-    "docs/ledger.md": Page(given=("recording", "run", "bucket")),
+    "docs/ledger.md": Page(given=("recording", "run_today", "bucket")),
     "docs/loads.md": Page(
-        given=("recording", "run"), line="line", shown={'tuberline calibrate load runs/today --load "trailer 7"': SCALE}
+        given=("recording", "run_today"),
+        line="line",
+        shown={'tuberline calibrate load runs/today --load "trailer 7"': SCALE},
     ),
     "docs/map.md": Page(given=("recording", "run", "track")),
     "docs/operate.md": Page(given=("recording", "other_weights"), line="line"),
@@ -109,8 +111,12 @@ PAGES: dict[str, Page] = {
     ),
     "docs/reproduce.md": Page(given=("checkpoint", "twin", "shared")),
     "docs/scale.md": Page(
-        given=("recording", "two_lines", "router"),
-        shown={"pip install": CLONE, "scp": HOSTS, "tuberline regressor --config /etc": HOSTS},
+        given=("recording", "two_lines", "router", "graphviz"),
+        shown={
+            "pip install": CLONE,
+            "scp": HOSTS,
+            "tuberline regressor --config /etc": HOSTS,
+        },
     ),
     "docs/security.md": Page(given=("recording", "line_file")),
     "docs/segmentation.md": Page(given=("recording",)),
