@@ -21,6 +21,7 @@ from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from benchmarks.figures_in_docs import put_table
 from benchmarks.foreign_belts import PLANS, kept
+from benchmarks.sizes_belts import fewer
 from conveyor.config_yield import ForeignConfig
 from conveyor.messages import Tuber
 
@@ -36,11 +37,13 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks foreign", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/foreign"))
     parser.add_argument("--belts", choices=sorted(PLANS), default="judge")
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
+    parser.add_argument("--tubers", type=int, help="of each belt; default: as planned")
     parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     groups: dict[str, list[dict[str, Any]]] = {}
-    for plan in PLANS[given.belts]:
+    for plan in fewer(PLANS[given.belts], only=given.only, tubers=given.tubers):
         groups.setdefault(f"{plan.preset}, {plan.others:g} others a tuber", []).append(kept(given.out, plan))
     text = table(groups)
     print(text)

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--recordings", type=int, default=20, help="of each preset")
     parser.add_argument("--tubers", type=int, default=40, help="of each recording")
     parser.add_argument("--seed", type=int, help="of the first recording; default: by preset")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--docs", type=Path, nargs="+", default=[], help="pages between whose marks the table is put")
     given = parser.parse_args(arguments)
     weigher, lines = Weigher.load(None), [*HEAD]
     for preset in given.presets:
@@ -62,8 +62,8 @@ def main(arguments: Sequence[str]) -> None:
             print(f"{preset} {seed}: {loads[-1]}", flush=True)
         lines.append(row(preset, first, loads))
         print(lines[-1], flush=True)
-    if given.docs:
-        put_table(given.docs, "load_intervals", "\n".join(lines))
+    for page in given.docs:
+        put_table(page, "load_intervals", "\n".join(lines))
 
 
 def measured(preset: str, seed: int, tubers: int, weigher: Weigher) -> Load:

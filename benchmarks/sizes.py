@@ -23,7 +23,7 @@ from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.totals import LoadTotals
 from aggregator.core.tubers import make_tuber
 from benchmarks.figures_in_docs import put_table
-from benchmarks.sizes_belts import Passed, kept, plans
+from benchmarks.sizes_belts import Passed, fewer, kept, plans
 from conveyor.contract import Contract, SizeClass
 from conveyor.messages import Tuber
 from conveyor.messages.sizes import MEASURES
@@ -48,15 +48,18 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/sizes"))
     parser.add_argument("--belts", choices=("judge", "check"), default="judge")
     parser.add_argument("--fit", type=Path, help="write rules fitted on the training belts to this file instead")
+    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
+    parser.add_argument("--tubers", type=int, help="of each belt; default: as planned")
     parser.add_argument("--docs", type=Path, help="page between whose marks the tables are put")
     parser.add_argument("--picture", type=Path, help="draw true against estimated mesh size")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fit:
-        write_rules(given.fit, fitted([row for plan in plans("train") for row in kept(given.out, plan)]))
+        training = fewer(plans("train"), only=given.only, tubers=given.tubers)
+        write_rules(given.fit, fitted([row for plan in training for row in kept(given.out, plan)]))
         return
     groups: dict[str, list[Passed]] = {}
-    for plan in plans(given.belts):
+    for plan in fewer(plans(given.belts), only=given.only, tubers=given.tubers):
         name = f"{plan.stock.cultivar}, {plan.preset}" if given.belts == "judge" else plan.preset
         groups.setdefault(name, []).extend(kept(given.out, plan))
     sizes, classes = size_table(groups), class_table(groups)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,6 +82,14 @@ class Passed:
     features: tuple[tuple[float, ...], ...]
     terms: tuple[tuple[float, ...], ...]
     truth: dict[str, Any]
+
+
+def fewer(plans: Sequence[Any], *, only: Sequence[int] | None, tubers: int | None) -> list[Any]:
+    """Of the belts those with these numbers, from 0, and with so many tubers; a belt made smaller has another name."""
+    chosen = [plan for n, plan in enumerate(plans) if only is None or n in only]
+    if tubers is None:
+        return chosen
+    return [replace(plan, name=f"{plan.name}-{tubers}", tubers=tubers) for plan in chosen]
 
 
 def plans(which: str) -> list[BeltPlan]:

@@ -295,7 +295,10 @@ def load_config(path: Path) -> LineConfig:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ConfigError(f"config {path} cannot be read: {error.strerror or error}") from error
+        said = error.strerror or error
+        if path.is_dir():
+            said = "it is a folder. `tuberline replay` counts a recording, `tuberline init` writes a line's file for it"
+        raise ConfigError(f"config {path} cannot be read: {said}") from error
     except (ValueError, RecursionError) as error:  # among them numbers too long and lists too deep to read
         raise ConfigError(f"config {path} is not TOML: {error}") from error
     return parse_config(raw, where=str(path), base=path.resolve().parent)

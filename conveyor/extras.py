@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
+from importlib import metadata
 from typing import Any
 
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
 
 
 def install_hint(extra: str) -> str:
@@ -13,6 +14,20 @@ def install_hint(extra: str) -> str:
     no package index has it.
     """
     return f"in the clone of the repository: .venv/bin/pip install -e '.[{extra}]'"
+
+
+def check_version(package: str, supported: str, *, extra: str, what: str) -> None:
+    """Refuse a version of an installed package that this program was not written for.
+
+    Args:
+        supported: what its version begins with, e.g. '0.41.'.
+
+    Raises:
+        ConfigError: another one is installed.
+    """
+    found = metadata.version(package)
+    if not found.startswith(supported):
+        raise ConfigError(f"{what} needs {package} {supported}*, found {found}; install it {install_hint(extra)}")
 
 
 def needed(module: str, *, extra: str, what: str) -> Any:

@@ -18,10 +18,11 @@ from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
 from segmenter.pipeline import Segmenter, Settings
+from segmenter.provisional import ProvisionalWeights
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
 from segmenter.tracklog import TrackLog
-from segmenter.view_for_people import Weights, picture_of
+from segmenter.view_for_people import picture_of
 
 MARK_EVERY_M = 0.5
 MARK_EVERY_NS = 1_000_000_000
@@ -67,7 +68,7 @@ class CameraRun:
         self.budget = ViewBudget(settings.core.views_per_tuber)
         self.core = Segmenter(settings.core)
         self.early = EarlyViews()
-        self._weights = Weights()
+        self.provisional = ProvisionalWeights()
         self._thinning = Thinning()
         self.ended = False
         self._done_seq = -1
@@ -159,7 +160,7 @@ class CameraRun:
             weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
         )
         if known and usable:
-            self._weights.add(weight)
+            self.provisional.add(weight)
         if known and usable and not self.early.answered(weight):
             self.weighing.weighed(weight, self._now_s)
 
@@ -211,7 +212,7 @@ class CameraRun:
             belt=self.core.belt,
             instances=self.core.instances if used else None,
             found=self.core.found,
-            weight_of=self._weights.of,
+            weights=self.provisional,
             drop=result.dropped or "",
         )
 

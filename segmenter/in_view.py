@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from statistics import median
 from typing import TYPE_CHECKING, Literal
 
-from conveyor.messages import TrackInView, TracksInView, WeighedView, Weight
+from conveyor.messages import TrackInView, TracksInView
+from segmenter.provisional import Provisional
 from segmenter.track.track import State, TrackState
 
 if TYPE_CHECKING:
@@ -28,20 +27,11 @@ def tracks_in_view(run: CameraRun, captured_ns: int) -> TracksInView:
     tracks = []
     for track in run.core.tracks_in_view()[:MOST]:
         track_id = track.track_id(run.run, run.camera)
-        answers = run.early.answers(track_id) or run.weighing.answers(track_id)
-        tracks.append(_track(track, track_id, answers))
+        tracks.append(_track(track, track_id, run.provisional.of(track_id)))
     return TracksInView(run.camera, run.run, captured_ns, tuple(tracks))
 
 
-def _track(track: TrackState, track_id: str, answers: Sequence[Weight | WeighedView]) -> TrackInView:
-    weight_g, low_g, high_g = (
-        median(grams) if (grams := [g for g in said if g is not None]) else None
-        for said in (
-            [answer.weight_g for answer in answers],
-            [answer.low_g for answer in answers],
-            [answer.high_g for answer in answers],
-        )
-    )
+def _track(track: TrackState, track_id: str, known: Provisional | None) -> TrackInView:
     return TrackInView(
         track_id=track_id,
         place_x_m=track.place_x_m,
@@ -49,7 +39,7 @@ def _track(track: TrackState, track_id: str, answers: Sequence[Weight | WeighedV
         side_mm=min(1e3 * math.sqrt(max(track.area_m2, 0.0)), LARGEST_MM),
         height_mm=min(1e3 * max(track.height_m, 0.0), LARGEST_MM),
         state=_STATES[track.state],
-        weight_g=weight_g,
-        low_g=low_g,
-        high_g=high_g,
+        weight_g=None if known is None else known.weight_g,
+        low_g=None if known is None else known.low_g,
+        high_g=None if known is None else known.high_g,
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Literal
 
@@ -11,11 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.messages import Frame, Outline, Picture, Weight
+from conveyor.messages import Frame, Outline, Picture
 from conveyor.messages.pictures import MAX_PICTURE_BYTES, MOST_CORNERS, MOST_OUTLINES
 from conveyor.reasons import TrackRefusal
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
+from segmenter.provisional import ProvisionalWeights
 from segmenter.track.foreign import foreign_kind
 from segmenter.track.track import State, TrackState
 
@@ -25,32 +25,9 @@ FULL_MM = 80.0
 SLOPE_MM = 14.0
 """From one pixel of the picture to the next: a step that is drawn black or white."""
 JPEG_QUALITY, POORER_QUALITY = 72, 40
-REMEMBERED = 1024
 BELT_BGR, SKIN_BGR, TOP_BGR = (74, 66, 58), (70, 150, 205), (205, 236, 255)
 
 Found = Iterable[tuple[TrackState, int]]
-WeightOf = Callable[[str], float | None]
-
-
-class Weights:
-    """What the views of each track weigh so far, in the mean; of the last `REMEMBERED` tracks."""
-
-    def __init__(self) -> None:
-        self._sums: OrderedDict[str, tuple[float, int]] = OrderedDict()
-
-    def add(self, weight: Weight) -> None:
-        """Take a regressor's answer."""
-        if weight.weight_g is None:
-            return
-        total_g, views = self._sums.pop(weight.track_id, (0.0, 0))
-        self._sums[weight.track_id] = (total_g + weight.weight_g, views + 1)
-        if len(self._sums) > REMEMBERED:
-            self._sums.popitem(last=False)
-
-    def of(self, track_id: str) -> float | None:
-        """Grams; None before the first answer."""
-        total_g, views = self._sums.get(track_id, (0.0, 0))
-        return total_g / views if views else None
 
 
 def picture_of(
@@ -59,7 +36,7 @@ def picture_of(
     belt: BeltGeometry | None,
     instances: Instances | None,
     found: Found,
-    weight_of: WeightOf,
+    weights: ProvisionalWeights,
     drop: str = "",
 ) -> Picture | None:
     """The picture of a frame, at most `WIDE_PX` wide; None where it cannot be made small enough.
@@ -67,7 +44,7 @@ def picture_of(
     Args:
         belt: None before it is known: then heights are over the median of the frame.
         instances: of this very frame, with the tracks that they show in `found`; None draws none.
-        weight_of: what the views of a track (by its id) weigh.
+        weights: what tracks weigh so far.
         drop: why the frame was not used.
     """
     stride = -(-frame.intrinsics.width // WIDE_PX)
@@ -77,7 +54,7 @@ def picture_of(
     jpeg = _jpeg(image)
     if jpeg is None:
         return None
-    outlines = () if instances is None else _outlines(frame, instances, found, weight_of, stride)
+    outlines = () if instances is None else _outlines(frame, instances, found, weights, stride)
     height, width = image.shape[:2]
     return Picture(frame.camera, frame.run, frame.seq, frame.captured_ns, width, height, jpeg, outlines, drop)
 
@@ -150,7 +127,7 @@ def _palette() -> NDArray[np.uint8]:
 
 
 def _outlines(
-    frame: Frame, instances: Instances, found: Found, weight_of: WeightOf, stride: int
+    frame: Frame, instances: Instances, found: Found, weights: ProvisionalWeights, stride: int
 ) -> tuple[Outline, ...]:
     tracks = {index: track for track, index in found}
     scale, shift = instances.stride / stride, (instances.stride - 1) / 2 / stride
@@ -165,7 +142,8 @@ def _outlines(
         corners = cv2.approxPolyDP(contour, 0.8 / scale, True).reshape(-1, 2)
         corners = np.rint(corners[:: -(-len(corners) // MOST_CORNERS)] * scale + shift).astype(int)
         track = tracks.get(index)
-        weight_g = None if track is None else weight_of(track.track_id(frame.run, frame.camera))
+        known = None if track is None else weights.of(track.track_id(frame.run, frame.camera))
+        weight_g = None if known is None else known.weight_g
         made.append(Outline(tuple(corners.ravel().tolist()), _state(track, contour), weight_g))
     return tuple(made)
 

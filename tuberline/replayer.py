@@ -58,11 +58,11 @@ def replay_recording(
     if regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
     cameras = recording_cameras(recording)
+    _refuse_early(weights, contract)
     prepare_out(out)
     belt = stated_belt(recording, cameras, resting_offset_mm, resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     if contract is not None:
-        read_contract(contract)  # refused before anything is started
         sections["aggregator"] = {**sections.get("aggregator", {}), "contract": str(contract.resolve())}
     config = replay_config(
         recording,
@@ -79,6 +79,16 @@ def replay_recording(
     (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
     (out / RUN_FILE).write_text(run + "\n", encoding="utf-8")
     return _count(config, out=out, run=run, show=show)
+
+
+def _refuse_early(weights: Path | None, contract: Path | None) -> None:
+    """What no process could use is refused in a sentence, before anything is written or started."""
+    if contract is not None:
+        read_contract(contract)
+    if weights is not None:
+        from regressor.network.checkpoint import load_checkpoint
+
+        load_checkpoint(weights)
 
 
 def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str, Any]:
@@ -206,8 +216,6 @@ def replay_config(
         for camera in raw["cameras"].values():
             camera["ignore_masks"] = True
     if weights is not None:
-        if not weights.is_file():
-            raise InputError(f"--weights {weights} does not exist")
         raw["regressor"]["weights"] = str(weights.resolve())
     if rrd is not None:
         raw["viewer"] = {"rrd": str(rrd.resolve())}

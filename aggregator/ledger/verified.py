@@ -8,6 +8,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,21 @@ from aggregator.ledger.schema import (
 from conveyor.errors import LedgerError
 
 Row = tuple[Any, ...]
+OnRows = Callable[[str, int, int | None], None]
+"""Called with what is read, how many rows of it are, and how many there are (None: no one knows)."""
+TOLD_EVERY = 500
+
+_on_rows: ContextVar[OnRows | None] = ContextVar("on_rows", default=None)
+
+
+@contextmanager
+def told_rows(on_rows: OnRows) -> Iterator[None]:
+    """Within this block `on_rows` hears how far every reading of a ledger is: for people who wait."""
+    token = _on_rows.set(on_rows)
+    try:
+        yield
+    finally:
+        _on_rows.reset(token)
 
 
 class LedgerView:
@@ -63,9 +79,18 @@ class LedgerView:
         """Rows without their checksum, and whether it is right: for who lists damage or saves what is left."""
         if self.version < table.since:
             return
+        on_rows = None if "LIMIT" in where else _on_rows.get()
         with explained(self.path, f"reading table {table.name}"):
-            for *columns, crc in self._db.execute(f"{table.select(self.version)} {where}", arguments):
+            total = None if on_rows is None else self._count(table, where, arguments)
+            found = self._db.execute(f"{table.select(self.version)} {where}", arguments)
+            for n, (*columns, crc) in enumerate(found):
+                if on_rows is not None and n % TOLD_EVERY == 0:
+                    on_rows(f"ledger: {table.name}", n, total)
                 yield tuple(columns), checksum(columns) == crc
+
+    def _count(self, table: Table, where: str, arguments: Sequence[Any]) -> int:
+        (count,) = self._db.execute(f"SELECT count(*) FROM {table.name} {where}", arguments).fetchone()
+        return int(count)
 
     def tally(self, sql: str) -> list[Row]:
         """Counts over columns of rows: for the check of what rows say of each other, after each was verified."""
@@ -79,6 +104,8 @@ class LedgerView:
 
     def pragma(self, name: str) -> list[Row]:
         """The answer of an SQLite check or setting; damage is told, not raised."""
+        if (on_rows := _on_rows.get()) is not None:
+            on_rows("ledger: pages", 0, None)
         try:
             return list(self._db.execute(f"PRAGMA {name}"))
         except DAMAGE as error:

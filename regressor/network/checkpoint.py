@@ -192,8 +192,9 @@ def _tensors(path: Path, data: bytes) -> dict[str, Tensor]:
     except pickle.UnpicklingError as error:
         raise InputError(f"weights {path} {objects_within(str(error))}") from error
     except Exception as error:  # both libraries raise a wide, undocumented set for broken files
-        first_line = next(iter(str(error).splitlines()), "")
-        raise InputError(f"weights {path} are no safetensors file or PyTorch state dict: {first_line}") from error
+        said = next(iter(str(error).splitlines()), "")
+        why = f": {said}" if " " in said else ""  # of a file of another kind pickle says no more than a number
+        raise InputError(f"weights {path} are no safetensors file or PyTorch state dict{why}") from error
     return state_dict_within(state, where=path)
 
 

@@ -53,11 +53,6 @@ class EarlyViews:
             early.losses[loss.view_id] = loss
         return early is not None
 
-    def answers(self, track_id: str) -> list[Weight]:
-        """What is known of a track that is not decided yet."""
-        early = self._tracks.get(track_id)
-        return [] if early is None else list(early.answers.values())
-
     def closed(self, track_id: str) -> Early:
         """The track is decided and counts: what is known of its views."""
         return self._tracks.pop(track_id, Early(0.0))

@@ -85,11 +85,6 @@ class Weighing:
             sizes=weight.sizes,
         )
 
-    def answers(self, track_id: str) -> list[WeighedView]:
-        """What is known of a track that waits for more."""
-        waiting = self._waiting.get(track_id)
-        return [] if waiting is None else list(waiting.answers.values())
-
     def lost(self, view: LostView) -> None:
         """Take a loss."""
         waiting = self._waiting.get(view.track_id)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -79,8 +79,16 @@ class CameraProfile:
         return 1e6 * self.islands_per_frame / (self.width * self.height)
 
 
-def profile_frames(frames: Sequence[Frame], *, baseline_m: float | None = None) -> CameraProfile:
+OnFrame = Callable[[int, int | None], None]
+
+
+def profile_frames(
+    frames: Sequence[Frame], *, baseline_m: float | None = None, on_frame: OnFrame = lambda done, total: None
+) -> CameraProfile:
     """The profile of the camera that took `frames`; more frames see more, a dozen spread over a recording is plenty.
+
+    Args:
+        on_frame: called with how many frames are measured, and how many there are.
 
     Raises:
         InputError: there is no frame, or none with depth.
@@ -94,9 +102,11 @@ def profile_frames(frames: Sequence[Frame], *, baseline_m: float | None = None) 
     found = baseline_m or (step.baseline_m if step else BASELINE_M)
     strength = step.focal_baseline if step else k.fx * found
     images = [disparity(f.depth, depth_scale_m=f.depth_scale_m, focal_baseline=strength) for f in usable]
-    residuals = np.concatenate([window_residuals_px(d) for d in images])
-    steps = np.concatenate([neighbour_steps_px(d) for d in images])
-    widths = np.concatenate([outline_widths_px(d) for d in images])
+    measured = []
+    for n, d in enumerate(images, start=1):
+        measured.append((window_residuals_px(d), neighbour_steps_px(d), outline_widths_px(d)))
+        on_frame(n, len(images))
+    residuals, steps, widths = (np.concatenate(each) for each in zip(*measured, strict=True))
     fits = [fit_plane(f.depth, depth_scale_m=f.depth_scale_m, intrinsics=f.intrinsics, mask=f.mask) for f in usable]
     distances_m = [fit.distance_m for fit in fits if fit is not None]
     return CameraProfile(

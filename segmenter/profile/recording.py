@@ -13,7 +13,7 @@ from conveyor.errors import InputError
 from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
 from conveyor.formats.source import RecordedSource, Refused
 from conveyor.messages import Frame
-from segmenter.profile.profile import CameraProfile, profile_frames
+from segmenter.profile.profile import CameraProfile, OnFrame, profile_frames
 from segmenter.profile.verdict import Finding, judge
 
 FRAMES = 12
@@ -62,9 +62,17 @@ class ProfiledCamera:
 
 
 def profile_recording(
-    path: Path, trained: CameraRange, *, frames: int = FRAMES, baseline_m: float | None = None
+    path: Path,
+    trained: CameraRange,
+    *,
+    frames: int = FRAMES,
+    baseline_m: float | None = None,
+    on_frame: OnFrame = lambda done, total: None,
 ) -> list[ProfiledCamera]:
     """The profile of every camera of the recording at `path`, from `frames` spread over it.
+
+    Args:
+        on_frame: called with how many of a camera's frames are measured, and how many there are.
 
     Raises:
         InputError: no recording, or a camera without a frame that can be read.
@@ -75,7 +83,7 @@ def profile_recording(
         taken = _spread(open_unchecked(path, kind, name), frames)
         if not taken:
             raise InputError(f"{path}, camera '{name}': none of its frames can be read (`tuberline info` says why)")
-        profile = profile_frames(taken, baseline_m=baseline_m)
+        profile = profile_frames(taken, baseline_m=baseline_m, on_frame=on_frame)
         result.append(ProfiledCamera(profile, judge(profile, trained), taken[len(taken) // 2]))
     return result
 

@@ -1,7 +1,7 @@
 """The blocks of a page that its test runs, in the order in which a reader meets them.
 
-The convention (CONTRIBUTING.md, "Docs that run"): an indented block is run, a fenced block with `title="NAME"` is
-written to the file NAME, every other fenced block is only shown.
+The convention (CONTRIBUTING.md, "Docs that run"): indented and `console` blocks are typed, a fenced block with
+`title="NAME"` is saved as NAME, a `python` block is run, every other fenced block is only shown.
 """
 
 from __future__ import annotations
@@ -15,10 +15,32 @@ SIZES = {
     "--tubers": ("TUBERLINE_DOCS_TUBERS", "12"),
     "--views": ("TUBERLINE_DOCS_VIEWS", "4"),
     "--minutes": ("TUBERLINE_DOCS_MINUTES", "0.1"),
+    "--epochs": ("TUBERLINE_DOCS_EPOCHS", "1"),
+    "--belts": ("TUBERLINE_DOCS_BELTS", "2"),
+    "--frames": ("TUBERLINE_DOCS_FRAMES", "12"),
 }
 """Options that say how much is made: the variable that limits each one in the test, and its default."""
 CLOCKED = ("train", "ablate")
 """Commands that get --minutes where the page gives none."""
+SMALL = {
+    "aggregate": "--tubers 500",
+    "day": "--loads 2 --box-kg 20 --database none",
+    "dispatch": "--per-s 50 --seconds 2 --workers 2",
+    "follow": "--tubers 6 --only 0",
+    "foreign": "--tubers 6 --only 0",
+    "frames": "--frames 20",
+    "gauge": "--worlds 1 --loads 1 --only rods",
+    "layers": "--tubers 8 --only 0",
+    "line": "--seconds 5 --warm-up-s 5 --tubers-per-s 2 --tubers 8 --cameras 1",
+    "line_virtual": "--seconds 5",
+    "load_intervals": "--recordings 1 --tubers 6",
+    "perception": "--scenes singulated --tubers 6 --every 30",
+    "regressor": "--batches 1 --rounds 1",
+    "site": "--hosts 1 --undisturbed --tubers 6",
+    "sizes": "--tubers 6 --only 0",
+    "yield_map": "--seeds 1",
+}
+"""What a benchmark is given in the test after the page's own arguments."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,41 +53,59 @@ class File:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command line as the page has it, without its remark."""
+    """A command line as the page has it, without its remark; a shell loop is one."""
 
     line: str
 
 
-def blocks(page: str) -> Iterator[File | Command]:
-    """Files and commands of a page in its own order."""
-    fence: list[str] | None = None
-    title = ""
-    before = ""
+@dataclass(frozen=True, slots=True)
+class Code:
+    """Lines of Python."""
+
+    text: str
+
+
+def blocks(page: str) -> Iterator[File | Command | Code]:
+    """Files, commands and Python of a page in its own order."""
+    kind: str | None = None
+    fence: list[str] = []
+    title, before, unfinished = "", "", ""
     for line in page.splitlines():
         if line.startswith("```"):
-            if fence is None:
+            if kind is None:
                 named = re.search(r'title="([^"]+)"', line)
-                fence, title = [], named[1] if named else ""
+                kind, fence, title = line[3:].split(" ")[0], [], named[1] if named else ""
             else:
                 if title:
                     yield File(title, "\n".join(fence) + "\n")
-                fence = None
-        elif fence is not None:
-            fence.append(line)
-        elif line.startswith("    ") and not re.match(r"\s*(?:[-*]|\d+\.) ", before):
-            if command := re.sub(r"\s+#.*", "", line).strip():
-                yield Command(command)
+                elif kind == "python":
+                    yield Code("\n".join(fence) + "\n")
+                kind = None
             continue
-        before = line
+        typed = kind == "console"
+        if kind is None and line.startswith("    ") and not re.match(r"\s*(?:[-*]|\d+\.) ", before):
+            typed = True
+        elif kind is None:
+            before = line
+        else:
+            fence.append(line)
+        if typed and (command := re.sub(r"\s+#.*", "", line).strip()):
+            unfinished = f"{unfinished}\n{command}" if unfinished else command
+            loop = unfinished.startswith("for ") and not unfinished.endswith("done")
+            if not loop and not command.endswith("\\"):
+                yield Command(unfinished.replace("\\\n", ""))
+                unfinished = ""
 
 
 def made_small(line: str) -> str:
     """The command line with the sizes of the test instead of the page's, where those are larger."""
+    words = line.split()
+    if words[:3] == ["python", "-m", "benchmarks"]:
+        return f"{line} {SMALL.get(words[3], '')}".strip()
     for option, (variable, default) in SIZES.items():
         limit = os.environ.get(variable, default)
         if found := re.search(rf"{option} ([\d.]+)", line):
             line = line[: found.start(1)] + min(found[1], limit, key=float) + line[found.end(1) :]
-    words = line.split()
     if words[:1] == ["tuberline"] and words[1] in CLOCKED and "--minutes" not in words:
         line += f" --minutes {os.environ.get(*SIZES['--minutes'])}"
     return line

@@ -170,12 +170,13 @@ def test_a_whole_file_survives_recovery_unchanged(mcap: Path, tmp_path: Path) ->
 
 
 def test_what_is_no_mcap_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"hello, this is no recording at all")
-    with pytest.raises(InputError, match=r"x\.mcap"):
-        open_source(tmp_path / "x.mcap")
-    with pytest.raises(InputError, match="is no MCAP file"):
-        recover(tmp_path / "x.mcap", tmp_path / "y.mcap")
-    assert not (tmp_path / "y.mcap").exists()
+    for text in (b"hello, this is no recording at all", b"hello\n"):
+        (tmp_path / "x.mcap").write_bytes(text)
+        with pytest.raises(InputError, match=r"x\.mcap"):
+            open_source(tmp_path / "x.mcap")
+        with pytest.raises(InputError, match="is no MCAP file"):
+            recover(tmp_path / "x.mcap", tmp_path / "y.mcap")
+        assert not (tmp_path / "y.mcap").exists()
 
 
 def test_recordings_are_not_overwritten(mcap: Path, small_recording: Path) -> None:

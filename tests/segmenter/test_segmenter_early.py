@@ -177,23 +177,32 @@ def test_what_is_in_view_is_told_with_the_weights_so_far() -> None:
     run = CameraRun(CAMERA, RUN, replace(LIVE, core=Settings(early_views=True)), None)
     run.open()
     told: dict[str, list[TrackInView]] = {}
+    pictured: set[float | None] = set()
     for seq in range(45):
         frame = replace(scene.frame(seq, travel_m=0.018 * seq), camera=CAMERA, run=RUN)
-        run.frame(frame, seq / 30)
+        result = run.frame(frame, seq / 30)
         message = TracksInView.decode(tracks_in_view(run, frame.captured_ns).encode())
         for track in message.tracks:
             told.setdefault(track.track_id, []).append(track)
+        if result is not None and (picture := run.picture(frame, result)) is not None:
+            pictured |= {outline.weight_g for outline in picture.outlines} - {None}
         for _, one in run.tick(seq / 30, {"w"}):
             common = (one.view_id, one.track_id, CAMERA, RUN, one.seq)
-            run.weight(Weight(*common, "weighed", 100.0, 90.0, 110.0, "pointraft", "m", (), "w"))
+            grams = 100.0 + 7.0 * one.rank
+            run.weight(Weight(*common, "weighed", grams, grams - 10, grams + 10, "pointraft", "m", (), "w"))
     logged = {entry.track.track_id: entry.track for entry in run.log.due(9.0) if entry.track is not None}
     assert logged.keys() <= told.keys()
     assert len(logged) >= 2
+    said = {one.weight_g for tracks in told.values() for one in tracks}
+    assert pictured
+    assert pictured <= said, "the page's picture and Rerun say the same grams"
     for track_id, track in logged.items():
         weights = [one.weight_g for one in told[track_id]]
-        before = weights.index(100.0)
+        before = next(n for n, grams in enumerate(weights) if grams is not None)
         assert before > 0
         assert set(weights[:before]) == {None}
         assert told[track_id][before].state == "open", "weighed before it is decided"
         assert told[track_id][before].place_x_m == pytest.approx(track.place_x_m, abs=0.01)
-        assert (told[track_id][before].low_g, told[track_id][before].high_g) == (90.0, 110.0)
+        first = told[track_id][before]
+        assert first.weight_g is not None
+        assert (first.low_g, first.high_g) == (first.weight_g - 10, first.weight_g + 10)

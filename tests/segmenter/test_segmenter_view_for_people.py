@@ -11,7 +11,8 @@ import pytest
 from conveyor.messages import Frame, Picture, Weight
 from conveyor.messages.pictures import MAX_PICTURE_BYTES, MOST_OUTLINES
 from segmenter.pipeline import Segmenter, Settings
-from segmenter.view_for_people import REMEMBERED, WIDE_PX, Weights, jpeg_size, picture_of
+from segmenter.provisional import REMEMBERED, Provisional, ProvisionalWeights
+from segmenter.view_for_people import WIDE_PX, jpeg_size, picture_of
 from tests.viewer.viewer_line import LENS, crossing_seq, frame, potatoes
 
 TUBERS = potatoes(9, seed=4)
@@ -19,7 +20,7 @@ FROM_SEQ = 12
 
 
 def weight(track: str, grams: float) -> Weight:
-    low, high = 0.9 * grams, 1.1 * grams
+    low, high = grams - 10, grams + 10
     return Weight(f"{track}/1", track, "front", "r", 1, "weighed", grams, low, high, "pointraft", "m", (), "r1")
 
 
@@ -33,13 +34,13 @@ def seen() -> tuple[Segmenter, Frame]:
     return core, newest
 
 
-def shown(core: Segmenter, newest: Frame, weights: Weights | None = None, *, drop: str = "") -> Picture:
+def shown(core: Segmenter, newest: Frame, weights: ProvisionalWeights | None = None, *, drop: str = "") -> Picture:
     picture = picture_of(
         newest,
         belt=core.belt,
         instances=None if drop else core.instances,
         found=core.found,
-        weight_of=(weights or Weights()).of,
+        weights=weights or ProvisionalWeights(),
         drop=drop,
     )
     assert picture is not None
@@ -49,10 +50,10 @@ def shown(core: Segmenter, newest: Frame, weights: Weights | None = None, *, dro
 
 def test_what_lies_on_the_belt_is_outlined_with_state_and_weight(seen: tuple[Segmenter, Frame]) -> None:
     core, newest = seen
-    weights = Weights()
+    weights = ProvisionalWeights()
     counted = [track for track, _ in core.found if track.state == "counted"]
     assert counted
-    for grams in (180.0, 200.0):
+    for grams in (180.0, 400.0, 190.0):
         weights.add(weight(counted[0].track_id(newest.run, newest.camera), grams))
     picture = shown(core, newest, weights)
     assert core.instances is not None
@@ -101,7 +102,7 @@ def test_a_frame_that_is_not_used_is_shown_without_outlines(seen: tuple[Segmente
     picture = shown(*seen, drop="blind")
     assert (picture.outlines, picture.drop) == ((), "blind")
     dark = replace(seen[1], depth=np.zeros_like(seen[1].depth))
-    before = picture_of(dark, belt=None, instances=None, found=(), weight_of=Weights().of)
+    before = picture_of(dark, belt=None, instances=None, found=(), weights=ProvisionalWeights())
     assert before is not None
 
 
@@ -109,10 +110,10 @@ def test_noise_that_cannot_be_made_small_is_left_out_and_weights_have_an_end() -
     rng = np.random.default_rng(5)
     depth = rng.integers(0, 9000, (LENS.height, LENS.width), dtype=np.uint16)
     noise = replace(frame(0, TUBERS), depth=depth)
-    picture = picture_of(noise, belt=None, instances=None, found=(), weight_of=Weights().of)
+    picture = picture_of(noise, belt=None, instances=None, found=(), weights=ProvisionalWeights())
     assert picture is None or picture.jpeg.size <= MAX_PICTURE_BYTES
-    weights = Weights()
+    weights = ProvisionalWeights()
     for n in range(REMEMBERED + 3):
         weights.add(weight(f"r/front/{n}", 100.0))
-    assert (weights.of("r/front/2"), weights.of("r/front/3")) == (None, 100.0)
+    assert (weights.of("r/front/2"), weights.of("r/front/3")) == (None, Provisional(100.0, 90.0, 110.0))
     assert MOST_OUTLINES >= 128

@@ -83,6 +83,8 @@ def test_several_without_a_terminal_are_listed_and_nothing_is_written(
         init(tmp_path / "x.toml")
     with pytest.raises(InputError, match=r"ends in \.toml"):
         init(tmp_path / "x")
+    with pytest.raises(InputError, match="--recording and --realsense: give one of them"):
+        init(tmp_path / "x.toml", recording=(two,), realsense=True)
 
 
 def test_it_asks_in_a_terminal(two: Path, tmp_path: Path) -> None:

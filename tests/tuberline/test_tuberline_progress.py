@@ -7,10 +7,16 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from aggregator.ledger.reader import read_tubers, reading
+from aggregator.ledger.verified import TOLD_EVERY, told_rows
+from benchmarks.written_run import write_run
+from conveyor.messages import Counters
 from tuberline.cli import progress
+from tuberline.cli.live import nodes_tables
 from tuberline.cli.markdown import print_markdown
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +57,21 @@ def test_a_new_part_of_the_work_has_a_remaining_time_of_its_own(monkeypatch: pyt
     assert "100%" in said
 
 
+def test_a_reading_of_a_ledger_says_how_far_it_is(tmp_path: Path) -> None:
+    count = 2 * TOLD_EVERY + 1
+    crossed_ns = 10**18 + 10**8 * np.arange(count)
+    write_run(tmp_path, run="r", crossed_ns=crossed_ns, weight_g=np.full(count, 150.0))
+    told: list[tuple[str, int, int | None]] = []
+    with reading(tmp_path / "ledger.db") as view:
+        list(read_tubers(view, "r"))
+        assert told == [], "no one asked"
+        with told_rows(lambda *said: told.append(said)):
+            list(read_tubers(view, "r"))
+    assert [said for said in told if said[0] == "ledger: tuber"] == [
+        ("ledger: tuber", done, count) for done in (0, TOLD_EVERY, 2 * TOLD_EVERY)
+    ]
+
+
 def test_every_long_command_shows_the_bar_of_the_house() -> None:
     """Bars of rich's own write their last state into a log."""
     own = re.compile(r"\bProgress\(|console\.status\(|rich\.status")
@@ -76,3 +97,16 @@ def test_a_table_of_a_report_cuts_no_word(width: int) -> None:
     for name in METHODS:
         assert all(word in words for word in name.split()), name
     assert words.count("15.73") == len(METHODS)
+
+
+def test_no_name_of_a_status_is_folded_in_eighty_columns() -> None:
+    lost = {"frames_dropped_camera_changed": 12345, "views_lost_weigh_deadline": 3, "views_refused_few_points": 7}
+    values = {"frames_processed": 1234567, "views_sent": 1234567, "tracks_counted": 123456, **lost}
+    name = "segmenter/harvester-2-left"
+    told = Counters("segmenter", "harvester-2-left", "r", 1, "h", "1", 12345.0, values, {})
+    out = io.StringIO()
+    Console(file=out, width=80, color_system=None).print(*nodes_tables({name: told}, alive={name}))
+    lines = out.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    for words in (name, "processed 1234567", *(f"{key} {count}" for key, count in lost.items())):
+        assert any(words in line for line in lines), words

@@ -21,9 +21,10 @@ def audit(run_dir: Path, /, *, run: str | None = None, json: bool = False) -> No
     """
     from aggregator.ledger.audit import audit_run
     from aggregator.ledger.reader import ledger_file, reading, the_run
+    from tuberline.cli.progress import ledger_bar
 
     path = ledger_file(run_dir)
-    with reading(path) as db:
+    with ledger_bar(), reading(path) as db:
         found = audit_run(db, the_run(db, path, run))
     if json:
         sys.stdout.write(json_module.dumps(found.as_dict(), indent=2) + "\n")

@@ -49,6 +49,7 @@ def profile(
     from conveyor.files import whole_output
     from regressor.network.checkpoint import SHIPPED, read_checkpoint
     from segmenter.profile.recording import profile_recording
+    from tuberline.cli.progress import frames_bar
 
     if frames < 1:
         raise InputError(f"--frames is {frames}; at least 1 is needed")
@@ -61,7 +62,8 @@ def profile(
     sidecar = read_checkpoint(weights or SHIPPED)[1]
     trained = camera_range(sidecar.worlds)
     baseline_m = None if baseline_mm is None else baseline_mm / 1000
-    cameras = profile_recording(recording, trained, frames=frames, baseline_m=baseline_m)
+    with frames_bar() as on_frame:
+        cameras = profile_recording(recording, trained, frames=frames, baseline_m=baseline_m, on_frame=on_frame)
     if out is not None:
         from segmenter.profile.picture import draw_profiles
 

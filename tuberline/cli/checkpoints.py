@@ -54,10 +54,12 @@ def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = N
     from conveyor.files import whole_output
     from regressor.network.checkpoint import load_checkpoint
     from regressor.network.export import export_onnx as write
+    from tuberline.cli.progress import work_bar
 
     if out.suffix != ".onnx":
         raise InputError(f"--out {out} must end in .onnx")
     model, sidecar = load_checkpoint(weights)
-    with whole_output(out) as partial:
+    with whole_output(out) as partial, work_bar("ONNX") as on_work:
+        on_work("tracing the network", 0, None)
         write(partial, model, sidecar, batch=batch)
     sys.stderr.write(f"{out}: {sidecar.model_id}, batch {batch or 'open'}; an example: docs/examples/onnx_outside.py\n")

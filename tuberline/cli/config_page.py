@@ -22,14 +22,16 @@ Made from `conveyor/config.py` by `make docs`. One TOML file describes one line.
 default; a key that is unknown or a value that is out of range is refused, with the nearest known key
 or with what is allowed. A relative path starts from the file's own folder.
 
-    name = "north"
+```toml
+name = "north"
 
-    [cameras.front]                  # one section for each camera, under its name
-    path = "recordings/monday"
-    speed = 0
+[cameras.front]                  # one section for each camera, under its name
+path = "recordings/monday"
+speed = 0
 
-    [aggregator]
-    out = "runs/monday"
+[aggregator]
+out = "runs/monday"
+```
 
 These commands check a file, print every setting in effect, and explain one key:
 

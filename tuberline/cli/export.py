@@ -67,18 +67,21 @@ def export(
         Of the report: a buyer's classes of size (TOML); default: that of the line's config.
     """
     from aggregator.ledger.reader import ledger_file
+    from tuberline.cli.progress import ledger_bar
     from tuberline.export.tubers import read_all
     from tuberline.export.write import ENDINGS, REPORTS, Format
     from tuberline.export.write import export as write
 
     form = Format(format)
     # Read once: the map is made of the same tubers as the rows.
-    tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None
+    with ledger_bar(form.value):
+        tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None
     how = {"width_m": width_m, "overlap_m": overlap_m, "delay_s": delay_s, "antenna_ahead_m": None}
     field, no_map = None, ""
     if what != "loads":
         try:
-            field = _field(runs, track, {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}, tubers)
+            with ledger_bar("positions"):
+                field = _field(runs, track, {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}, tubers)
         except InputError as error:
             if form not in REPORTS or track:
                 raise
@@ -89,12 +92,14 @@ def export(
 
         target = out or folder / f"report.{form.value}"
         pdf = form is Format.PDF
-        loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
+        with ledger_bar("report"):
+            loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
         sys.stdout.write(f"report of {loads} loads in {target}\n")
         return
     name = "taskdata" if form is Format.ISOXML else what
     target = out or folder / f"{name}.{ENDINGS.get(form, form.value)}"
-    rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
+    with ledger_bar(form.value):
+        rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
     sys.stdout.write(f"{rows} {'records' if form is Format.ISOXML else what} in {target}\n")
 
 

@@ -55,6 +55,9 @@ def init(
         raise InputError(f"{file} exists; choose another name, or remove it first")
     if file.suffix != ".toml":
         raise InputError(f"{file}: the name of a line's file ends in .toml")
+    given = {"--recording": bool(recording), "--realsense": realsense, "--ros-router": ros_router is not None}
+    if sum(given.values()) > 1:
+        raise InputError(f"{' and '.join(option for option in given if given[option])}: give one of them")
     line = check_name(name or file.stem, what="line")
     chosen: list[Found]
     if recording:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json as json_module
 import sys
 from pathlib import Path
 
 from cyclopts import App
+
+from tuberline.cli.progress import ledger_bar
 
 ledger = App(name="ledger", help="Check, repair or dump a ledger; add up its loads; its classes of size.")
 
@@ -26,7 +29,8 @@ def check(path: Path, /, *, json: bool = False) -> None:
     from aggregator.ledger.reader import ledger_file
 
     file = ledger_file(path)
-    faults = check_file(file)
+    with ledger_bar():
+        faults = check_file(file)
     if json:
         sys.stdout.write(json_module.dumps({"ledger": str(file), "sound": not faults, "faults": faults}) + "\n")
     elif faults:
@@ -55,7 +59,8 @@ def repair(path: Path, /) -> None:
     from aggregator.ledger.reader import ledger_file
     from aggregator.ledger.repair import repair as repair_ledger
 
-    report = repair_ledger(ledger_file(path))
+    with ledger_bar():
+        report = repair_ledger(ledger_file(path))
     for text in report.repaired:
         sys.stdout.write(f"repaired: {text}\n")
     for text in report.lost:
@@ -83,7 +88,8 @@ def dump(path: Path, /, *, canonical: bool = False, run: str | None = None) -> N
     from aggregator.ledger.reader import ledger_file, reading, the_run
 
     file = ledger_file(path)
-    with reading(file) as db:
+    bar = contextlib.nullcontext() if sys.stdout.isatty() else ledger_bar()
+    with bar, reading(file) as db:
         chosen = the_run(db, file, run)
         for line in canonical_lines(db, chosen) if canonical else full_lines(db, chosen):
             sys.stdout.write(line + "\n")
@@ -138,7 +144,7 @@ def classes(path: Path, /, *, contract: Path, run: str | None = None, json: bool
     from conveyor.contract import read_contract
 
     wanted, file = read_contract(contract), ledger_file(path)
-    with reading(file) as view:
+    with ledger_bar(), reading(file) as view:
         told = told_classes(view, file, wanted, run=run)
     if json:
         sys.stdout.write(json_module.dumps(told, indent=2) + "\n")

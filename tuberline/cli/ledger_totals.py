@@ -37,10 +37,12 @@ def totals(
     from aggregator.calibration.tickets import read_tickets
     from aggregator.ledger.totals_by import totals_by
     from conveyor.errors import InputError
+    from tuberline.cli.progress import ledger_bar
 
     if not paths:
         raise InputError("name the folders of the runs whose loads are to be added up")
-    found, refused = totals_by(paths, by, tickets=read_tickets(tickets) if tickets else ())
+    with ledger_bar():
+        found, refused = totals_by(paths, by, tickets=read_tickets(tickets) if tickets else ())
     if json:
         values = {"by": by, "totals": [asdict(total) for total in found], "tickets_refused": refused}
         sys.stdout.write(json_module.dumps(values, indent=2) + "\n")

@@ -80,7 +80,7 @@ def line_table(
     totals: Totals | None, nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None
 ) -> Group:
     """What a person wants to see of a running line."""
-    return Group(totals_panel(totals), nodes_table(nodes, alive=alive, pace=pace), *_remarks(nodes, alive))
+    return Group(totals_panel(totals), *nodes_tables(nodes, alive=alive, pace=pace), *_remarks(nodes, alive))
 
 
 def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
@@ -132,16 +132,18 @@ def _load_title(load: LoadNow) -> Text:
     return Text(" · ".join(filter(None, (f"load {load.number}", *known))))
 
 
-def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Table:
-    """One row a node: state, what it did, what was lost."""
-    table = Table("node", "state", "up", "did", "lost or refused", box=SIMPLE_HEAD, expand=True, padding=(0, 1, 0, 0))
+def nodes_tables(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Iterator[Table]:
+    """One row a node, with its state and what it did; then what was lost, whose names are too long to stand beside."""
+    table = Table("node", "state", "up", "did", box=SIMPLE_HEAD, expand=True, padding=(0, 1, 0, 0))
+    lost = Table("node", "lost or refused", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    lost.columns[0].no_wrap = True
     for column, least in zip(table.columns[:3], (15, 7, 6), strict=True):
         column.no_wrap, column.min_width = True, least
     names = sorted({*nodes, *alive}, key=lambda name: (name not in alive or name not in nodes, name))
     for name in sorted(names[:MOST_ROWS]):
         counters = nodes.get(name)
         if counters is None:
-            table.add_row(short_name(name), "[red]silent[/]", "", "there, and has not reported yet", "")
+            table.add_row(short_name(name), "[red]silent[/]", "", "there, and has not reported yet")
             continue
         state = counters.status if name in alive else "gone"
         colour = "green" if state == "ok" else "red"
@@ -150,11 +152,14 @@ def nodes_table(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | 
             f"[{colour}]{state}[/]",
             duration(counters.uptime_s),
             Items(_did(name, counters, pace if name in alive else None)),
-            Items((f"{key} {value:g}" for key, value in losses(counters).items()), style="yellow"),
         )
+        if lacking := [f"{key} {value:g}" for key, value in losses(counters).items()]:
+            lost.add_row(short_name(name), Items(lacking, style="yellow"))
     if len(names) > MOST_ROWS:
-        table.add_row(f"and {len(names) - MOST_ROWS} more", "", "", "", "")
-    return table
+        table.add_row(f"and {len(names) - MOST_ROWS} more", "", "", "")
+    yield table
+    if lost.row_count:
+        yield lost
 
 
 def _did(name: str, counters: Counters, pace: Pace | None) -> Iterator[str]:

@@ -62,6 +62,7 @@ def map_field(
         Print the map as JSON on stdout and draw only what --out names.
     """
     from aggregator.ledger.reader import ledger_file
+    from tuberline.cli.progress import ledger_bar
     from tuberline.maps.field import field_map
     from tuberline.maps.settings import settings_of
 
@@ -76,7 +77,8 @@ def map_field(
         clean=not raw,
         smooth=smooth,
     )
-    field = field_map(runs, track or [], settings)
+    with ledger_bar("map"):
+        field = field_map(runs, track or [], settings)
     if out is not None or not json:
         target = out or ledger_file(runs[0]).parent / "map.png"
         if target.suffix == ".rrd":

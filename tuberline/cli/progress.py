@@ -48,6 +48,15 @@ def work_bar(words: str) -> Iterator[Work]:
 
 
 @contextmanager
+def ledger_bar(words: str = "ledger") -> Iterator[Work]:
+    """A bar over all readings of ledgers within the block; what it gives is called with what comes after them."""
+    from aggregator.ledger.verified import told_rows
+
+    with work_bar(words) as on_work, told_rows(on_work):
+        yield on_work
+
+
+@contextmanager
 def frames_bar(words: str = "frames") -> Iterator[Callable[[int, int | None], None]]:
     """A bar over the frames of a recording, which goes when they are read; call what it gives with how many are done
     and how many there are.

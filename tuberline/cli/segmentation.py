@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from conveyor.errors import InputError
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -63,6 +65,8 @@ def segment(
     from segmenter.studies.offline import segment_recording
     from tuberline.cli.progress import frames_bar
 
+    if picture is not None and not picture.absolute().parent.is_dir():
+        raise InputError(f"--picture {picture}: there is no folder {picture.absolute().parent}")
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:

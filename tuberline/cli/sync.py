@@ -31,6 +31,7 @@ def sync(
         Go on, a sync every so many seconds, and wait for a database that is away; default: once.
     """
     from conveyor.errors import InputError, LinkError
+    from tuberline.cli.progress import ledger_bar
     from tuberline.sync.push import connect, push
 
     if every_s is not None and not 1 <= every_s <= 86400:
@@ -39,7 +40,8 @@ def sync(
         try:
             with connect(database) as connection:
                 for run in runs:
-                    done = push(connection, run)
+                    with ledger_bar(str(run)):
+                        done = push(connection, run)
                     sys.stdout.write(f"{run}: {done.tubers} new tubers of {done.runs} runs, {done.loads} loads\n")
                     sys.stdout.flush()
         except LinkError as error:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import ConfigError
-from conveyor.extras import install_hint
+from conveyor.extras import check_version, install_hint
 from conveyor.geometry import Intrinsics, deproject
 from viewer.scene.primitives import Box, Color, DepthPicture
 
 INSTALL = f"install it {install_hint('foxglove')}"
-SUPPORTED = "0.30."
 
 try:
     import foxglove
@@ -23,8 +21,7 @@ try:
     from foxglove.websocket import ServerListener
 except ImportError as error:
     raise ConfigError(f"Foxglove needs foxglove-sdk, which cannot be imported ({error}); {INSTALL}") from error
-if not metadata.version("foxglove-sdk").startswith(SUPPORTED):
-    raise ConfigError(f"Foxglove needs foxglove-sdk {SUPPORTED}*, found {metadata.version('foxglove-sdk')}; {INSTALL}")
+check_version("foxglove-sdk", "0.30.", extra="foxglove", what="Foxglove")
 
 __all__ = ["INSTALL", "ServerListener", "foxglove", "schemas"]
 

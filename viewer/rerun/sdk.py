@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 
 from conveyor.errors import ConfigError
-from conveyor.extras import install_hint
+from conveyor.extras import check_version, install_hint
 from conveyor.formats.rvl import MEDIA_TYPE, encode_ros_rvl
 from viewer.scene.primitives import (
     Bars,
@@ -35,15 +34,13 @@ from viewer.scene.primitives import (
 )
 
 INSTALL = f"install it {install_hint('viewer')}"
-SUPPORTED = "0.41."
 
 try:
     import rerun as rr
     import rerun.blueprint as rrb
 except ImportError as error:
     raise ConfigError(f"the viewer needs rerun-sdk, which cannot be imported ({error}); {INSTALL}") from error
-if not metadata.version("rerun-sdk").startswith(SUPPORTED):
-    raise ConfigError(f"the viewer needs rerun-sdk {SUPPORTED}*, found {metadata.version('rerun-sdk')}; {INSTALL}")
+check_version("rerun-sdk", "0.41.", extra="viewer", what="the viewer")
 
 __all__ = ["INSTALL", "Pen", "new_stream", "rrb"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,8 +36,11 @@ class Recovered:
     damage: str
 
 
-def recover(path: Path, out: Path) -> Recovered:
+def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lambda done, total: None) -> Recovered:
     """Copy every whole message of `path` to the new file `out`.
+
+    Args:
+        on_bytes: called with how much of the file is read, and its size.
 
     Raises:
         InputError: `path` is no MCAP file, or `out` exists.
@@ -46,15 +49,21 @@ def recover(path: Path, out: Path) -> Recovered:
         raise InputError(f"{out} exists; recover to another name with --out")
     try:
         with path.open("rb") as source, out.open("xb") as target:
-            result = _copy(source, target, size=path.stat().st_size)
+            result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
             target.flush()
             os.fsync(target.fileno())
-    except InvalidMagic as error:
+    except (InvalidMagic, _Nothing) as error:
         out.unlink(missing_ok=True)
-        raise InputError(f"{path} is no MCAP file: it does not begin with MCAP's magic bytes") from error
+        raise InputError(
+            f"{path} is no MCAP file: it does not begin with MCAP's magic bytes and a whole record"
+        ) from error
     except OSError as error:
         raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
     return result
+
+
+class _Nothing(Exception):
+    """Not one record is whole."""
 
 
 class _Records:
@@ -80,6 +89,8 @@ class _Records:
                 self.damage = f"{type(error).__name__}: {error}"
                 return
             except DAMAGE as error:
+                if self.good_bytes == 0:
+                    raise _Nothing from error
                 self.damage = f"{type(error).__name__}: {error}"
                 return
             self.good_bytes = self._stream.tell()
@@ -87,7 +98,7 @@ class _Records:
             yield from parts
 
 
-def _copy(source: Any, target: Any, *, size: int) -> Recovered:
+def _copy(source: Any, target: Any, *, size: int, on_bytes: Callable[[int, int], None]) -> Recovered:
     writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, tuple[int, str]] = {}
@@ -95,6 +106,7 @@ def _copy(source: Any, target: Any, *, size: int) -> Recovered:
     started = False
     records = _Records(source)
     for record in records:
+        on_bytes(records.good_bytes, size)
         if isinstance(record, Header) and not started:
             writer.start(profile=record.profile, library=f"tuberline {__version__} recover")
             started = True
