@@ -12,6 +12,7 @@ from aggregator.calibration.tickets import Ticket, read_tickets
 from aggregator.core.class_totals import class_totals
 from aggregator.core.coverage import Coverage, Moment, coverage
 from aggregator.core.foreign_totals import foreign_total
+from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_state import load_state
 from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load
@@ -19,6 +20,7 @@ from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.audit import audit_sums
+from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
 from aggregator.ledger.load_totals import Seen, count_load, tickets_of
 from aggregator.ledger.reader import read_marks
@@ -29,6 +31,7 @@ from conveyor.config import LineConfig
 from conveyor.contract import read_contract
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
+from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
 from conveyor.messages import LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
@@ -52,6 +55,7 @@ class Reporter:
         settings = config.aggregator
         self._given = read_tickets(settings.tickets) if settings.tickets else ()
         self._by_loads: tuple[tuple[int, int], tuple[Ticket, ...]] = ((0, 0), ())
+        self._earlier: dict[int, tuple[tuple[int, int], list[HeightSums]]] = {}
         self._contract = read_contract(settings.contract) if settings.contract else None
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
@@ -98,6 +102,14 @@ class Reporter:
         load = self._ledger.loads.open_load(self._core.run)
         return None if load is None else self._told(load, now_s)
 
+    def _heights_before(self, load: Load, now_s: float) -> list[HeightSums]:
+        """Of earlier loads, which change while their last tubers come."""
+        known = (self._ledger.loads.last_n, int(now_s // LOOK_AT_TICKETS_EVERY_S))
+        if load.number not in self._earlier or self._earlier[load.number][0] != known:
+            found = heights_before(self._ledger, load, cultivar=self._config.aggregator.cultivar)
+            self._earlier = {load.number: (known, found)}
+        return self._earlier[load.number][1]
+
     def _told(self, load: Load, now_s: float) -> LoadNow:
         return load_now(
             load,
@@ -107,6 +119,7 @@ class Reporter:
             cultivar=self._config.aggregator.cultivar,
             contract=self._contract,
             densities=self._config.foreign,
+            earlier=self._heights_before(load, now_s),
         )
 
     def totals(self, now_s: float) -> Totals:
@@ -193,11 +206,13 @@ class Reporter:
         if totals.state == LoadState.NOTHING_SEEN:
             return f"nothing seen: {totals.reason}; final={totals.final}"
         layers = layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
+        heights = heights_in_words(totals.load.heights) if totals.load else ""
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
-            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}{layers and '; ' + layers}"
+            f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
+            f"{layers and '; ' + layers}{heights and '; ' + heights}"
         )
 
 

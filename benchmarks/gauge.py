@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from benchmarks.figures_in_docs import put_table
 from benchmarks.gauge_worlds import Disturbed, GaugeWorld, gauge_world
 from conveyor.gauge import GaugeKind
+from conveyor.messages import Frame
+from conveyor.resting import RestingLevel
+from regressor.weigh.weigher import Weigher, weigh_view
 from segmenter.belt_segmenter import Settings
 from segmenter.gauge.estimate import REFERENCE_LOOKS, Cause, GaugeReading
 from segmenter.gauge.keeper import GaugeKeeper
@@ -122,17 +125,20 @@ def _cause_row(kind: str, seed: int, preset: str, by: Disturbed, reading: GaugeR
 
 def loads(kind: GaugeKind, seeds: range) -> Iterator[LoadRow]:
     """A row for each seed: half of them drift, half are moved, by half of the most at least."""
-    from regressor.weigh.weigher import Weigher
-
     weigher = Weigher.load()
     for n, seed in enumerate(seeds):
         rng = np.random.default_rng([seed, 173])
         share = float(rng.uniform(0.5, 1.0)) * (1.0 if rng.random() < 0.5 else -1.0)
         by = Disturbed(drift_px=share * MOST_DRIFT_PX) if n % 2 == 0 else Disturbed(shift_m=share * MOST_SHIFT_M)
         world = gauge_world(kind, seed, preset="field", tubers=TUBERS)
-        before = _weighed(world, Disturbed(), None, weigher)
-        without = _weighed(world, by, None, weigher)
-        with_gauge = _weighed(world, by, looked(world, by), weigher)
+        right, wrong = (_frames(world, one) for one in (Disturbed(), by))
+        keeper = GaugeKeeper(world.gauge)
+        for frames, looks in ((right, REFERENCE_LOOKS), (wrong, LOOKS_AFTER)):
+            for at in np.linspace(0, len(frames) - 1, looks).round().astype(int):
+                keeper.look(frames[at])
+        before = _weighed(world, right, None, weigher)
+        without = _weighed(world, wrong, None, weigher)
+        with_gauge = _weighed(world, wrong, keeper, weigher)
         true_g, without_g, with_g = _matched(before, without, with_gauge).sum(axis=0)
         yield LoadRow(
             kind=kind,
@@ -145,17 +151,28 @@ def loads(kind: GaugeKind, seeds: range) -> Iterator[LoadRow]:
         )
 
 
-def _weighed(world: GaugeWorld, by: Disturbed, keeper: GaugeKeeper | None, weigher: object) -> NDArray[np.float64]:
-    """(n, 3) place on the belt, x and y in metres, and weight in grams, of each tuber that the segmenter counted."""
-    from regressor.weigh.weigher import Weigher, weigh_view
+def _frames(world: GaugeWorld, by: Disturbed) -> list[Frame]:
+    """All frames of the world's camera."""
+    return [item for item in world.source(by).frames(run="load") if isinstance(item, Frame)]
 
-    assert isinstance(weigher, Weigher)
-    segmenter = Segmenter(Settings(perception=PerceptionSettings(method="classical")))
+
+def _weighed(
+    world: GaugeWorld, frames: Sequence[Frame], keeper: GaugeKeeper | None, weigher: Weigher
+) -> NDArray[np.float64]:
+    """(n, 3) place on the belt, x and y in metres, and weight in grams, of each tuber that the segmenter counted.
+
+    On rods the line says so, with their pitch and diameter.
+    """
+    gauge = world.gauge
+    resting = RestingLevel()
+    if gauge.kind == "rods":
+        resting = RestingLevel(surface="rods", rod_pitch_m=gauge.pitch_m, rod_diameter_m=gauge.rod_m)
+    segmenter = Segmenter(Settings(perception=PerceptionSettings(method="classical"), resting=resting))
     if keeper is not None:
         segmenter.gauge = keeper
     closed = []
-    for item in world.source(by).frames(run="load"):
-        closed += segmenter.step(item).closed  # type: ignore[arg-type]
+    for item in frames:
+        closed += segmenter.step(item).closed
     closed += segmenter.finish()
     found = []
     for track in closed:

@@ -40,7 +40,7 @@ class Segmenter:
         self._gate = FrameGate()
         self.gauge = GaugeKeeper(settings.gauge)
         self._off = BeltOff()
-        self._belts = BeltKeeper(settings.belt_follow_m, given_sd_m=settings.belt_sd_m)
+        self._belts = BeltKeeper(settings.belt_follow_m, given_sd_m=settings.belt_sd_m, web=settings.resting)
         self._waiting = WaitingSegmenter(settings, Perception(settings.perception, settings.split), resume)
         self._running: BeltSegmenter | None = None
 

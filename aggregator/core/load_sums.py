@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.core.foreign import ForeignBody, ForeignSums
+from aggregator.core.height_sums import HeightSums
 from aggregator.core.layers import LayerSums
 from aggregator.core.size_bins import SizeBins
 from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, belt_off_mm
@@ -28,7 +29,8 @@ class LoadSums:
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
     `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
     saw which are noisier than those the weights were trained for, or unlike good ones; `off_g_mm` its sum
-    times the millimetres by which the belt was seen off its calibration, with no gauge to say why.
+    times the millimetres by which the belt was seen off its calibration, with no gauge to say why. `heights` is None
+    where some of the tubers were summed up by a version that kept no heights.
     """
 
     histogram_step_g: float
@@ -47,6 +49,7 @@ class LoadSums:
     layers: LayerSums = field(default_factory=LayerSums)
     sizes: SizeBins = field(default_factory=SizeBins)
     foreign: ForeignSums = field(default_factory=ForeignSums)
+    heights: HeightSums | None = field(default_factory=HeightSums)
     _recent_ns: deque[int] = field(default_factory=lambda: deque(maxlen=RATE_TUBERS))
 
     def add(self, tuber: Tuber | ForeignBody) -> None:
@@ -70,6 +73,8 @@ class LoadSums:
         self._put(int(max(tuber.weight_g, 0.0) / self.histogram_step_g), 1)
         self.sizes.add(tuber)
         self.foreign.add_tuber(tuber)
+        if self.heights is not None:
+            self.heights.add(tuber)
         self.passed(tuber.crossed_ns)
 
     def _put(self, bin_: int, n: int) -> None:
@@ -96,6 +101,10 @@ class LoadSums:
         self.off_g_mm += other.off_g_mm
         self.sizes.take(other.sizes)
         self.foreign.take(other.foreign)
+        if self.heights is None or other.heights is None:
+            self.heights = None
+        else:
+            self.heights.take(other.heights)
         for at, n in enumerate(other.classes):
             self._put(int((at + 0.5) * other.histogram_step_g / self.histogram_step_g), n)
 
@@ -168,6 +177,7 @@ class LoadSums:
             "layers": self.layers.plain(),
             "sizes": self.sizes.plain(),
             "foreign": self.foreign.plain(),
+            "heights": None if self.heights is None else self.heights.plain(),
         }
 
     @classmethod
@@ -178,6 +188,7 @@ class LoadSums:
                 **plain,
                 "weighed": {(method, model): (n, grams) for method, model, n, grams in plain["weighed"]},
                 "foreign": ForeignSums.from_plain(plain.get("foreign", {})),
+                "heights": None if plain.get("heights") is None else HeightSums.from_plain(plain["heights"]),
                 "sizes": SizeBins.from_plain(plain.get("sizes", {})),
                 "seen_by": Counter({frozenset(cameras): n for cameras, n in plain["seen_by"]}),
                 "layers": LayerSums.from_plain(plain["layers"]) if "layers" in plain else LayerSums(),
@@ -185,8 +196,10 @@ class LoadSums:
         )
 
     def same_as(self, other: Self) -> bool:
-        """The two sums say the same, but for the last digits of sums of floats."""
+        """The two sums say the same, but for the last digits of sums of floats, and heights where one has none."""
         mine, others = self.plain(), other.plain()
+        if self.heights is None or other.heights is None:
+            del mine["heights"], others["heights"]
         return _close(mine, others)
 
 

@@ -11,6 +11,8 @@ from aggregator.calibration.tickets import Ticket
 from aggregator.core.class_totals import class_totals
 from aggregator.core.coverage import Coverage, Moment, belt_window, coverage
 from aggregator.core.foreign_totals import foreign_total
+from aggregator.core.height_change import height_changes
+from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Load, Span
 from aggregator.core.sight import CameraSight
@@ -71,8 +73,12 @@ def load_now(
     cultivar: str = "",
     contract: Contract | None = None,
     densities: ForeignConfig | None = None,
+    earlier: Sequence[HeightSums] = (),
 ) -> LoadNow:
-    """The open load as the totals tell it; `cultivar` where it names no variety of its own."""
+    """The open load as the totals tell it; `cultivar` where it names no variety of its own.
+
+    `earlier`: of loads that it may be compared with (`aggregator.ledger.earlier_loads`), the newest last.
+    """
     totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=load.variety or cultivar)
     low_g, high_g = totals.interval_g()
     whole_g, whole_low_g, whole_high_g = totals.estimated(found.coverage, belt_m=found.belt_m, most_m=found.most_m)
@@ -99,4 +105,5 @@ def load_now(
         calibrated_by=totals.calibrated().told,
         classes=class_totals(totals, contract) if contract else (),
         foreign=foreign_total(totals, densities or ForeignConfig()),
+        heights=height_changes(found.sums.heights or HeightSums(), earlier),
     )

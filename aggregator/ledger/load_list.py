@@ -9,6 +9,7 @@ from aggregator.calibration.load_tickets import load_ticket
 from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load, LoadTicket
+from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_of
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
@@ -43,7 +44,7 @@ def _told(
         refused.append(str(error))
     is_open = any(ledger.loads.open_load(run) is load and not ledger.runs[run].finished for run, _ in load.spans)
     net, gross = load.ticket(net=True), load.ticket(net=False)
-    now = load_now(load, found, tickets, contract=contract)
+    now = load_now(load, found, tickets, contract=contract, earlier=heights_before(ledger, load))
     values: dict[str, Any] = plain(now)
     return {
         **values,

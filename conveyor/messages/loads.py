@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
+from conveyor.messages.heights import HeightChange
 from conveyor.ranges import BeltPlace, Count, Items, Line, LoadGrams, Name, Range, Text, Word, Yes
 
 Told = Annotated[str, Text(256, r"^[^\x00-\x1f\x7f]*$")]
@@ -76,7 +77,10 @@ class LoadAnswer(Message):
 
 @dataclass(frozen=True, slots=True)
 class LoadNow:
-    """The open load of a line, as the totals tell it: its own sums since its start (`conveyor.messages.Totals`)."""
+    """The open load of a line, as the totals tell it: its own sums since its start (`conveyor.messages.Totals`).
+
+    `heights`: how high its tubers are for their width, against earlier loads of its kind; empty where there are none.
+    """
 
     number: Count
     name: Told
@@ -100,3 +104,4 @@ class LoadNow:
     calibrated_by: Line = ""
     classes: Annotated[tuple[ClassTotal, ...], Items(32)] = ()
     foreign: ForeignTotal | None = None
+    heights: Annotated[tuple[HeightChange, ...], Items(256)] = ()

@@ -7,11 +7,14 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.errors import InputError
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import Frame
+from conveyor.resting import RestingLevel
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import AGREE_M, BELT_PATIENCE, CHECK_EVERY, FITTED_OVER, SEEN_SD_M
 from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
+from segmenter.gauge.web import check_web
 
 
 class BeltKeeper:
@@ -22,15 +25,20 @@ class BeltKeeper:
     that is at most `follow_m` off: what is farther off is no wear and is left to the alarm. It moves as far as what is
     given is less well known than what is seen: a belt that is stated to be known well hardly does.
 
+    A web of rods (`web`) stays as given: its rods are compared with it, and what is seen between them is the ground.
+
     Attributes:
         belt: the belt in use, None before the first.
         check: what the newest check said, against the belt as given.
     """
 
-    def __init__(self, follow_m: float = 0.0, *, given_sd_m: float = TYPICAL_BELT_SD_M) -> None:
+    def __init__(
+        self, follow_m: float = 0.0, *, given_sd_m: float = TYPICAL_BELT_SD_M, web: RestingLevel | None = None
+    ) -> None:
         self.belt: BeltGeometry | None = None
         self.check = BeltCheck(None, None)
-        self._follow_m = follow_m
+        self._web = web if web is not None and web.surface == "rods" else None
+        self._follow_m = 0.0 if self._web else follow_m
         self._trust = given_sd_m**2 / (given_sd_m**2 + SEEN_SD_M**2)
         self._pose: NDArray[np.float64] | None = None
         self._fits: list[PlaneFit] = []
@@ -52,9 +60,13 @@ class BeltKeeper:
         return self.belt
 
     def may_follow(self, reach_m: float) -> None:
-        """Follow a given belt by `reach_m` at least from now on: a gauge says that the mount moved."""
+        """Follow a given belt by `reach_m` at least from now on: a gauge says that the mount moved.
+
+        So what was given is known no better than anything else: the belt goes all the way to where it is seen.
+        """
         if self._follow_m > 0:
             self._follow_m = max(self._follow_m, reach_m)
+            self._trust = 1.0
 
     def _due(self) -> bool:
         fitting = self._fitted and len(self._fits) < FITTED_OVER
@@ -65,6 +77,11 @@ class BeltKeeper:
         fit = fit_plane(frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask)
         if self._pose is None:
             given = frame.belt_from_camera is not None or frame.belt_distance_m is not None
+            if self._web is not None and not given:
+                raise InputError(
+                    f"camera '{frame.camera}' looks at a web of rods, between which it sees the ground, so where the "
+                    "belt is must be given: belt_distance_m, from the camera to the rods' tops"
+                )
             if fit is None and not given:
                 self._beltless += 1
                 if self._beltless < BELT_PATIENCE:
@@ -88,6 +105,9 @@ class BeltKeeper:
         return given_or_fitted(None, None, mean, camera=camera)
 
     def _check(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> None:
+        if self._web is not None:
+            self.check = check_web(frame, BeltGeometry(frame.intrinsics, pose), self._web, fit)
+            return
         share = support_share(
             pose, frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask
         )

@@ -19,6 +19,9 @@ from segmenter.gauge.look import look_at
 
 LEARNING_EVERY = 5
 """Frames between the first looks: the belt may be empty then, and the gauge seen well."""
+COARSE_M, FINER = 0.0005, 10
+"""Depth in units from the first on is told in units of a tenth of them: a correction that is rounded to whole
+millimetres again moves each depth by up to half of one, a belt by as much, and a load by 1 %."""
 CAUSES = {Cause.NONE: 0.0, Cause.MOUNT: 1.0, Cause.DRIFT: 2.0, Cause.BOTH: 3.0}
 """As levels tell them."""
 
@@ -39,14 +42,17 @@ class GaugeKeeper:
         self._moved: tuple[float, BeltGeometry] | None = None
 
     def corrected(self, frame: Frame) -> Frame:
-        """The frame with its depth as it was before disparity drifted; looks at the gauge where it is due."""
+        """The frame with its depth as it was before disparity drifted; looks at the gauge where it is due.
+
+        Its unit of depth is the same in all frames of a run, finer than the camera's where that is coarse.
+        """
         if self._gauge is None:
             return frame
         every = LEARNING_EVERY if self._looks < 2 * REFERENCE_LOOKS else CHECK_EVERY
         if self._frames % every == 0:
             self.look(frame)
         self._frames += 1
-        return frame if self.reading is None else self._without(frame, self.reading.correction_per_m)
+        return self._without(frame, 0.0 if self.reading is None else self.reading.correction_per_m)
 
     @property
     def moved(self) -> bool:
@@ -112,18 +118,23 @@ class GaugeKeeper:
             self.reading = self._estimate.reading()
 
     def _without(self, frame: Frame, drift_per_m: float) -> Frame:
-        if drift_per_m == 0:
+        finer = FINER if frame.depth_scale_m >= COARSE_M else 1
+        if drift_per_m == 0 and finer == 1:
             return frame
-        most = int(frame.depth.max())
-        if self._table is None or self._table[0] != drift_per_m or len(self._table[1]) <= most:
-            self._table = drift_per_m, depth_table(drift_per_m, depth_scale_m=frame.depth_scale_m)
-        return replace(frame, depth=self._table[1][frame.depth])
+        if self._table is None or self._table[0] != drift_per_m:
+            table = depth_table(drift_per_m, depth_scale_m=frame.depth_scale_m, finer=finer)
+            self._table = drift_per_m, table
+        return replace(frame, depth=self._table[1][frame.depth], depth_scale_m=frame.depth_scale_m / finer)
 
 
-def depth_table(drift_per_m: float, *, depth_scale_m: float) -> NDArray[np.uint16]:
-    """(65536,) uint16: the depth, in units, that each depth value stands for when 1/z is too large by `drift_per_m`."""
+def depth_table(drift_per_m: float, *, depth_scale_m: float, finer: int = 1) -> NDArray[np.uint16]:
+    """(65536,) uint16: the depth that each depth value stands for when 1/z is too large by `drift_per_m`.
+
+    Args:
+        depth_scale_m: metres per unit of the values. finer: units of the depth in one of theirs.
+    """
     units = np.arange(1 << 16, dtype=np.float64)
     inverse = 1 / (np.maximum(units, 1) * depth_scale_m) - drift_per_m
-    right = np.where(inverse > 0, np.round(1 / np.maximum(inverse, 1e-9) / depth_scale_m), 0)
+    right = np.where(inverse > 0, np.round(finer / np.maximum(inverse, 1e-9) / depth_scale_m), 0)
     right[(right > 65535) | (units == 0)] = 0
     return right.astype(np.uint16)

@@ -11,11 +11,15 @@ from benchmarks.gauge_worlds import Disturbed, GaugeWorld, gauge_world
 from conveyor.belt_findings import belt_findings
 from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED, belt_off_flag, belt_off_mm
 from conveyor.config import parse_config
-from conveyor.errors import ConfigError
+from conveyor.errors import ConfigError, InputError
 from conveyor.gauge import Gauge, GaugeKind
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import Frame
+from conveyor.resting import RestingLevel
 from segmenter.belt_segmenter import Settings
+from segmenter.frame.belt_keeper import BeltKeeper
+from segmenter.frame.plane import BeltCheck
+from segmenter.frame.watch import BeltWatch
 from segmenter.gauge.estimate import LEAST_LOOKS, REFERENCE_LOOKS, Cause, read
 from segmenter.gauge.keeper import GaugeKeeper, depth_table
 from segmenter.gauge.look import GaugeLook
@@ -76,6 +80,11 @@ def test_the_correction_takes_back_what_a_drift_did() -> None:
     table = depth_table(drift_per_m, depth_scale_m=0.0001)
     assert np.abs(table[drifted].astype(int) - true).max() <= 1
     assert table[0] == 0
+    fine = depth_table(drift_per_m, depth_scale_m=0.001, finer=10)
+    millimetres = np.round(1 / (1 / (true * 0.0001) + drift_per_m) / 0.001).astype(np.uint16)
+    off = fine[millimetres] - true.astype(float)
+    assert abs(off.mean()) < 0.05, "in units of 0.1 mm: what whole millimetres hide is not moved to one side"
+    assert np.abs(off).max() <= 0.5 * 10 * 1.16 + 1
     assert np.array_equal(depth_table(0.0, depth_scale_m=0.001)[1:], np.arange(1, 1 << 16))
 
 
@@ -118,7 +127,7 @@ def test_depth_is_corrected_before_heights_are_taken(world: GaugeWorld) -> None:
     mended = keeper.corrected(wrong)
     both = (right.depth > 0) & (wrong.depth > 0)
     off, left = (
-        np.median(frame.depth[both].astype(float) - right.depth[both]) * right.depth_scale_m
+        np.median(frame.depth[both] * frame.depth_scale_m - right.depth[both] * right.depth_scale_m)
         for frame in (wrong, mended)
     )
     assert off < -0.0055
@@ -156,6 +165,31 @@ def test_no_gauge_and_no_calibrated_belt_change_nothing() -> None:
     assert loose.reading is None
     assert loose.gauges() == {}
     assert loose.flags() == ()
+
+
+def test_a_web_is_checked_by_its_rods_and_the_ground_between_is_no_belt() -> None:
+    """With the ground 92 mm below, a camera that was moved by 5 mm ended its run: "the belt lies at 0.552 m"."""
+    world = gauge_world("rods", SEED, preset="easy", tubers=2)
+    web = RestingLevel(surface="rods", rod_pitch_m=world.gauge.pitch_m, rod_diameter_m=world.gauge.rod_m)
+    frames = [world.source(Disturbed(shift_m=shift_m)).frame(3, run="x") for shift_m in (0.0, 0.005)]
+    seen_m = []
+    for frame in frames:
+        keeper = BeltKeeper(0.006, web=web)
+        belt = keeper.belt_of(frame)
+        assert belt is not None
+        assert belt_distance_m(belt.belt_from_camera) == pytest.approx(GIVEN_M, abs=1e-9), "a web is not followed"
+        assert keeper.check.drift_m is not None
+        seen_m.append(keeper.check.drift_m)
+    assert abs(seen_m[0]) < 0.004, "the belt shakes by 3 mm at most"
+    assert seen_m[1] - seen_m[0] == pytest.approx(0.005, abs=0.001)
+    watch = BeltWatch()
+    for check in (BeltCheck(None, 0.001), BeltCheck(None, 0.0082)):
+        watch.step(check, None, travel_m=0.0, estimated=True)
+    assert watch.gauges()["belt_alarm"] == 0.0
+    with pytest.raises(InputError, match=r"calibrated for a belt at 0\.400 m"):
+        BeltKeeper(web=web).belt_of(replace(frames[0], belt_distance_m=0.40, belt_from_camera=None))
+    with pytest.raises(InputError, match="from the camera to the rods' tops"):
+        BeltKeeper(web=web).belt_of(replace(frames[0], belt_distance_m=None, belt_from_camera=None))
 
 
 def test_findings_name_the_cause() -> None:

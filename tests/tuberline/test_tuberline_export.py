@@ -270,7 +270,13 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
         load, label="7 trailer", coverage=0.8, unseen_m={"between_frames": 3.21}, ticket_kg=2 * load.high_kg
     )
     sheet = {"frames": {"published": 100, "gaps": 7, "dropped_blind": 1}, "views": {"sent": 10, "lost_late": 5}}
-    broken = replace(of_run, summary={"cameras": {"left": sheet}, "differences": ["tubers do not add up"]})
+    lower = {"cameras": "left", "lower_mm": 3.2, "lower_sd_mm": 0.5, "scale_percent": -1.0, "scale_sd_percent": 2.0}
+    lower |= {"tubers": 900, "loads": 3, "alarm": True}
+    heights = [{"name": "7 trailer", "number": 1, "heights": [lower]}, {"name": "", "number": 2}]
+    broken = replace(
+        of_run,
+        summary={"cameras": {"left": sheet}, "differences": ["tubers do not add up"], "loads": heights},
+    )
     told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, replace(of_run, run="b", summary={}))))
     assert told[0] == (
         "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
@@ -279,6 +285,8 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     assert told[1].startswith("Load 7 trailer: its ticket says ")
     assert told[3:] == [
         "The balance sheet of run monday does not hold: tubers do not add up. `tuberline audit` says more.",
+        "Load 7 trailer: under camera left tubers lie 3.2 mm lower (± 0.8) than in 3 earlier loads of this variety; "
+        "height over width -1 % (± 3).",
         "Camera left of run monday: of 100 frames 7 lost on the way.",
         "Camera left of run monday: of 10 views 5 late.",
         "Run b has not ended, or was cut off: this is what is committed.",

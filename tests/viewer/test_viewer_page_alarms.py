@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.viewer.page_states import camera_info, good_state, node, segmenter, totals, with_node
+from conveyor.messages import HeightChange
+from tests.viewer.page_states import camera_info, good_state, loaded_state, node, segmenter, totals, with_node
 from viewer.page.alarms import alarms
 from viewer.page.snapshot import FORGET_GONE_S, MAX_NODES, snapshot
 from viewer.page.state import STALE_S, LineState
@@ -55,6 +56,20 @@ def test_nodes_of_another_version_are_told_with_both() -> None:
     assert text == "Version 0.0.9 on segmenter/left and 1 more; the line runs 0.1.0."
     everybody = {n: replace(f, report=f.report and replace(f.report, version="0.0.9")) for n, f in state.nodes.items()}
     assert alarms(replace(state, nodes=everybody)) == ()
+
+
+@pytest.mark.parametrize(("lower_mm", "said"), [(3.14, "3.1 mm (± 0.8) lower"), (-2.5, "2.5 mm (± 0.8) higher")])
+def test_tubers_that_lie_lower_than_in_earlier_loads(lower_mm: float, said: str) -> None:
+    state = loaded_state()
+    assert state.totals is not None
+    assert state.totals.load is not None
+    change = HeightChange("left", lower_mm, 0.5, -1.2, 2.0, 900, 3, alarm=True)
+    load = replace(state.totals.load, heights=(change, replace(change, cameras="right", alarm=False)))
+    (alarm,) = [a for a in alarms(replace(state, totals=replace(state.totals, load=load))) if "heights" in a.key]
+    assert (alarm.key, alarm.level) == ("camera-left-heights", "warning")
+    assert f"Under camera left tubers lie {said} than in earlier loads" in alarm.text
+    assert "Height over width: -1 % (± 3)" in alarm.text
+    assert "calibrate bucket" in alarm.fix
 
 
 @pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])

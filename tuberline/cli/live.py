@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, LoadNow, Totals
 from tuberline.cli.class_table import classes_line
@@ -113,6 +114,8 @@ def totals_panel(totals: Totals | None) -> Panel:
     lit = classes_line(totals.load.classes if totals.load else totals.classes)
     text += f"\n{lit}" if lit else ""
     if totals.load is not None:
+        if heights := heights_in_words(totals.load.heights):
+            text += f"\n[yellow]{heights}[/]"
         return Panel(Text.from_markup(f"{_so_far(totals.load)}\nrun: {text}"), title=_load_title(totals.load))
     return Panel(text, title=title)
 

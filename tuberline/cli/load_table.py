@@ -11,6 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from conveyor.errors import InputError
+from conveyor.heights import heights_told
+from conveyor.messages import HeightChange
 from tuberline.cli.address import LineAddress
 
 DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
@@ -80,6 +82,8 @@ def print_load(load: dict[str, Any]) -> None:
     print_loads([load])
     for said in load["said"]:
         console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {said['text']}"))
+    for change in load.get("heights", ()):
+        console.print(Text(heights_told(HeightChange(**change))))
     for refused in load["refused"]:
         console.print(Text(f"its ticket does not calibrate: {refused}"))
 

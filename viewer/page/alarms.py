@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from conveyor.messages import Totals
+from conveyor.statistics import NORMAL_90
 from viewer.page.camera_alarms import camera_alarms
 from viewer.page.state import STALE_S, LineState
 from viewer.page.words import AGGREGATOR_REFUSALS, Value, said
@@ -56,6 +57,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_sight(state),
         *_coverage(state),
         *_layers(state),
+        *_heights(state),
         *_versions(state),
     ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
@@ -146,6 +148,22 @@ def _layers(state: LineState) -> Iterator[Alarm]:
     totals = state.totals
     if totals is not None and (values := layers(totals)):
         yield Alarm("layers", "warning", "alarm.layers", "todo.layers", values)
+
+
+def _heights(state: LineState) -> Iterator[Alarm]:
+    """Tubers that lie lower, or higher, than those of earlier loads."""
+    load = None if state.totals is None else state.totals.load
+    for change in () if load is None else load.heights:
+        if change.alarm:
+            values: dict[str, Value] = {
+                "camera": change.cameras,
+                "mm": abs(change.lower_mm),
+                "sure": NORMAL_90 * change.lower_sd_mm,
+                "scale": change.scale_percent,
+                "scale_sure": NORMAL_90 * change.scale_sd_percent,
+            }
+            say = "alarm.heights_lower" if change.lower_mm > 0 else "alarm.heights_higher"
+            yield Alarm(f"camera-{change.cameras}-heights", "warning", say, "todo.heights", values)
 
 
 def layers(totals: Totals) -> dict[str, Value]:

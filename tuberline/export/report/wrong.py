@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from conveyor.heights import heights_in_words
+from conveyor.messages import HeightChange
 from tuberline.alarms.message import AlarmMessage
 from tuberline.alarms.outbox import FILE as OUTBOX
 from tuberline.export.report.gather import DayFacts, LoadFacts, RunFacts
@@ -88,6 +90,9 @@ def _of_run(run: RunFacts) -> Iterator[str]:
         yield f"The balance sheet of run {run.run} does not hold: {text}. `tuberline audit` says more."
     if summary.get("layers"):
         yield f"Run {run.run}: {summary['layers']}."
+    for load in summary.get("loads", []):
+        if said := heights_in_words(HeightChange(**change) for change in load.get("heights", ())):
+            yield f"Load {load['name'] or load['number']}: {said}."
     methods, tubers = summary.get("methods", {}), summary.get("totals", {}).get("count") or 0
     if tubers and methods.get("volume", 0) > FEW * tubers:
         yield f"{methods['volume']} of {tubers} tubers of run {run.run} were weighed by their volume alone."
