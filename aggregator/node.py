@@ -172,9 +172,12 @@ class AggregatorNode:
             self._report(time.monotonic(), in_haste=True)
 
     def _gather(self, for_s: float) -> None:
-        """Receive entries for one commit interval."""
+        """Receive entries until every camera has marked how far it is, for one commit interval at most."""
         deadline_s = time.monotonic() + for_s
+        marked: set[str] = set()
         for _ in range(BATCH_ENTRIES):
+            if marked and not len(self._entries) and marked >= self._core.cameras.running:
+                return
             left_s = deadline_s - time.monotonic()
             entry = self._entries.get(min(left_s, LONGEST_LOOK_S)) if left_s > 0 else None
             if entry is None:
@@ -182,6 +185,8 @@ class AggregatorNode:
                     return
                 continue
             self._take(entry)
+            if entry.mark is not None:
+                marked.add(entry.camera)
 
     def _take(self, entry: TrackEntry) -> None:
         taken = self._core.receive(entry, now_s=time.monotonic())

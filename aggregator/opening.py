@@ -10,6 +10,10 @@ from aggregator.ledger.writer import Ledger
 from conveyor import __version__
 from conveyor.config import LineConfig
 
+LIVE_REACH_MM = 15.0
+"""Behind a tuber of a live line with an encoder no other camera's track of it is waited for any longer: places of two
+cameras agree to 9.3 mm on a simulated belt of 200 tubers. One that lies farther behind comes late, and counts once."""
+
 
 def open_run(
     ledger: Ledger,
@@ -52,5 +56,6 @@ def core_of(
         committed=ledger.committed(run),
         now_s=now_s,
         restored=restored,
+        reach_mm=None if any(camera.held_back for camera in config.cameras.values()) else LIVE_REACH_MM,
         count=count,
     )

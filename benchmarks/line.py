@@ -2,9 +2,9 @@
 
     python -m benchmarks line --seconds 60 --cameras 2 --fps 15 --tubers-per-s 20 [--out FOLDER]
 
-A simulated recording, its belt as fast as the asked rate needs, is laid end to end and played in real time by cameras
-that wait for no one; router, segmenters, regressors and aggregator are the real processes, all on this machine. What
-else runs on the machine decides the figures: the load average stands beside them.
+A simulated recording, its belt as fast as the asked rate needs, is laid end to end and played by cameras that wait for
+no one, by one clock, as all cameras of a line see one belt; router, segmenters, regressors and aggregator are the real
+processes, all on this machine. What else runs on the machine decides the figures: the load average stands beside them.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ START_LIMIT_S = 120.0
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 SCENES = {1: "touching", 2: "two-cameras"}
 GUESS_MPS = 0.31
+STARTS_IN_S = 10.0
+"""The belt begins to run when the processes are there: what passes before is not looked at."""
 LEVELS = ("views_per_tuber", "views_outstanding", "regressors_busy_share", "frame_age_max_ms", "frame_ms")
 """Gauges that are no sums."""
 
@@ -133,12 +135,19 @@ def live_config(recording: Path, out: Path, options: argparse.Namespace) -> Line
     """The line as `tuberline run` would have it, its cameras played from `recording`."""
     prepare_out(out)
     names = recording_cameras(recording)
+    starts_at_s = time.time() + STARTS_IN_S
     regressor: dict[str, Any] = {"processes": options.regressors, "precision": options.precision}
     if options.centroids:
         regressor["centroids"] = options.centroids
     live: Mapping[str, Any] = {
         "cameras": {
-            name: {"path": str(recording.resolve()), "speed": 1.0, "waits": False, "direct": options.direct}
+            name: {
+                "path": str(recording.resolve()),
+                "speed": 1.0,
+                "waits": False,
+                "starts_at_s": starts_at_s,
+                "direct": options.direct,
+            }
             for name in names
         },
         "segmenter": {"weigh_deadline_s": 60.0},

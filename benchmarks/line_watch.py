@@ -5,7 +5,6 @@ A watcher beside the router stamps messages as they arrive. It takes no frames, 
 
 from __future__ import annotations
 
-import bisect
 import math
 import threading
 import time
@@ -15,10 +14,9 @@ from typing import Any, Self
 
 from conveyor import topics
 from conveyor.config import LinkConfig
-from conveyor.delivery.kept import KeptSubscriber
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliableSubscriber
-from conveyor.messages import CameraInfo, TrackEntry, Tuber, View, Weight
+from conveyor.messages import TrackEntry, Tuber, View, Weight
 from conveyor.observer import Observer
 
 INBOX = 4096
@@ -33,27 +31,8 @@ class Stamps:
     sent_ns: dict[str, int] = field(default_factory=dict)
     answered_ns: dict[str, int] = field(default_factory=dict)
     logged_ns: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """By track: when its entry came, and the capture time of its crossing."""
+    """By track: when its entry came, and the capture time of its crossing, by the clock of the day."""
     committed: list[tuple[int, Tuber]] = field(default_factory=list)
-    said_ns: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    """By camera: (capture time, wall clock less capture time), told twice a second right after a frame was sent."""
-
-    def info(self, info: CameraInfo, now_ns: int) -> None:
-        """A camera said how far it is."""
-        if info.state == "streaming" and info.last_captured_ns is not None:
-            said = self.said_ns.setdefault(info.camera, [])
-            if not said or said[-1][0] < info.last_captured_ns:
-                said.append((info.last_captured_ns, now_ns - info.last_captured_ns))
-
-    def wall_ns(self, camera: str, captured_ns: int) -> int | None:
-        """The wall clock when `camera` sent what it captured then; None where it did not say.
-
-        A camera of a recording falls behind its own times on a busy machine, as no device does: its newest word before
-        that moment counts.
-        """
-        said = self.said_ns.get(camera, [])
-        at = bisect.bisect_right(said, captured_ns, key=lambda word: word[0]) - 1
-        return captured_ns + said[at][1] if at >= 0 else None
 
     def view(self, view: View, now_ns: int) -> None:
         """A view went to a regressor."""
@@ -84,7 +63,6 @@ class Watcher:
 
     def __enter__(self) -> Self:
         node = self.observer.__enter__()
-        self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         views = LatestSubscriber(node, topics.VIEW, View, capacity=INBOX, regressor="*")
         weights = ReliableSubscriber(node, topics.WEIGHT, Weight, camera="*")
         entries = ReliableSubscriber(node, topics.TRACK, TrackEntry, camera="*")
@@ -93,7 +71,6 @@ class Watcher:
         self._listen(weights, self.stamps.weight)
         self._listen(entries, self.stamps.entry)
         self._listen(tubers, self.stamps.tuber)
-        self._start(self._take_infos)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -110,13 +87,6 @@ class Watcher:
 
         self._start(listen)
 
-    def _take_infos(self) -> None:
-        while not self._stop.is_set():
-            if self._infos.wait(0.2):
-                now_ns = time.time_ns()
-                for info in self._infos.latest().values():
-                    self.stamps.info(info, now_ns)
-
     def _start(self, work: Callable[[], None]) -> None:
         self._threads.append(threading.Thread(target=work, daemon=True))
         self._threads[-1].start()
@@ -125,8 +95,8 @@ class Watcher:
 def latencies_s(stamps: Stamps, *, from_ns: int) -> dict[str, list[float]]:
     """Seconds of each hop, and of all of them, of every tuber committed at or after `from_ns` of the wall clock.
 
-    Of a tuber that several cameras saw, the track logged last is followed: the others waited for it. Its crossing is
-    that of its own camera's clock.
+    Of a tuber that several cameras saw, the track logged last is followed: the others waited for it. Cameras stamp
+    their frames with the time of the day, so its crossing needs no other clock.
     """
     found: dict[str, list[float]] = {hop: [] for hop in (*HOPS, TOTAL)}
     for committed_ns, tuber in stamps.committed:
@@ -135,20 +105,14 @@ def latencies_s(stamps: Stamps, *, from_ns: int) -> dict[str, list[float]]:
             continue
         track = max(known, key=lambda name: stamps.logged_ns[name][0])
         logged_ns, crossed_ns = stamps.logged_ns[track]
-        crossed_wall_ns = stamps.wall_ns(camera_of(track, tuber.cameras), crossed_ns)
         sent_ns, answered_ns = stamps.sent_ns.get(track), stamps.answered_ns.get(track)
-        if crossed_wall_ns is None or sent_ns is None or answered_ns is None:
+        if sent_ns is None or answered_ns is None:
             continue
-        moments = (crossed_wall_ns, sent_ns, answered_ns, logged_ns, committed_ns)
+        moments = (crossed_ns, sent_ns, answered_ns, logged_ns, committed_ns)
         for hop, before_ns, after_ns in zip(HOPS, moments, moments[1:], strict=False):
             found[hop].append((after_ns - before_ns) / 1e9)
         found[TOTAL].append((committed_ns - moments[0]) / 1e9)
     return found
-
-
-def camera_of(track_id: str, cameras: Sequence[str]) -> str:
-    """Track ids are run/camera/number."""
-    return next((camera for camera in cameras if f"/{camera}/" in track_id), "")
 
 
 def percentile(values: Sequence[float], share: float) -> float:

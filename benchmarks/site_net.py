@@ -80,6 +80,17 @@ class Network:
         self._wire(host, inside, port)
         return link
 
+    def limit(self, host: str, mbit: float) -> None:
+        """Make the link of a host that was added with `add` so slow, each way (the kernel's token bucket)."""
+        bucket = ("root", "tbf", "rate", f"{mbit:g}mbit", "burst", "64kb", "latency", "50ms")
+        number = list(self._addresses).index(host) + 1
+        for space, device in ((self.namespace(host), "eth0"), (self.namespace("switch"), f"{self._prefix}p{number}")):
+            done = subprocess.run(
+                ["tc", "-n", space, "qdisc", "add", "dev", device, *bucket], capture_output=True, text=True, check=False
+            )
+            if done.returncode != 0:
+                raise TuberlineError(f"`tc` cannot limit {device} of {host}: {done.stderr.strip()}")
+
     def command(self, host: str, args: Sequence[str]) -> list[str]:
         """`args` as they run on `host`: in its namespace and under its name. The process keeps its pid."""
         named = ["unshare", "--uts", "sh", "-c", 'hostname "$0" && exec "$@"', host, *args]

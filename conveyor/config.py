@@ -174,7 +174,7 @@ class SegmenterConfig(Section):
         1.0, ge=0.1, le=600, description="live: second and later views that would wait longer are shed"
     )
     spare_grace_s: float = Field(
-        0.08, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
+        0.06, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
     )
     weigh_deadline_s: float = Field(
         60.0,
@@ -223,7 +223,9 @@ class AggregatorConfig(Section):
     out: Path = Field(Path("runs/latest"), description="folder of ledger.db, summary.json and tubers.csv")
     merge_gate_mm: float = Field(30.0, ge=2, le=200, description="tracks of two cameras closer than this are one tuber")
     camera_stall_s: float = Field(10.0, ge=0.5, le=3600, description="a silent camera holds the ledger no longer")
-    commit_interval_s: float = Field(0.05, ge=0.01, le=10, description="entries are committed together this often")
+    commit_interval_s: float = Field(
+        0.08, ge=0.01, le=10, description="entries are committed this often, or once every camera has marked"
+    )
     histogram_step_g: float = Field(50.0, gt=0, le=1000, description="width of a class in the histogram of weights")
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
     tickets: Path | None = Field(None, description="a scale's tickets that calibrate totals, see `tuberline calibrate`")

@@ -32,8 +32,7 @@ from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker, TrackSettings
 from segmenter.track.views import cut_out, slot_offsets
 
-HORIZON_MARGIN_M = 0.01
-OPEN_MARGIN_M = 0.01
+MARK_MARGIN_M = 0.01
 """Metres by which a watermark stays behind what may still be decided: places move by millimetres until then. On
 simulated belts (touching, crowded, two cameras; easy and field; 15 and 30 frames/s) by 2.1 mm at most."""
 
@@ -59,6 +58,7 @@ class Settings:
     """The watermark waits for a track that is past its decision and does not count yet, though more frames may show it,
     until it left the view. Of 559 tracks that counted on simulated belts none did so that late, and what waited held up
     the ledger for a second and more: a live line does not wait for it. Should it count after all, it comes late."""
+    mark_margin_m: float = MARK_MARGIN_M
     gauge: Gauge | None = None
 
 
@@ -153,12 +153,13 @@ class BeltSegmenter:
     def complete_travel_m(self) -> float:
         """All tubers that crossed the centre row at or before this travel have been closed."""
         travel_m = self.follower.travel_m
-        horizon_m = travel_m - self._settings.track.decide_m - HORIZON_MARGIN_M
+        margin_m = self._settings.mark_margin_m
+        horizon_m = travel_m - self._settings.track.decide_m - margin_m
         for track in self.tracker.tracks:
             if track.state is State.OPEN:
                 past_m = self.tracker.past_row_m(track, travel_m)
                 if self._settings.hold_for_doubtful or past_m < self._settings.track.decide_m:
-                    horizon_m = min(horizon_m, travel_m - past_m - OPEN_MARGIN_M)
+                    horizon_m = min(horizon_m, travel_m - past_m - margin_m)
         return horizon_m
 
     def complete_ns(self, complete_travel_m: float) -> int:

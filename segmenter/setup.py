@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from conveyor.config import LineConfig
+from segmenter.belt_segmenter import MARK_MARGIN_M
 from segmenter.camera_run import LIVE_MARK_EVERY_NS, MARK_EVERY_NS, RunSettings
 from segmenter.dispatch.dispatcher import DispatchSettings
 from segmenter.frame.instances import SplitSettings
@@ -17,6 +18,10 @@ LIVE_DECIDE_M = 0.040
 """Metres past the centre row at which a live line closes a track; a replay, where no one waits, sees it for
 `DECIDE_M`. Every tuber of the line waits for the belt to move so far. Shorter is earlier, and sees fewer
 frames; see docs/performance.md for what it changed on simulated belts."""
+
+LIVE_MARK_MARGIN_M = 0.005
+"""Metres that a live line's marks stay behind what may still be decided; every tuber waits for the belt to move so far,
+twice where cameras overlap. Places move by 2.1 mm at most until then; what comes late is still counted once."""
 
 
 def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
@@ -33,6 +38,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
         belt_follow_m=s.belt_follow_mm / 1000,
         early_views=live,
         hold_for_doubtful=not live,
+        mark_margin_m=LIVE_MARK_MARGIN_M if live else MARK_MARGIN_M,
         gauge=config.belt.known_gauge,
     )
 

@@ -158,6 +158,11 @@ class Cameras:
         self._began_s, self._head_start_m = None, head_start_m
 
     @property
+    def running(self) -> set[str]:
+        """Cameras that were heard and did not end: who marks again and again."""
+        return {name for name, state in self.states.items() if state.heard_s is not None and not state.final}
+
+    @property
     def estimated(self) -> bool:
         """Some camera's marks rest on travel that no encoder tells."""
         return any(state.mark is not None and state.mark.travel_estimated for state in self.states.values())

@@ -110,6 +110,8 @@ class Aggregation:
         cameras: names of all cameras that are expected.
         committed: what the ledger knows.
         restored: the run's state from the ledger, or None for a new run.
+        reach_mm: how far behind a tuber a track of it may still come, by which a live line waits; None: by the whole
+            gate, so that what is in the ledger does not depend on when it was looked at.
         count: called with the name of every countable event.
     """
 
@@ -123,12 +125,14 @@ class Aggregation:
         committed: CommittedTubers,
         now_s: float,
         restored: Restored | None = None,
+        reach_mm: float | None = None,
         count: Callable[[str], None] = lambda name: None,
     ) -> None:
         state = restored or Restored()
         self.run = run
         self.cameras = Cameras(tuple(cameras), stall_s=camera_stall_s, now_s=now_s)
         self._gate = Gate(merge_gate_mm)
+        self._reach_m = self._gate.measured_m if reach_mm is None else min(reach_mm / 1000, self._gate.measured_m)
         self._committed = committed
         self._count = count
         self._logs = {name: CameraLog(state.applied.get(name, 0)) for name in self.cameras.names}
@@ -269,6 +273,11 @@ class Aggregation:
             log.fresh.clear()
         return batch
 
+    @property
+    def _hurry_m(self) -> float:
+        """So much farther behind a committed tuber a track of it may still come."""
+        return 0.0 if self.cameras.estimated else self._gate.measured_m - self._reach_m
+
     def _settled(self) -> dict[str, int]:
         """Up to which entry of its log each camera's tracks have all gone somewhere."""
         settled = self.applied()
@@ -280,6 +289,7 @@ class Aggregation:
     def _place(self) -> None:
         """Give tracks their place on the line's travel; sort out those whose tuber was committed before."""
         placed: list[PlacedTrack] = []
+        suspects: list[PlacedTrack] = []
         unplaced, self._unplaced = self._unplaced, []
         for pending in unplaced:
             track = pending.track
@@ -294,9 +304,11 @@ class Aggregation:
                 self._unplaced.append(pending)
             else:
                 is_late = x_m >= pending.late_from_x_m
-                placed.append(PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=is_late))
-        late = sorted((track for track in placed if track.late), key=lambda track: track.order)
-        duplicates = self._late_duplicates(late)
+                seen = PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=is_late)
+                placed.append(seen)
+                if x_m >= pending.late_from_x_m - self._hurry_m:
+                    suspects.append(seen)
+        duplicates = self._late_duplicates(sorted(suspects, key=lambda track: track.order))
         for seen in placed:
             if seen.late:
                 self._count("tracks_late")
@@ -333,11 +345,11 @@ class Aggregation:
 
     def _complete_tubers(self) -> tuple[list[Tuber], list[ForeignBody]]:
         """Tubers, and what is none, of the blocks that nothing can join any more, in order along the belt."""
-        certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m]
+        certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m - self._hurry_m]
         tubers: list[Tuber] = []
         bodies: list[ForeignBody] = []
         done: set[str] = set()
-        reach_m = self._gate.widest_m if self.cameras.estimated else self._gate.measured_m
+        reach_m = self._gate.widest_m if self.cameras.estimated else self._reach_m
         for block in blocks(certain, self._gate):
             if min(track.place_x_m for track in block) - reach_m < self._watermark_x_m:
                 break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from aggregator.core.cameras import STARTUP_GRACE_S
 from aggregator.ledger.writer import Ledger
+from conveyor.messages import TrackEntry
 from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.virtual_line import STALL_S, Aggregator, fresh_run
 
@@ -63,6 +65,63 @@ def test_late_tracks_change_nothing_or_add_what_only_they_saw(seed: int, restart
         assert all(
             "late" in t.flags for t in it.tubers()[len(before) :] if t.cameras == (late,) and t.place_x_m > _low(before)
         )
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("reach_mm", [0.0, 15.0, 30.0])
+def test_a_live_line_waits_less_and_counts_each_tuber_once(seed: int, reach_mm: float, tmp_path: Path) -> None:
+    """Waiting for no more than a part of the gate; a track of a committed tuber behind that comes as a duplicate."""
+    told = tell(seed, cameras=3, apart_m=0.1, length_m=2.0, n=20, split=0.1).in_run(fresh_run("live"))
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told, reach_mm=reach_mm)
+        for n in it.commits():
+            if n == 7:
+                it.start()  # from the ledger alone
+                it.deliver_the_rest()
+        it.deliver_the_rest()
+        assert it.core.finished
+        each_tuber_once(it, told)
+        roles = dict(ledger._db.execute("SELECT role, count(*) FROM observation GROUP BY role"))
+        assert sum(roles.values()) == sum(entry.track is not None for log in told.logs.values() for entry in log)
+        assert reach_mm < 30.0 or "late_duplicate" not in roles
+
+
+def test_a_track_of_a_tuber_that_was_committed_in_haste_is_its_duplicate(tmp_path: Path) -> None:
+    """Two cameras place a tuber 20 mm apart; the second one's track comes when the marks are just past 15 mm."""
+    told = tell(2, cameras=2, apart_m=0.3, n=1, split=0.0).in_run(fresh_run("haste"))
+    first, second = told.names
+    entry = next(e for e in told.logs[first] if e.track is not None)
+    mark = next(e for e in told.logs[first] if e.mark is not None)
+    assert entry.track is not None
+    assert mark.mark is not None
+    place_m = entry.track.place_x_m
+
+    def behind(by_m: float, n: int, camera: str) -> TrackEntry:
+        complete = replace(mark.mark, complete_place_x_m=place_m - by_m, final=False)
+        return TrackEntry(camera=camera, run=told.run, n=n, track=None, mark=complete)
+
+    other = replace(
+        entry.track,
+        track_id=f"{told.run}/{second}/0-1",
+        travel_m=entry.track.travel_m + 0.020,
+    )
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Aggregator(ledger, told, reach_mm=15.0)
+        for sent in (
+            replace(entry, n=1),
+            behind(0.026, 2, first),
+            behind(0.026, 1, second),
+        ):
+            it.core.receive(sent, now_s=it.now_s)
+        it.commit()
+        assert len(it.tubers()) == 1
+        it.core.receive(TrackEntry(camera=second, run=told.run, n=2, track=other, mark=None), now_s=it.now_s)
+        it.core.receive(behind(0.2, 3, second), now_s=it.now_s)
+        it.core.receive(behind(0.2, 3, first), now_s=it.now_s)
+        it.commit()
+        assert len(it.tubers()) == 1
+        assert it.counts["tracks_late_duplicate"] == 1
+        assert "tracks_late" not in it.counts
 
 
 def _sees(told: Story, name: str, y_m: float) -> bool:

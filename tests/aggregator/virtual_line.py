@@ -24,8 +24,9 @@ def fresh_run(prefix: str) -> str:
 class Aggregator:
     """An aggregation and its ledger, as the node ties them together; the clock is ours."""
 
-    def __init__(self, ledger: Ledger, story: Story) -> None:
+    def __init__(self, ledger: Ledger, story: Story, *, reach_mm: float | None = None) -> None:
         self.ledger = ledger
+        self.reach_mm = reach_mm
         self.story = story
         self.now_s = 0.0
         self.acknowledged = dict.fromkeys(story.names, 0)
@@ -45,6 +46,7 @@ class Aggregator:
             committed=self.ledger.committed(self.story.run),
             now_s=self.now_s,
             restored=restored,
+            reach_mm=self.reach_mm,
             count=lambda name: self.counts.update({name: self.counts.get(name, 0) + 1}),
         )
 

@@ -46,7 +46,7 @@ def balanced(line: FloodedLine) -> None:
 def test_a_line_that_waits_keeps_every_view_and_its_marks() -> None:
     assert (REPLAY.spare_grace_s, REPLAY.fewer_views, REPLAY.mark_every_ns) == (None, False, MARK_EVERY_NS)
     assert REPLAY.dispatch.shed_over is None
-    assert (SHIPPED.spare_grace_s, SHIPPED.fewer_views, SHIPPED.mark_every_ns) == (0.08, True, LIVE_MARK_EVERY_NS)
+    assert (SHIPPED.spare_grace_s, SHIPPED.fewer_views, SHIPPED.mark_every_ns) == (0.06, True, LIVE_MARK_EVERY_NS)
 
 
 def test_marks_come_with_the_first_frame_that_is_due() -> None:
