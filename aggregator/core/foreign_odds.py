@@ -27,11 +27,12 @@ USUAL_TUBER = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """What a load's odds come to. `count`, `variance`: of what is no tuber, refused or not. `hidden_g`: grams of tubers
-    that are none. `spared_ml`: visible volume of bodies that were refused and are tubers."""
+    """What a load's odds come to: `count` and `variance` of what is no tuber, refused or not; of these `hidden` were
+    taken for tubers and weighed `hidden_g`. `spared_ml`: visible volume of tubers that were refused."""
 
     count: float
     variance: float
+    hidden: float
     hidden_g: float
     spared_ml: float
 
@@ -70,15 +71,16 @@ class OddsBins:
 
     def doubt(self) -> Doubt:
         """What of all this is no tuber."""
-        count = variance = hidden_g = spared_ml = 0.0
+        count = variance = hidden = hidden_g = spared_ml = 0.0
         middle = self.middle_tuber()
         for at, (tubers, grams, bodies, volume_ml) in sorted(self.bins.items()):
             chance = chance_of_other(_middle(at), middle)
             count += chance * (tubers + bodies)
             variance += chance * (1 - chance) * (tubers + bodies)
+            hidden += chance * tubers
             hidden_g += chance * grams
             spared_ml += (1 - chance) * volume_ml
-        return Doubt(count, variance, hidden_g, spared_ml)
+        return Doubt(count, variance, hidden, hidden_g, spared_ml)
 
 
 def chance_of_other(log_odds: float, middle_tuber: float) -> float:

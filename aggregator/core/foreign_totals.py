@@ -9,9 +9,10 @@ from conveyor.config_yield import ForeignConfig
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.statistics import NORMAL_90
 
-MISJUDGED, MISJUDGED_OF_ALL = 0.3, 0.003
-"""Standard deviations from load to load of what is taken for tubers, as a share of the others, and of all bodies: how
-sure the classifier may be differs from camera to camera and from clod to clod."""
+HIDDEN_SD, OF_ALL_SD = 0.6, 0.004
+"""Standard deviations from load to load of how many others are taken for tubers: as a share of those that their odds
+tell, and of all bodies. What sets a clod's odds apart differs from camera to camera and from clod to clod. On the
+simulated day a third of all less missed two varieties of three."""
 FILLED = 0.72
 """Of the volume under the visible surface of a lump, the part that is lump and not the air under its flanks."""
 TUBER_G_ML = 1.07
@@ -26,7 +27,7 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig) -> ForeignTotal | 
         return None
     doubt, total = found.odds.doubt(), tubers + found.count
     count = doubt.count + found.unasked
-    shared = math.hypot(MISJUDGED * count, MISJUDGED_OF_ALL * total) if found.odds.bins else 0.0
+    shared = math.hypot(HIDDEN_SD * doubt.hidden, OF_ALL_SD * total) if found.odds.bins else 0.0
     count_sd = math.hypot(math.sqrt(doubt.variance), shared)
     low, high = max(0.0, count - NORMAL_90 * count_sd), min(float(total), count + NORMAL_90 * count_sd)
     lump_g_ml = _lump_density(densities)
