@@ -135,25 +135,36 @@ def load_table(evening: Evening, plan: DayPlan, belts: Sequence[Belt]) -> str:
 
 
 def class_table(evening: Evening, plan: DayPlan, belts: Sequence[Belt], contract: Contract) -> str:
-    """Markdown: share of weight by class, for each variety and the day."""
+    """Markdown: share of weight by class, for each variety: as weighed, and after the first load's ticket alone."""
     names = [each.name for each in contract.classes]
     lines = [
-        f"| loads | tubers | {' | '.join(names)} | largest difference |",
-        "| --- | ---: |" + " ---: |" * (len(names) + 1),
+        f"| loads | tubers | calibrated with | {' | '.join(names)} | largest difference |",
+        "| --- | ---: | --- |" + " ---: |" * (len(names) + 1),
     ]
-    loads = evening.loads(evening.tickets)
-    for name, chosen in _groups(plan).items():
+    loads, groups = evening.loads([]), _groups(plan)
+    by_part = {ticket.part: ticket for ticket in evening.tickets}
+    for name, chosen in groups.items():
         sums = _summed([loads[n] for n in chosen])
         rows = [row for n in chosen for row in belts[n].truth["tubers"]]
         grams, mesh = (np.array([row[key] for row in rows]) for key in ("weight_g", "square_mesh_mm"))
-        cells, worst = [], 0.0
-        for each, told in zip(contract.classes, class_totals(LoadTotals(sums), contract), strict=True):
-            true = 100 * float(grams[(mesh >= each.low_mm) & (mesh < each.high_mm)].sum() / grams.sum())
-            held = told.percent_low - 0.05 <= true <= told.percent_high + 0.05
-            interval = f"{told.percent:.1f} ({told.percent_low:.0f} to {told.percent_high:.0f})"
-            cells.append(f"{interval}, true {true:.1f}" + ("" if held else ", missed"))
-            worst = max(worst, abs(told.percent - true))
-        lines.append(f"| {name} | {sums.count} | {' | '.join(cells)} | {worst:.1f} |")
+        own = by_part.get(f"load {plan.loads[chosen[0]].number}")
+        first = by_part.get(f"load {plan.loads[0].number}")
+        stages = {"no ticket": None, "the first load's ticket": first, "the variety's first ticket": own}
+        for stage, ticket in stages.items():
+            if stage != "no ticket" and (
+                ticket is None or name == "all" or (ticket is first) != ("first load" in stage)
+            ):
+                continue
+            cultivar = "" if name == "all" else name
+            totals = LoadTotals(sums, [ticket] if ticket else [], cultivar=cultivar)
+            cells, worst = [], 0.0
+            for each, told in zip(contract.classes, class_totals(totals, contract), strict=True):
+                true = 100 * float(grams[(mesh >= each.low_mm) & (mesh < each.high_mm)].sum() / grams.sum())
+                held = told.percent_low - 0.05 <= true <= told.percent_high + 0.05
+                interval = f"{told.percent:.1f} ({told.percent_low:.0f} to {told.percent_high:.0f})"
+                cells.append(f"{interval}, true {true:.1f}" + ("" if held else ", missed"))
+                worst = max(worst, abs(told.percent - true))
+            lines.append(f"| {name} | {sums.count} | {stage} | {' | '.join(cells)} | {worst:.1f} |")
     return "\n".join(lines) + "\n"
 
 

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> None:
     text = table(groups)
     print(text)
     if given.docs:
-        put_table(given.docs, "foreign", text)
+        put_table(given.docs, "foreign", text.rstrip())
 
 
 def large(row: dict[str, Any]) -> bool:

@@ -30,16 +30,22 @@ class ForeignPlan:
     others: float
 
 
+LEARNED: tuple[tuple[str, int, tuple[str, ...], tuple[float, ...], int], ...] = (
+    ("fit", 61000, ("field", "easy"), (0.1, 0.4), 60),
+    ("judge", 63000, ("field", "easy"), (0.0, 0.05, 0.15, 0.3), 80),
+)
+"""By name: first seed, presets, others a tuber, tubers. The second judged one rule, the next learned by them."""
+
 PLANS: dict[str, tuple[ForeignPlan, ...]] = {
     "fit": tuple(
-        ForeignPlan(f"fit-{preset}-{others:g}-{n}", preset, 61000 + 100 * i + 10 * j + n, 60, others)
-        for i, preset in enumerate(("field", "easy"))
-        for j, others in enumerate((0.1, 0.4))
+        ForeignPlan(f"{name}-{preset}-{others:g}-{n}", preset, first + 100 * i + 10 * j + n, tubers, others)
+        for name, first, presets, shares, tubers in LEARNED
+        for i, preset in enumerate(presets)
+        for j, others in enumerate(shares)
         for n in range(2)
     ),
     "judge": tuple(
-        ForeignPlan(f"judge-{preset}-{others:g}-{n}", preset, 63000 + 100 * i + 10 * j + n, 80, others)
-        for i, preset in enumerate(("field", "easy"))
+        ForeignPlan(f"fresh-field-{others:g}-{n}", "field", 65000 + 10 * j + n, 80, others)
         for j, others in enumerate((0.0, 0.05, 0.15, 0.3))
         for n in range(2)
     ),

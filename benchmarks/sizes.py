@@ -65,8 +65,8 @@ def main(arguments: Sequence[str]) -> None:
     sizes, classes = size_table(groups), class_table(groups)
     print(sizes + "\n" + classes)
     if given.docs:
-        put_table(given.docs, "sizes", sizes)
-        put_table(given.docs, "classes", classes)
+        put_table(given.docs, "sizes", sizes.rstrip())
+        put_table(given.docs, "classes", classes.rstrip())
     if given.picture:
         draw(groups, given.picture)
 

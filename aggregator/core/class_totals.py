@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+from aggregator.calibration.apply import CAMERA, RESTING
 from aggregator.core.size_classes import Share, class_shares, interval
 from aggregator.core.totals import LoadTotals
 from conveyor.contract import Contract, SizeClass
@@ -17,15 +18,30 @@ State = Literal["", "kept", "open", "broken"]
 def class_totals(load: LoadTotals, contract: Contract) -> tuple[ClassTotal, ...]:
     """Every class of `contract`; none where no tuber of the load has a size.
 
-    Tubers without a size are taken to be like the others, as far as one may know that.
+    Tubers without a size are taken to be like the others, as far as one may know that. What tickets say of the weights
+    they say of the sizes.
     """
     bins = load.sums.sizes.bins[contract.measure]
     sized = sum(found.count for found in bins.values())
     if not sized:
         return ()
     unsized = 1 - sized / load.sums.count
-    shares = class_shares(bins, contract.classes, measure=contract.measure)
+    ratio, sd = _weight_known(load)
+    shares = class_shares(bins, contract.classes, measure=contract.measure, weight_ratio=ratio, weight_sd=sd)
     return tuple(_total(load, each, share, unsized) for each, share in zip(contract.classes, shares, strict=True))
+
+
+def _weight_known(load: LoadTotals) -> tuple[float, float]:
+    """(by what tickets multiply a tuber's weight, what all weights may still be off by: standard deviation, share).
+
+    The scale was without the clods that were taken for tubers and weighed with them.
+    """
+    seen, raw_g = load.calibrated(), load.sums.as_weighed_g
+    if raw_g <= 0 or seen.weight_g <= 0:
+        return 1.0, 0.0
+    tubers_g = raw_g - load.sums.foreign.odds.doubt().hidden_g if load.tickets_used else raw_g
+    sd = math.hypot(seen.parts_g[RESTING], seen.parts_g[CAMERA]) / seen.weight_g
+    return seen.weight_g / max(tubers_g, 0.5 * raw_g), sd
 
 
 def _total(load: LoadTotals, each: SizeClass, share: Share, unsized: float) -> ClassTotal:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
 
+from aggregator.core.foreign_odds import OddsBins
 from aggregator.core.merge import Group
 from conveyor.messages import Tuber
 
@@ -66,40 +66,33 @@ def mean_odds(group: Group) -> float | None:
     return sum(said) / len(said) if said else None
 
 
-def chance_of_tuber(log_odds: float) -> float:
-    """Probability of a tuber."""
-    return 1 / (1 + math.exp(min(max(-log_odds, -60.0), 60.0)))
-
-
 @dataclass(slots=True)
 class ForeignSums:
-    """Sums over bodies and over what the classifier doubted of tubers.
+    """Sums over bodies, and how sure the classifier was of them and of the tubers.
 
     Attributes:
         bodies: by kind, their number and the sum of their visible volumes, ml.
-        squares_ml2: sum of squared volumes.
-        doubt_tubers, doubt_bodies: by what they were taken for, sums of the chance that it was the other, of
-            p (1 - p), and of grams or ml times that chance.
+        unasked: bodies of which only the shape told what they are.
     """
 
     bodies: dict[str, list[float]] = field(default_factory=dict)
-    squares_ml2: float = 0.0
-    doubt_tubers: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    doubt_bodies: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    unasked: int = 0
+    odds: OddsBins = field(default_factory=OddsBins)
 
     def add(self, body: ForeignBody) -> None:
         """Count one body."""
         own = self.bodies.setdefault(body.kind, [0, 0.0])
         own[0] += 1
         own[1] += body.volume_ml
-        self.squares_ml2 += body.volume_ml**2
-        if body.log_odds is not None:
-            _doubt(self.doubt_bodies, chance_of_tuber(body.log_odds), body.volume_ml)
+        if body.log_odds is None:
+            self.unasked += 1
+        else:
+            self.odds.add_body(body.log_odds, body.volume_ml)
 
     def add_tuber(self, tuber: Tuber) -> None:
-        """Take a tuber's doubt into account."""
+        """Take into account how sure the classifier was of a tuber."""
         if tuber.log_odds is not None:
-            _doubt(self.doubt_tubers, 1 - chance_of_tuber(tuber.log_odds), tuber.weight_g)
+            self.odds.add_tuber(tuber.log_odds, tuber.weight_g)
 
     def take(self, other: Self) -> None:
         """Add what `other` counted."""
@@ -107,9 +100,8 @@ class ForeignSums:
             own = self.bodies.setdefault(kind, [0, 0.0])
             own[0] += more[0]
             own[1] += more[1]
-        self.squares_ml2 += other.squares_ml2
-        for mine, more in ((self.doubt_tubers, other.doubt_tubers), (self.doubt_bodies, other.doubt_bodies)):
-            mine[:] = [a + b for a, b in zip(mine, more, strict=True)]
+        self.unasked += other.unasked
+        self.odds.take(other.odds)
 
     @property
     def count(self) -> int:
@@ -117,27 +109,19 @@ class ForeignSums:
         return int(sum(own[0] for own in self.bodies.values()))
 
     def plain(self) -> dict[str, Any]:
-        """As JSON keeps it; empty where nothing foreign was seen and nothing doubted."""
+        """As JSON keeps it; empty where nothing foreign was seen and the classifier was not asked."""
         told = {
             "bodies": {kind: list(own) for kind, own in sorted(self.bodies.items())},
-            "squares_ml2": self.squares_ml2,
-            "doubt_tubers": self.doubt_tubers,
-            "doubt_bodies": self.doubt_bodies,
+            "unasked": self.unasked,
+            "odds": [[at, *own] for at, own in sorted(self.odds.bins.items())],
         }
-        return told if self.bodies or any(self.doubt_tubers) else {}
+        return told if self.bodies or self.odds.bins else {}
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
         """Back from `plain`."""
         found = cls()
         found.bodies = {kind: list(own) for kind, own in plain.get("bodies", {}).items()}
-        found.squares_ml2 = plain.get("squares_ml2", 0.0)
-        found.doubt_tubers = list(plain.get("doubt_tubers", found.doubt_tubers))
-        found.doubt_bodies = list(plain.get("doubt_bodies", found.doubt_bodies))
+        found.unasked = plain.get("unasked", 0)
+        found.odds = OddsBins({row[0]: list(row[1:]) for row in plain.get("odds", [])})
         return found
-
-
-def _doubt(sums: list[float], chance: float, size: float) -> None:
-    sums[0] += chance
-    sums[1] += chance * (1 - chance)
-    sums[2] += chance * size

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from aggregator.core.foreign import ForeignBody, ForeignSums, chance_of_tuber
+from aggregator.core.foreign import ForeignBody, ForeignSums
+from aggregator.core.foreign_odds import chance_of_other
 from aggregator.core.foreign_totals import foreign_total, jacket_g
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
@@ -70,26 +71,37 @@ def test_sums_come_back_and_add_up() -> None:
 
 
 def test_the_share_is_what_the_classifier_believes() -> None:
-    """Ten lumps among ninety tubers; twenty of these are lumps with a chance of 5 %, and half of it is believed."""
+    """Ten lumps among a hundred bodies; eight others were taken for tubers, and are told by how far below they lie."""
     sums = LoadSums(50.0)
-    doubtful = 2.9444
-    assert chance_of_tuber(doubtful) == pytest.approx(0.95, abs=1e-4)
     for k in range(90):
-        sums.add(replace(tuber(k + 1, 50.0, 160.0), log_odds=doubtful if k < 20 else 60.0))
+        sums.add(replace(tuber(k + 1, 50.0, 160.0), log_odds=0.8 if k < 8 else 8.2))
     for k in range(10):
-        sums.add(body(k + 1, log_odds=-60.0))
+        sums.add(body(k + 1, log_odds=-6.2))
     found = foreign_total(LoadTotals(sums), ForeignConfig())
     assert found is not None
-    assert found.count == pytest.approx(10.5, abs=0.01)
-    assert found.percent == pytest.approx(10.5, abs=0.01)
-    assert found.percent_low < 10 < 12 < found.percent_high
+    hidden = 8 * chance_of_other(0.75, 8.25)
+    assert 4 < hidden < 8
+    assert found.count == pytest.approx(10 + hidden, abs=0.05)
+    assert found.percent == found.count
+    assert found.percent_low < 12 < 18 < found.percent_high
     assert found.kinds == {"lump": 10}
-    assert found.weight_g > 10 * 0.7 * 100 * 1.6
+    assert found.weight_g > 10 * 0.7 * 100 * 1.6 + hidden * 160
     heavier = foreign_total(LoadTotals(sums), ForeignConfig(stone_share=1.0))
     assert heavier is not None
     assert heavier.weight_g > 1.3 * found.weight_g
     message = LoadTotals(sums).message("r", coverage=1.0, cameras={}, final=True, foreign=found)
     assert Totals.decode(message.encode()).foreign == found
+
+
+def test_a_camera_that_makes_all_tubers_doubtful_makes_no_clods_of_them() -> None:
+    """The same odds mean a clod where tubers are clear, and a tuber where all of them are like that."""
+    assert chance_of_other(2.0, 9.0) > 0.4 > 0.03 > chance_of_other(2.0, 2.5)
+    poor = LoadSums(50.0)
+    for k in range(100):
+        poor.add(replace(tuber(k + 1, 50.0, 160.0), log_odds=3.0 + 0.01 * k))
+    found = foreign_total(LoadTotals(poor), ForeignConfig())
+    assert found is not None
+    assert found.percent < 1
 
 
 def test_a_clean_load_and_an_empty_one() -> None:
