@@ -42,7 +42,7 @@ from conveyor.session import open_client, open_router
 
 EDGE = "edge"
 PORT = 7447
-WAIT_S = 30.0
+WAIT_S = 120.0
 SETTLE_S = 2.0
 
 
