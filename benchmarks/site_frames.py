@@ -42,7 +42,7 @@ from conveyor.session import open_client, open_router
 
 EDGE = "edge"
 PORT = 7447
-WAIT_S = 30.0
+WAIT_S = 120.0
 SETTLE_S = 2.0
 
 
@@ -82,7 +82,7 @@ def _measure(belt: Path, options: argparse.Namespace) -> None:
                 net.command(host, [*command, "--part", *part]),
                 stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1],
             )  # fmt: skip
-            stack.callback(child.communicate)
+            stack.callback(child.wait)
             stack.callback(child.kill)
             return child
 
