@@ -50,7 +50,7 @@ PAGES: dict[str, Page] = {
     "docs/alarms.md": Page(),
     "docs/calibrate.md": Page(given=("recording", "run", "line_file", "bucket"), codes=BUSY),
     "docs/cameras.md": Page(given=("recording",)),
-    "docs/config.md": Page(given=("recording", "line_file")),
+    "docs/config.md": Page(given=("line_file",)),
     "docs/deploy.md": Page(
         shown={
             "python3 -m venv /opt": MACHINE,
@@ -118,7 +118,7 @@ PAGES: dict[str, Page] = {
             "tuberline regressor --config /etc": HOSTS,
         },
     ),
-    "docs/security.md": Page(given=("recording", "line_file")),
+    "docs/security.md": Page(given=("line_file",)),
     "docs/segmentation.md": Page(given=("recording",)),
     "docs/sizes.md": Page(given=("recording", "contract")),
     "docs/train.md": Page(given=("cloud",)),

@@ -145,6 +145,8 @@ def _print(infos: list[CertificateInfo], *, json: bool) -> None:
     from rich.table import Table
 
     table = Table("file", "name", "expires", "days left", "hosts")
+    for column in table.columns:
+        column.overflow = "fold"  # no name is cut
     for info in infos:
         left = info.days_left(now)
         colour = "red" if left < 0 else "yellow" if left < LATE_DAYS else "green"

@@ -88,8 +88,10 @@ def dump(path: Path, /, *, canonical: bool = False, run: str | None = None) -> N
     from aggregator.ledger.reader import ledger_file, reading, the_run
 
     file = ledger_file(path)
-    bar = contextlib.nullcontext() if sys.stdout.isatty() else ledger_bar()
-    with bar, reading(file) as db:
+    with contextlib.ExitStack() as stack:
+        if not sys.stdout.isatty():  # a bar would stand among the lines
+            stack.enter_context(ledger_bar())
+        db = stack.enter_context(reading(file))
         chosen = the_run(db, file, run)
         for line in canonical_lines(db, chosen) if canonical else full_lines(db, chosen):
             sys.stdout.write(line + "\n")
