@@ -108,7 +108,7 @@ class Line:
 
     def page_takes_orders(self) -> None:
         """The page has the token of its secret: it refuses another one, and with the right one reads the order."""
-        for token, wanted in (("another-token-of-nobody", "401"), (TOKEN, "400")):
+        for token, wanted in (("another-token-of-no-one", "401"), (TOKEN, "400")):
             words = (self._container("page"), "python", "-c", ORDER_TO_PAGE, token)
             said = self._engine.podman("exec", *words, check=False).stdout.strip()
             if said != wanted:
