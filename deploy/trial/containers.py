@@ -33,6 +33,7 @@ RECORDING = ("--seed", "1607", "--tubers", "60", "--scene", "singulated", "--fps
 """A minute of belt, so that the line is counting while it is hurt."""
 AS_A_REPLAY = {
     'source = "realsense"': 'path = "/recordings/belt"\nspeed = 1.0',
+    "belt_distance_m = 0.46\n": "",  # the recording says its own
     "[segmenter]": "[segmenter]\nweigh_deadline_s = 600.0",
     "[aggregator]": "[aggregator]\ncamera_stall_s = 600.0",
 }
@@ -107,7 +108,7 @@ class Line:
 
     def page_takes_orders(self) -> None:
         """The page has the token of its secret: it refuses another one, and with the right one reads the order."""
-        for token, wanted in (("another-token-of-nobody", "401"), (TOKEN, "400")):
+        for token, wanted in (("another-token-of-no-one", "401"), (TOKEN, "400")):
             words = (self._container("page"), "python", "-c", ORDER_TO_PAGE, token)
             said = self._engine.podman("exec", *words, check=False).stdout.strip()
             if said != wanted:

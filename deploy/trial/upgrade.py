@@ -122,7 +122,7 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
             machine.power_on()
             field.all_active(machine, field.UNITS)
             came = runs(machine)
-            what = "once the next was chosen" if chosen else "while it was installed"
+            what = "after the next was chosen" if chosen else "after its begin"
             reached.append(f"{after_s:.1f} s {what} ({held} tubers): {came}")
             say(f"upgrade cut after {reached[-1]}")
             if came != version():

@@ -83,7 +83,8 @@ def _takes_and_gives(sidecar: Sidecar) -> str:
     share = sidecar.volume_share
     blended = (
         f"What is weighed is the geometric mean of the network ({100 * (1 - share):.0f} %) and the visible-volume rule "
-        f"({100 * share:.0f} %), a share chosen on the validation set; the tables show the network alone as well. "
+        f"({100 * share:.0f} %), a share chosen on recordings that neither was trained on; the tables show the network "
+        "alone as well. "
         f"Views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of their error's standard deviation, "
         f"tubers of a load {100 * sidecar.shared_bias_share:.1f} % of its weight."
     )

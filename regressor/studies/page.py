@@ -21,16 +21,16 @@ model card are both made from it (`make docs`).
 """
 
 
-WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 71701 --preset easy
-    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 71702 --preset field
-    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 71703 --preset harsh
+WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 74701 --preset easy
+    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 74702 --preset field
+    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 74703 --preset harsh
     tuberline evaluate --data packs --by all --out worlds"""
 WORLDS_WORDS = (
     "A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger states a "
     "load's before any ticket, with the resting level as well known as the pack says. The seeds were fixed before the "
-    "intervals were calibrated. A first calibration held 87.0, 88.6 and 90.6 % of these views: cameras trained for had "
-    "been given a lower level than was asked for. After that was corrected, new sets of 50 recordings each were made "
-    "and judged once: 91.8 % of the views of `easy` (seed 72701, 1250 views) and 92.8 % of those of `field` (72702)."
+    "packs were made, and these sets were judged once. Three others (seeds 73701 to 73703) had been judged by weights "
+    "that were half of the last training instead of a quarter: 6.2, 10.0 and 13.9 g. The real potato, not they, moved "
+    "that choice: it read 8 % heavy over its measured level."
 )
 
 

@@ -123,7 +123,7 @@ def _live_maps(addresses: list[LineAddress], maps: FieldMaps) -> list[LiveMap]:
 def _token(file: Path | None) -> str:
     """The token of `file`, or a new one where a person sees it: a journal keeps no secrets. '' elsewhere.
 
-    An empty file is none too: containers mount one where nobody is to act.
+    An empty file is none too: containers mount one where no one is to act.
     """
     if file is None:
         return secrets.token_urlsafe(12) if sys.stdout.isatty() else ""
