@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from conveyor.errors import InputError
 from regressor.network.grouping import CLOUD_POINTS, stage_counts
 from regressor.network.networks import POINTNET_POINTS, Kind
 from regressor.network.pointraft import DROPOUT, NEIGHBOURS
@@ -131,7 +132,14 @@ class TrainSettings:
 
 
 def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettings:
-    """The recipe 'tuberline', 'paper' or 'fine-tune' with what is `given` in place of its own; None is not given."""
+    """The recipe 'tuberline', 'paper' or 'fine-tune' with what is `given` in place of its own; None is not given.
+
+    Raises:
+        InputError: a share that is none.
+    """
+    share = given.get("start_share")
+    if share is not None and not 0 <= share <= 1:
+        raise InputError(f"--start-share is {share:g}; a share lies between 0 and 1")
     recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))

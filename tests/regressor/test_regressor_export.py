@@ -147,6 +147,6 @@ def test_the_real_tuber_weighs_the_same_outside(shared: Path, tmp_path: Path) ->
     )  # fmt: skip
     weight = tuberline.weigh(ply, belt_distance_m=BELT_M)
     told = f"{weight.weight_g:.1f} g, 90 % interval {weight.low_g:.1f} to {weight.high_g:.1f} g"
-    assert told == "103.5 g, 90 % interval 90.8 to 116.7 g"
+    assert told == "102.4 g, 90 % interval 89.6 to 116.2 g"
     assert done.stdout.splitlines()[0] == told
     assert done.stdout.splitlines()[1] == f"by {weight.model} (Apache-2.0), trained on tubers of 16 to 624 g"

@@ -50,11 +50,7 @@ def test_a_camera_noisier_than_the_trained_ones_is_flagged_and_changes_no_weight
         weigh_view(weigher, replace(view, camera_noise_px=px), regressor="r1") for px in (None, most_px, 2 * most_px)
     ]
     assert ["camera_noise" in answer.flags for answer in answers] == [False, False, True]
-    weights = [answer.weight_g for answer in answers]
-    assert weights[0] == weights[1]
-    assert weights[3] == weights[4]
-    assert max(weights) < 1.03 * min(weights)
-    assert weights[2] == pytest.approx(weights[0] + (weights[3] - weights[0]) * np.log(2 / 0.58) / np.log(2.5 / 0.58), rel=1e-3)
+    assert len({answer.weight_g for answer in answers}) == 1
 
 
 def test_a_weight_does_not_depend_on_what_was_weighed_before(weigher: Weigher) -> None:
@@ -181,8 +177,9 @@ def test_a_belt_that_is_known_worse_widens_the_interval_and_makes_heights_count_
     weights = [answer.weight_g for answer in answers]
     assert weights[0] == weights[1]
     assert weights[3] == weights[4]
-    assert max(weights) < 1.03 * min(weights)
-    assert weights[2] == pytest.approx(weights[0] + (weights[3] - weights[0]) * np.log(2 / 0.58) / np.log(2.5 / 0.58), rel=1e-3)
+    assert 0 < abs(weights[3] / weights[0] - 1) < 0.03
+    part = np.log(2 / 0.58) / np.log(2.5 / 0.58)
+    assert weights[2] == pytest.approx(weights[0] + part * (weights[3] - weights[0]), rel=1e-3)
     view = replace(ellipsoid_view(AXES), belt_sd_m=0.005)
     assert weigh_view(weigher, view, regressor="r1").high_g == answers[3].high_g
 

@@ -132,7 +132,7 @@ def test_the_shipped_weights_know_the_reference_potatoes() -> None:
     truths = [true_g for _, true_g, _ in reference_clouds(0.345)]
     assert np.allclose(truths, [71.3, 175.6, 338.4], atol=0.05)
     for answer in check_weights(Weigher.load(), LINE):
-        assert answer.weight_g == pytest.approx(answer.true_g, rel=0.12)
+        assert answer.weight_g == pytest.approx(answer.true_g, rel=0.12), answer
         assert answer.low_g < answer.true_g < answer.high_g
 
 

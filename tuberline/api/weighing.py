@@ -38,7 +38,7 @@ class Weight:
         network_g: what PointRAFT alone says, grams; None where it was not asked or failed.
         volume_g: what the visible volume alone says, grams.
         method: 'pointraft' (the network with the volume rule), or 'volume'.
-        model: name and digest of the weights, e.g. 'tuberline-sim@4a98dba1'.
+        model: name and digest of the weights, e.g. 'tuberline-sim@e0fc00c4'.
         flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
             'volume_disagrees', 'network_failed'.
     """

@@ -55,8 +55,7 @@ def train(
     start
         Weights to begin with (.safetensors), for the recipe fine-tune; default: random ones.
     start_share
-        Of the weights to start from in what is written, 0 to 1: a half knows the new views and keeps what the old ones
-        taught (0).
+        Of the weights to start from, in what is written, 0 to 1: keeps what they knew (0).
     epochs
         Passes over the training views (50; 2 to fine-tune).
     minutes
@@ -98,16 +97,12 @@ def train(
     """
     import torch
 
+    from regressor.training import run
     from regressor.training.recipe import recipe_named
-    from regressor.training.run import RunOptions
-    from regressor.training.run import train as run
     from tuberline.cli.training_bar import TrainingBar
 
     if (recipe == "fine-tune") != (start is not None):
         raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
-    if start_share is not None and not 0 <= start_share <= 1:
-        raise InputError(f"--start-share is {start_share:g}; a share lies between 0 and 1")
-    torch.set_num_threads(threads)
     settings = recipe_named(
         recipe,
         epochs=epochs,
@@ -125,7 +120,7 @@ def train(
         target=target,
         start_share=start_share,
     )
-    options = RunOptions(
+    options = run.RunOptions(
         data=data,
         validation=val,
         out=out,
@@ -137,7 +132,8 @@ def train(
         command=shlex.join(["tuberline", *sys.argv[1:]]),
         start=start,
     )
+    torch.set_num_threads(threads)
     with TrainingBar() as bar:
-        sidecar = run(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
-    figures = sidecar.metrics["validation"]
-    sys.stderr.write(f"{out / 'weights.safetensors'}: MAE {figures['mae_g']:.1f} g per view on the validation set\n")
+        sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
+    told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} g per view on the validation set"
+    sys.stderr.write(f"{out / 'weights.safetensors'}: {told}\n")
