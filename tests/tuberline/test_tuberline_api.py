@@ -96,7 +96,7 @@ def test_a_cloud_weighs_the_same_from_an_array_and_a_file(view: View, tmp_path: 
     assert from_array == tuberline.weigh(tmp_path / "tuber.npy", belt_distance_m=0.345)
     assert from_array.low_g < from_array.weight_g < from_array.high_g
     wider = tuberline.weigh(cloud, belt_distance_m=0.345, belt_sd_mm=8.0)
-    assert wider.weight_g == from_array.weight_g
+    assert wider.weight_g == pytest.approx(from_array.weight_g, rel=0.02), "heights count less there"
     assert wider.high_g - wider.low_g > from_array.high_g - from_array.low_g
 
 

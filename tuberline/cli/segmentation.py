@@ -65,8 +65,11 @@ def segment(
     from segmenter.studies.offline import segment_recording
     from tuberline.cli.progress import frames_bar
 
-    if picture is not None and not picture.absolute().parent.is_dir():
-        raise InputError(f"--picture {picture}: there is no folder {picture.absolute().parent}")
+    if picture is not None:
+        try:  # before a minute's work, not after it
+            picture.absolute().parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--picture {picture}: its folder cannot be made: {error.strerror}") from error
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
