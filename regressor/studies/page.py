@@ -29,8 +29,8 @@ WORLDS_WORDS = (
     "A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger states a "
     "load's before any ticket, with the resting level as well known as the pack says. The seeds were fixed before the "
     "packs were made. These sets were judged twice: with half a say for the volume rule (5.8, 10.5 and 14.4 g), and "
-    "with three tenths when made clouds and the real potato had shown how far that rule may be off. Three other sets (73701 "
-    "to 73703) were judged once, by half of the last training and half of the rule: 6.2, 10.0 and 13.9 g."
+    "with three tenths when made clouds and the real potato had shown how far that rule may be off. Three other sets "
+    "(73701 to 73703) were judged once, by half of the last training and half of the rule: 6.2, 10.0 and 13.9 g."
 )
 
 
