@@ -103,6 +103,7 @@ def test_a_live_camera_that_is_stopped_has_not_ended_and_numbers_on(
             _, said = camera.communicate(timeout=30)
             assert camera.returncode == 0
         assert "ended after" not in said
+        side.take(0.5)  # what was on its way
         info, before = side.info(), side.seen[-1]
         assert info is not None
         assert info.state == "streaming"

@@ -19,7 +19,7 @@ from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_orders import Belt
 from tests.aggregator.test_aggregator_node import Process, Segmenters, line, process
 from tests.conftest import ROOT
-from tests.deploy.remote_browser import Browser
+from tests.deploy.remote_browser import Browser, BrowserError
 from tests.viewer.test_viewer_page_browser import browser, js, text, until
 from tests.viewer.viewer_line import free_port
 
@@ -45,9 +45,12 @@ def look(browser: Browser, url: str, wanted: str) -> None:
     """Open the page, again while its server is still starting."""
 
     def there() -> bool:
-        if js(browser, "location.href") != url:
-            browser.page("Page.navigate", url=url)
-        return wanted in text(browser)
+        try:
+            if js(browser, "location.href") != url:
+                browser.page("Page.navigate", url=url)
+            return wanted in text(browser)
+        except BrowserError:  # asked while it went from one page to the next
+            return False
 
     until(there, what=wanted)
 
