@@ -17,7 +17,7 @@ from pathlib import Path
 
 from aggregator.core.committed import CommittedTuber
 from aggregator.core.machine import Aggregation
-from aggregator.node import LIVE_REACH_MM
+from aggregator.opening import LIVE_REACH_MM
 from benchmarks.line_watch import percentile
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.formats import camera_names, open_source

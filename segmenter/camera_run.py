@@ -233,25 +233,32 @@ class CameraRun:
         for loss in self.dispatcher.take_losses() if closed else ():
             if not self.early.lost(loss):
                 self.weighing.lost(loss)
+        wanted = self._views_wanted() if closed else 0
         for track in closed:
             early = self.early.closed(track.track.track_id)
             self.weighing.add(track, now_s)
+            weighed = any(view.view_id in early.answers for view in track.views)
             for n, view in enumerate(track.views):
                 if (answer := early.answers.get(view.view_id)) is not None:
                     self.weighing.weighed(answer, now_s)
                 elif (lost := early.losses.get(view.view_id)) is not None:
                     self.weighing.lost(lost)
                 else:
-                    spare = n >= self.budget.views
-                    self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=bool(early.answers))
+                    spare = n >= wanted
+                    self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=weighed)
             for view_id in sorted(early.sent - {view.view_id for view in track.views}):
                 self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)
 
     def _take_early(self, views: tuple[View, ...], now_s: float) -> None:
+        wanted = self._views_wanted() if views else 0
         for view in views:
-            if view.rank < self.budget.views:
+            if view.rank < wanted:
                 self.early.sent(view, now_s)
                 self.dispatcher.offer(view, now_s=now_s)
+
+    def _views_wanted(self) -> int:
+        """How many views of a tuber are weighed, as things stand."""
+        return self.budget.now(self.dispatcher.backlog_s) if self.settings.fewer_views else self.budget.most
 
     def _keep(self, foreign: Sequence[Track], now_s: float) -> None:
         """Log what is no tuber as what it is; no one weighs it."""

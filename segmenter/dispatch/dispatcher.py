@@ -123,6 +123,13 @@ class Dispatcher:
         return self.pace.total_per_s(name for name in self._held if name not in self._suspects)
 
     @property
+    def backlog_s(self) -> float:
+        """How long the regressors, at their measured pace, are at work on what waits and what they hold."""
+        rate = self.rate_per_s
+        wanted = sum(not job.fallback for job in self._jobs.values())
+        return wanted / rate if rate else 0.0
+
+    @property
     def busy(self) -> tuple[int, int]:
         """(regressors with work in hand or standing still, all of them)."""
         return sum(bool(held) or name in self._suspects for name, held in self._held.items()), len(self._held)

@@ -13,6 +13,9 @@ BUSY_SHARE = 0.8
 """Busier than this, one view less; tuned on two cameras on two cores. Lower saves earlier, and weighs less."""
 CALM_SHARE = 0.65
 """One view more where that would leave them no busier than this: the distance keeps it from going to and fro."""
+BACKLOG_S = 0.04
+"""While what waits takes the regressors longer than this, a tuber that comes gets one view: a burst is over before the
+share of busy regressors tells of it."""
 REMEMBER_S = 1.5
 """What was measured this long ago counts a third."""
 SETTLE_S = 3.0
@@ -34,6 +37,10 @@ class ViewBudget:
 
     def __post_init__(self) -> None:
         self.views = self.most
+
+    def now(self, backlog_s: float) -> int:
+        """Views of a tuber that comes now, where what waits takes the regressors `backlog_s`."""
+        return 1 if backlog_s > BACKLOG_S else self.views
 
     def step(self, now_s: float, *, busy: int, of: int) -> None:
         """Time went on; `busy` of the regressors had work in hand."""

@@ -129,6 +129,20 @@ def test_views_that_are_not_chosen_count_for_nothing_and_are_in_the_books() -> N
     assert (line.run.dispatcher.lost["not_chosen"], line.run.dispatcher.outstanding, line.balanced()) == (1, 0, True)
 
 
+def test_an_answer_to_a_view_that_is_not_chosen_makes_no_chosen_view_a_spare_one() -> None:
+    """What it waited for came after every other tuber's third view, and held all ledgers up for a second."""
+    line = Line()
+    line.step(0.0, early=VIEWS[2:3])
+    line.answer(VIEWS[2].view_id)
+    other = (view(2, 0, 0), view(2, 1, 0))
+    line.belt.next = StepResult(0.0, False, 0, (), early=other)
+    line.run.frame(_frame(line.seq, line.seq), 0.1)
+    line.seq += 1
+    assert line.step(0.1, closed=VIEWS[:1]) == [other[0].view_id, VIEWS[0].view_id]  # two in flight
+    line.answer(other[0].view_id)
+    assert line.tick(0.2) == [other[1].view_id]
+
+
 def test_a_refusal_before_the_decision_is_the_tracks_loss() -> None:
     line = Line()
     line.step(0.0, early=VIEWS[:1])

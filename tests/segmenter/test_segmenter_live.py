@@ -105,6 +105,20 @@ def test_the_budget_stays_between_one_view_and_all(most: int, seen: list[tuple[f
         assert 0.0 <= budget.share <= 1.0
 
 
+def test_a_tuber_gets_one_view_while_what_waits_takes_longer_than_a_moment() -> None:
+    dispatcher, budget = Dispatcher(DispatchSettings(credits=1, most_credits=1, shed_over=100)), ViewBudget(3)
+    dispatcher.present({"a"})
+    for track in range(8):
+        dispatcher.offer(view(track, 0))
+    assert dispatcher.backlog_s == 0.0, "the pace is not known yet"
+    for at in range(6):
+        [(_, sent)] = dispatcher.assign(0.1 * at)
+        dispatcher.expire(0.1 * (at + 1))
+        dispatcher.answer(sent.view_id, regressor="a", usable=True)
+    assert dispatcher.backlog_s == pytest.approx(2 / dispatcher.rate_per_s)
+    assert (budget.now(dispatcher.backlog_s), budget.now(0.0)) == (1, 3)
+
+
 @pytest.mark.parametrize("live", [True, False])
 def test_a_view_lost_on_the_way_goes_to_the_next_at_the_following_answer(live: bool) -> None:
     """Views of 13 kB were lost in a full transmit queue, and each held every ledger up for the deadline of 5 s."""
