@@ -135,6 +135,7 @@ class SegmenterNode:
                 self._runs[weight.run].weight(weight)
         resend = self._aggregator_came.is_set()
         self._aggregator_came.clear()
+        self._current.aggregator_lives = bool(self._aggregators.names())
         for camera_run in list(self._runs.values()):
             if resend:
                 camera_run.log.resend()
