@@ -19,6 +19,7 @@ from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
 from conveyor.access import known_nodes
+from conveyor.camera_clock import AT_START_GAUGE
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.latest import LatestSubscriber
@@ -246,6 +247,7 @@ class AggregatorNode:
             if travel.run == self._run:
                 self._core.cameras.travelled(travel)
         self._reporter.sheets = {report.name: _frames(report) for report in self._sheets()}
+        self._watch_clocks()
         self._watch_versions()
         alive = self._segmenters.names()
         for camera in self._core.cameras.names:
@@ -255,6 +257,22 @@ class AggregatorNode:
         """The newest reports of this run's segmenters."""
         reports = self._reports.latest().values()
         return [report for report in reports if report.role == "segmenter" and report.run == self._run]
+
+    def _watch_clocks(self) -> None:
+        """Cameras on hosts whose clocks differ are laid side by side all the same, and that they differ is told."""
+        for arrived_s, report in self._reports.arrivals().values():
+            started_s = report.gauges.get(AT_START_GAUGE)
+            if started_s is None or report.role != "segmenter" or report.run != self._run:
+                continue
+            camera_s = started_s + report.uptime_s
+            ahead_ns = self._core.cameras.clock(report.name, camera_s, arrived_s=arrived_s)
+            if ahead_ns is not None:
+                self._node.counters.gauge(f"clock_ahead_s_{report.name}", ahead_ns / 1e9)
+                self._node.log.warning(
+                    "the clock of camera %s on %s is %+.2f s off that of camera %s: their belts are laid side by side "
+                    "by what it is ahead; let one time server set the clocks of all hosts",
+                    *(report.name, report.host, ahead_ns / 1e9, self._core.cameras.names[0]),
+                )
 
     def _watch_versions(self) -> None:
         """A node of another version is told once, and stands in the summary."""
