@@ -33,6 +33,7 @@ BATCH_ENTRIES = 2000
 """A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
 
 TOTALS_EVERY_S = 0.5
+LONGEST_GATHER_S = 1.0
 TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
 LONGEST_LOOK_S = 0.2
@@ -147,11 +148,13 @@ class AggregatorNode:
             LedgerError: the ledger cannot be written; what was not acknowledged is sent again to the next process.
         """
         totals_due_s = committed_due_s = 0.0
-        reported = False
+        reported, took_s = False, 0.0
         while not self._node.stop.is_set():
-            self._gather(self._settings.commit_interval_s)
+            self._gather(self._settings.commit_interval_s, at_most_s=min(took_s, LONGEST_GATHER_S))
+            began_s = time.monotonic()
             self._commit()
             now_s = time.monotonic()
+            took_s = now_s - began_s
             answer_all(self._orders, self._commit, now_s)
             if now_s >= committed_due_s:
                 self._acknowledge()
@@ -172,14 +175,17 @@ class AggregatorNode:
             self._reporter.stopped()
             self._report(time.monotonic(), in_haste=True)
 
-    def _gather(self, for_s: float) -> None:
-        """Receive entries until every camera has marked how far it is, for one commit interval at most."""
+    def _gather(self, for_s: float, *, at_most_s: float) -> None:
+        """Receive entries until every camera has marked how far it is, for one commit interval at most; where more wait
+        than that, for `at_most_s`, as long as the last commit took: a slow disk must not have little to write.
+        """
         deadline_s = time.monotonic() + for_s
+        last_s = max(deadline_s, deadline_s - for_s + at_most_s)
         marked: set[str] = set()
         for _ in range(BATCH_ENTRIES):
             if marked and not len(self._entries) and marked >= self._core.cameras.running:
                 return
-            left_s = deadline_s - time.monotonic()
+            left_s = (last_s if len(self._entries) and not self._orders.waiting else deadline_s) - time.monotonic()
             entry = self._entries.get(min(left_s, LONGEST_LOOK_S)) if left_s > 0 else None
             if entry is None:
                 if left_s <= LONGEST_LOOK_S or self._orders.waiting:

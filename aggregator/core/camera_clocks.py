@@ -16,8 +16,8 @@ REMEMBERED = 60
 """Reports of each camera, one a second: hosts' clocks drift against each other by 0.05 ms a second, or 0.5 slewed."""
 ENOUGH = 3
 """Reports after which the quickest is trusted."""
-AGREE_NS = 50_000_000
-"""Clocks that differ by less agree, by their own account: a report on a busy host may be that late. 15 mm of belt."""
+AGREE_S = 0.05
+"""Clocks that differ by less agree. 15 mm of belt; and by less they are set by any time server."""
 
 
 @dataclass(slots=True)
@@ -38,15 +38,19 @@ class CameraClocks:
             self._newest[camera] = camera_s
             self._seen.setdefault(camera, deque(maxlen=REMEMBERED)).append(camera_s - arrived_s)
 
-    def known(self, cameras: Sequence[str]) -> bool:
-        """Enough is known of each."""
-        return all(len(self._seen.get(camera, ())) >= ENOUGH for camera in cameras)
+    def known(self, cameras: Sequence[str], *, of: str) -> bool:
+        """Of each it is known how far its clock is ahead."""
+        return all(self.ahead_ns(camera, of=of) is not None for camera in cameras)
 
     def ahead_ns(self, camera: str, *, of: str) -> int | None:
         """By how much the clock of `camera` is ahead of that `of` another, nanoseconds; 0 where they agree, None where
-        too little is known.
+        too little is known: too few reports, or all of them so late that the difference may be theirs.
         """
-        if not self.known((camera, of)):
+        own, other = (sorted(self._seen.get(name, ()), reverse=True) for name in (camera, of))
+        if min(len(own), len(other)) < ENOUGH:
             return None
-        ahead_ns = round((max(self._seen[camera]) - max(self._seen[of])) * 1e9)
-        return 0 if abs(ahead_ns) < AGREE_NS else ahead_ns
+        ahead_s = own[0] - other[0]
+        doubt_s = (own[0] - own[ENOUGH - 1]) + (other[0] - other[ENOUGH - 1])
+        if abs(ahead_s) < AGREE_S:
+            return 0
+        return round(ahead_s * 1e9) if abs(ahead_s) > 2 * doubt_s else None

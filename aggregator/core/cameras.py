@@ -176,7 +176,7 @@ class Cameras:
     def _clocks_known(self, now_s: float) -> bool:
         """It is known how far live cameras' clocks differ, or no use to wait for it any longer."""
         live = [name for name, state in self.states.items() if state.sight.published.live]
-        if len(live) < 2 or not self.estimated or self._clocks.known(live):
+        if len(live) < 2 or not self.estimated or self._clocks.known(live, of=self.names[0]):
             return True
         first_s = [s.first_marked_s for s in self.states.values() if s.first_marked_s is not None]
         return not first_s or now_s - min(first_s) >= CLOCKS_WITHIN_S

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.core.camera_clocks import AGREE_NS, ENOUGH, CameraClocks
+from aggregator.core.camera_clocks import AGREE_S, ENOUGH, CameraClocks
 from aggregator.core.coverage import Moment, coverage
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.writer import Ledger
@@ -21,18 +21,26 @@ from tests.aggregator.virtual_line import Aggregator
 SECOND_NS = 1_000_000_000
 
 
-@pytest.mark.parametrize("ahead_s", [0.03, -2.0, 0.3, 3600.0, -86400.0])
+@pytest.mark.parametrize("ahead_s", [0.0, 0.03, -2.0, 0.3, 3600.0, -86400.0])
 def test_the_quickest_of_many_reports_tells_what_clocks_differ(ahead_s: float, rng: np.random.Generator) -> None:
-    clocks = CameraClocks()
-    for at_s in range(200):
-        assert (clocks.ahead_ns("b", of="a") is None) == (at_s < ENOUGH)
-        for camera, own_s in (("a", 0.0), ("b", ahead_s)):
-            sent_s = at_s + rng.random()
-            late_s = 0.002 + rng.exponential(0.2)
-            clocks.reported(camera, CLOCK_S + own_s + sent_s, arrived_s=sent_s + late_s)
-            clocks.reported(camera, CLOCK_S + own_s + sent_s, arrived_s=sent_s + late_s + 1.0)  # looked at once more
-    found_s = (clocks.ahead_ns("b", of="a") or 0) / SECOND_NS
-    assert found_s == (0.0 if abs(ahead_s) < AGREE_NS / SECOND_NS else pytest.approx(ahead_s, abs=0.03))
+    """On a busy host reports come a second late; that is no difference of clocks, not even at first."""
+    for _ in range(20):
+        clocks = CameraClocks()
+        for at_s in range(60):
+            found_ns = clocks.ahead_ns("b", of="a")
+            assert at_s >= ENOUGH or found_ns is None
+            if found_ns is not None and abs(ahead_s) < AGREE_S:
+                assert abs(found_ns) / SECOND_NS <= (0.1 if ahead_s else 0.0)
+            elif found_ns is not None:
+                assert found_ns / SECOND_NS == pytest.approx(ahead_s, abs=1.0 if at_s < 10 else 0.2)
+            for camera, own_s in (("a", 0.0), ("b", ahead_s)):
+                sent_s = at_s + rng.random()
+                late_s = 0.002 + rng.exponential(0.2)
+                clocks.reported(camera, CLOCK_S + own_s + sent_s, arrived_s=sent_s + late_s)
+                clocks.reported(camera, CLOCK_S + own_s + sent_s, arrived_s=sent_s + late_s + 1.0)  # seen once more
+        last_ns = clocks.ahead_ns("b", of="a")
+        assert last_ns is not None
+        assert last_ns / SECOND_NS == (pytest.approx(ahead_s, abs=0.03) if abs(ahead_s) > AGREE_S else 0.0)
 
 
 def shifted(told: Story, camera: str, by_s: float) -> Story:
