@@ -19,6 +19,7 @@ from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
 from conveyor.access import known_nodes
+from conveyor.camera_clock import AT_START_GAUGE
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.latest import LatestSubscriber
@@ -32,6 +33,7 @@ BATCH_ENTRIES = 2000
 """A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
 
 TOTALS_EVERY_S = 0.5
+LONGEST_GATHER_S = 1.0
 TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
 LONGEST_LOOK_S = 0.2
@@ -146,11 +148,13 @@ class AggregatorNode:
             LedgerError: the ledger cannot be written; what was not acknowledged is sent again to the next process.
         """
         totals_due_s = committed_due_s = 0.0
-        reported = False
+        reported, took_s = False, 0.0
         while not self._node.stop.is_set():
-            self._gather(self._settings.commit_interval_s)
+            self._gather(self._settings.commit_interval_s, at_most_s=min(took_s, LONGEST_GATHER_S))
+            began_s = time.monotonic()
             self._commit()
             now_s = time.monotonic()
+            took_s = now_s - began_s
             answer_all(self._orders, self._commit, now_s)
             if now_s >= committed_due_s:
                 self._acknowledge()
@@ -171,14 +175,17 @@ class AggregatorNode:
             self._reporter.stopped()
             self._report(time.monotonic(), in_haste=True)
 
-    def _gather(self, for_s: float) -> None:
-        """Receive entries until every camera has marked how far it is, for one commit interval at most."""
+    def _gather(self, for_s: float, *, at_most_s: float) -> None:
+        """Receive entries until every camera has marked how far it is, for one commit interval at most; where more wait
+        than that, for `at_most_s`, as long as the last commit took: a slow disk must not have little to write.
+        """
         deadline_s = time.monotonic() + for_s
+        last_s = max(deadline_s, deadline_s - for_s + at_most_s)
         marked: set[str] = set()
         for _ in range(BATCH_ENTRIES):
             if marked and not len(self._entries) and marked >= self._core.cameras.running:
                 return
-            left_s = deadline_s - time.monotonic()
+            left_s = (last_s if len(self._entries) and not self._orders.waiting else deadline_s) - time.monotonic()
             entry = self._entries.get(min(left_s, LONGEST_LOOK_S)) if left_s > 0 else None
             if entry is None:
                 if left_s <= LONGEST_LOOK_S or self._orders.waiting:
@@ -246,6 +253,7 @@ class AggregatorNode:
             if travel.run == self._run:
                 self._core.cameras.travelled(travel)
         self._reporter.sheets = {report.name: _frames(report) for report in self._sheets()}
+        self._watch_clocks()
         self._watch_versions()
         alive = self._segmenters.names()
         for camera in self._core.cameras.names:
@@ -255,6 +263,22 @@ class AggregatorNode:
         """The newest reports of this run's segmenters."""
         reports = self._reports.latest().values()
         return [report for report in reports if report.role == "segmenter" and report.run == self._run]
+
+    def _watch_clocks(self) -> None:
+        """Cameras on hosts whose clocks differ are laid side by side all the same, and that they differ is told."""
+        for arrived_s, report in self._reports.arrivals().values():
+            started_s = report.gauges.get(AT_START_GAUGE)
+            if started_s is None or report.role != "segmenter" or report.run != self._run:
+                continue
+            camera_s = started_s + report.uptime_s
+            ahead_ns = self._core.cameras.clock(report.name, camera_s, arrived_s=arrived_s)
+            if ahead_ns is not None:
+                self._node.counters.gauge(f"clock_ahead_s_{report.name}", ahead_ns / 1e9)
+                self._node.log.warning(
+                    "the clock of camera %s on %s is %+.2f s off that of camera %s: their belts are laid side by side "
+                    "by what it is ahead; let one time server set the clocks of all hosts",
+                    *(report.name, report.host, ahead_ns / 1e9, self._core.cameras.names[0]),
+                )
 
     def _watch_versions(self) -> None:
         """A node of another version is told once, and stands in the summary."""

@@ -10,6 +10,9 @@ from collections import deque
 from dataclasses import dataclass, field
 from statistics import median
 
+AT_START_GAUGE = "camera_clock_at_start_s"
+"""Gauge of a live camera's segmenter: what the camera's clock said when the segmenter's `uptime_s` was 0. By it clocks
+of cameras on several hosts are compared; no step of a host's clock shows in it."""
 STEP_NS = 300_000_000
 """A capture time further than this from where both the frame's number and its arrival put it is a step. Ages of 500 ms
 end a frame; device clocks jitter by a few ms, those of ROS nodes by tens."""

@@ -19,6 +19,11 @@ class FrameAge:
     speed: float = 1.0
     _delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
 
+    @property
+    def quickest_ns(self) -> int | None:
+        """Our clock minus the camera's, with the way of the quickest of the last frames; None before the first."""
+        return min(self._delays_ns) if self._delays_ns and self.speed == 1.0 else None
+
     def age_ms(self, captured_ns: int, arrived_ns: int) -> float:
         """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts over."""
         if self.speed <= 0:

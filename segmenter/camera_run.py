@@ -32,6 +32,9 @@ every frame at 15 a second, every second one at 30; 0.5 kB each."""
 MARK_TURN_M = 0.004
 """Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
+MOST_BEHIND = 4096
+"""Entries of a live camera's log that a living aggregator may be behind, 90 s of a full belt: one that was frozen or
+started again costs no frame. Beyond, it does not keep up, and frames are left out until it does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +74,7 @@ class CameraRun:
         self.provisional = ProvisionalWeights()
         self._thinning = Thinning()
         self.ended = False
+        self.aggregator_lives = False
         self._done_seq = -1
         self._marked: tuple[int, float] | None = None
         self._marked_speed = 0.0
@@ -109,7 +113,7 @@ class CameraRun:
         self._heard_s = now_s
         if self.ended or not self.frames.receive(frame.seq, after_seq=frame.after_seq):
             return None
-        if drop is None and self.dispatcher.pressed and self._thinning.spares(frame.captured_ns):
+        if drop is None and (self._far_behind or self._spared(frame)):
             drop = FrameDrop.OVERLOAD
         if drop is not None:
             self.frames.dropped[drop] += 1
@@ -125,6 +129,15 @@ class CameraRun:
         self._take_early(result.early, now_s)
         self._keep(result.foreign, now_s)
         return result
+
+    @property
+    def _far_behind(self) -> bool:
+        """The aggregator lives, and takes less than this camera logs."""
+        return self.aggregator_lives and not self.settings.replays and self.log.uncommitted > MOST_BEHIND
+
+    def _spared(self, frame: Frame) -> bool:
+        """So many tubers wait for their first view that this frame is left out."""
+        return self.dispatcher.pressed and self._thinning.spares(frame.captured_ns)
 
     def info(self, info: CameraInfo, now_s: float) -> None:
         """Take what the camera says of itself; ends the run when it ended and everything it sent is here or lost."""

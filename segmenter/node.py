@@ -10,7 +10,7 @@ from dataclasses import replace
 from conveyor import topics
 from conveyor.access import known_nodes
 from conveyor.belt_findings import belt_findings
-from conveyor.camera_clock import CameraClock
+from conveyor.camera_clock import AT_START_GAUGE, CameraClock
 from conveyor.config import LineConfig
 from conveyor.delivery import (
     KeptPublisher,
@@ -135,6 +135,7 @@ class SegmenterNode:
                 self._runs[weight.run].weight(weight)
         resend = self._aggregator_came.is_set()
         self._aggregator_came.clear()
+        self._current.aggregator_lives = bool(self._aggregators.names())
         for camera_run in list(self._runs.values()):
             if resend:
                 camera_run.log.resend()
@@ -296,5 +297,7 @@ class SegmenterNode:
         counters.gauge("views_per_tuber_reduced", camera_run.budget.reduced)
         counters.gauge("regressors_busy_share", camera_run.budget.share)
         counters.gauge("tracks_waiting", len(camera_run.weighing))
+        if not self._waits and (quickest_ns := self._age.quickest_ns) is not None:
+            counters.gauge(AT_START_GAUGE, time.monotonic() - quickest_ns / 1e9 - self._node.uptime_s)
         for reason, n in camera_run.dispatcher.requeued.items():
             counters.gauge(f"views_requeued_{reason}", n)

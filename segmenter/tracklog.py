@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import islice
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -16,7 +17,9 @@ from segmenter.log_writer import LogWriter
 MAX_UNCOMMITTED = 100_000
 RESEND_AFTER_S = 1.0
 RESEND_AFTER_AT_MOST_S = 8.0
-RESEND_AT_MOST = 512
+UNDER_WAY_AT_MOST = 512
+"""Entries sent and not yet confirmed. An aggregator that is slow is not sent a whole log again and again: reading it
+would take the time that it needs to confirm anything."""
 
 
 class TrackLog:
@@ -41,6 +44,8 @@ class TrackLog:
         self._unsent_from = 1
         self._progress_s: float | None = None
         self._patience_s = RESEND_AFTER_S
+        self._sent_to = 0
+        self._timed: tuple[int, float] | None = None
 
     def __enter__(self) -> Self:
         if self.store is not None:
@@ -112,7 +117,6 @@ class TrackLog:
         if n <= self.committed:
             return
         self.committed = n
-        self._patience_s = RESEND_AFTER_S
         self._progress_s = None
         self._forget_committed()
         self._unsent_from = max(self._unsent_from, n + 1)
@@ -123,21 +127,33 @@ class TrackLog:
             self.store.commit(newest=self.newest, committed=n, keep=keep)
 
     def due(self, now_s: float) -> list[TrackEntry]:
-        """Entries to send now: the new ones; all uncommitted ones when nothing was confirmed for a while."""
-        if self._progress_s is None:
+        """Entries to send now: the new ones; those under way once more when nothing was confirmed for a while."""
+        self._learn_patience(now_s)
+        if self._progress_s is None or not self._entries:
             self._progress_s = now_s
-        if self._entries and now_s - self._progress_s >= self._patience_s:
-            self._progress_s = now_s
+        if now_s - self._progress_s >= self._patience_s:
+            self._progress_s, self._timed = now_s, None
             self._patience_s = min(2 * self._patience_s, RESEND_AFTER_AT_MOST_S)
-            self._unsent_from = self._entries[0].n
+            self.resend()
         durable = self.store.durable if isinstance(self.store, LogWriter) else self.newest
-        sending = [entry for entry in self._entries if self._unsent_from <= entry.n <= durable][:RESEND_AT_MOST]
-        if sending:
-            self._unsent_from = sending[-1].n + 1
-        return sending
+        until = min(durable, self.committed + UNDER_WAY_AT_MOST)
+        if not self._entries or self._unsent_from > until:
+            return []
+        first = self._entries[0].n
+        self._unsent_from, unsent_from = until + 1, max(first, self._unsent_from)
+        if until > self._sent_to:
+            self._sent_to, self._timed = until, self._timed or (until, now_s)
+        return list(islice(self._entries, unsent_from - first, until + 1 - first))
+
+    def _learn_patience(self, now_s: float) -> None:
+        """Twice what the aggregator took to confirm an entry that was sent once: it may be slow, and get everything."""
+        if self._timed is not None and self.committed >= self._timed[0]:
+            took_s = now_s - self._timed[1]
+            self._patience_s = min(max(RESEND_AFTER_S, 2 * took_s), RESEND_AFTER_AT_MOST_S)
+            self._timed = None
 
     def resend(self) -> None:
-        """Send everything uncommitted again at the next `due`: the aggregator came back."""
+        """Send what is uncommitted again from the next `due` on: the aggregator came back."""
         if self._entries:
             self._unsent_from = self._entries[0].n
 

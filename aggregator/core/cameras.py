@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from aggregator.core.camera_clocks import CameraClocks
 from aggregator.core.coverage import Moment
 from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
@@ -23,6 +24,12 @@ LEAD_WITHIN_S = 30.0
 
 INFO_AGE_S = 3.0
 """A camera that publishes says so twice a second: then it, and not our clock, says until when its belt ran."""
+
+CLOCKS_WITHIN_S = 8.0
+"""So long the first tubers of live cameras without an encoder wait until it is known how far their clocks differ: each
+segmenter reports once a second."""
+TURNED_NS = 20_000_000
+"""Cameras' belts are laid side by side anew when their clocks moved so far against each other. 6 mm of belt."""
 
 PLACE_SLACK_M = 0.01
 ESTIMATED_SLACK_M = 0.02
@@ -107,6 +114,8 @@ class Cameras:
         self._began_s: float | None = now_s
         self._head_start_m: float | None = None
         self._encoder_m: float | None = None
+        self._clocks = CameraClocks()
+        self._laid = True
 
     @property
     def final(self) -> bool:
@@ -148,6 +157,29 @@ class Cameras:
             state.info_s = now_s
         elif info.state == "ended":
             state.info_s = math.inf
+
+    def clock(self, camera: str, camera_s: float, *, arrived_s: float) -> int | None:
+        """A live camera's clock stood at `camera_s` when a report was sent that came at `arrived_s` of ours. Returns
+        what it is ahead of the first camera's, nanoseconds, where that is news; belts are laid side by side by it.
+        """
+        reference = self.names[0]
+        if camera not in self.states:
+            return None
+        self._clocks.reported(camera, camera_s, arrived_s=arrived_s)
+        state = self.states[camera]
+        ahead_ns = 0 if camera == reference else self._clocks.ahead_ns(camera, of=reference)
+        if ahead_ns is None or abs(ahead_ns - state.sight.ahead_ns) < TURNED_NS:
+            return None
+        state.sight.ahead_ns = state.curve.ahead_ns = ahead_ns
+        return ahead_ns
+
+    def _clocks_known(self, now_s: float) -> bool:
+        """It is known how far live cameras' clocks differ, or no use to wait for it any longer."""
+        live = [name for name, state in self.states.items() if state.sight.published.live]
+        if len(live) < 2 or not self.estimated or self._clocks.known(live, of=self.names[0]):
+            return True
+        first_s = [s.first_marked_s for s in self.states.values() if s.first_marked_s is not None]
+        return not first_s or now_s - min(first_s) >= CLOCKS_WITHIN_S
 
     def began(self, began_s: float) -> None:
         """When the load began, by the clock of `now_s`: before this process joined its line, or with an earlier one."""
@@ -242,6 +274,7 @@ class Cameras:
         state = self.states[camera]
         state.marks, state.mark = list(marks), marks[-1] if marks else None
         state.sight = sight
+        state.curve.ahead_ns = sight.ahead_ns
         for captured_ns, travel_m in curve:
             state.curve.add(captured_ns, travel_m)
 
@@ -261,6 +294,8 @@ class Cameras:
         """A place of `camera`'s in terms of the line's travel, metres; None while that is not known."""
         if not estimated:
             return own_place_x_m
+        if not self._laid:
+            return None
         curves = {name: state.curve for name, state in self.states.items()}
         if self._head_start_m is None:
             self._head_start_m = head_start_m(curves, reference=self.names[0])
@@ -293,6 +328,7 @@ class Cameras:
         Cameras that ended or stalled hold no one up; where all stalled, or with `wait` false, the one that got
         farthest decides alone.
         """
+        self._laid = self._clocks_known(now_s)
         stalled = {name for name, state in self.states.items() if state.stalled(now_s, stall_s=self._stall_s)}
         for name, state in self.states.items():
             state.curve.closed = state.final or name in stalled

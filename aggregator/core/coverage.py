@@ -134,16 +134,17 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
     looked = {name: own for name, own in sights.items() if own.first_ns is not None and own.most_m is None}
     if not looked:
         return {}
-    earliest = min(looked, key=lambda name: (looked[name].first_ns or 0, name))
+    earliest = min(looked, key=lambda name: (looked[name].began_ns or 0, name))
     reference = looked[earliest]
     base = 0.0 if reference.estimated else reference.first_travel_m
     placed = {}
     for name, sight in looked.items():
         offset = sight.first_travel_m
         if sight.estimated:
-            began_ns, since_ns = sight.first_ns or 0, (sight.first_ns or 0) - (reference.first_ns or 0)
+            since_ns = (sight.began_ns or 0) - (reference.began_ns or 0)
+            then_ns = (reference.first_ns or 0) + since_ns
             same_clock = since_ns <= OTHER_CLOCK_NS
-            offset = base + (reference.s_at(began_ns) - sight.first_s if same_clock and name != earliest else 0.0)
+            offset = base + (reference.s_at(then_ns) - sight.first_s if same_clock and name != earliest else 0.0)
         length = sight.length_m
         running = not moment.over and name not in moment.away
         until_ns = None if sight.final or running else moment.until_ns.get(name)

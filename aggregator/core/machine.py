@@ -281,9 +281,10 @@ class Aggregation:
     def _settled(self) -> dict[str, int]:
         """Up to which entry of its log each camera's tracks have all gone somewhere."""
         settled = self.applied()
-        waiting = [(track.camera, track.n) for track in self._unplaced] + [(t.camera, t.n) for t in self._placed]
-        for camera, n in waiting:
-            settled[camera] = min(settled[camera], n - 1)
+        for tracks in (self._unplaced, self._placed):
+            for track in tracks:
+                if track.n <= settled[track.camera]:
+                    settled[track.camera] = track.n - 1
         return settled
 
     def _place(self) -> None:
@@ -291,6 +292,7 @@ class Aggregation:
         placed: list[PlacedTrack] = []
         suspects: list[PlacedTrack] = []
         unplaced, self._unplaced = self._unplaced, []
+        hurry_m = self._hurry_m
         for pending in unplaced:
             track = pending.track
             x_m = self.cameras.place_x_m(
@@ -306,7 +308,7 @@ class Aggregation:
                 is_late = x_m >= pending.late_from_x_m
                 seen = PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=is_late)
                 placed.append(seen)
-                if x_m >= pending.late_from_x_m - self._hurry_m:
+                if x_m >= pending.late_from_x_m - hurry_m:
                     suspects.append(seen)
         duplicates = self._late_duplicates(sorted(suspects, key=lambda track: track.order))
         for seen in placed:
@@ -345,7 +347,8 @@ class Aggregation:
 
     def _complete_tubers(self) -> tuple[list[Tuber], list[ForeignBody]]:
         """Tubers, and what is none, of the blocks that nothing can join any more, in order along the belt."""
-        certain = [track for track in self._placed if track.place_x_m >= self._watermark_x_m - self._hurry_m]
+        from_x_m = self._watermark_x_m - self._hurry_m
+        certain = [track for track in self._placed if track.place_x_m >= from_x_m]
         tubers: list[Tuber] = []
         bodies: list[ForeignBody] = []
         done: set[str] = set()

@@ -81,6 +81,13 @@ class CameraSight:
     row_x_m: float | None = None
     """Where tubers cross the camera's centre row, belt coordinates; None before one did."""
     loads_change: bool = False
+    ahead_ns: int = 0
+    """What the camera's clock is ahead of the first camera's. All times here are its own."""
+
+    @property
+    def began_ns(self) -> int | None:
+        """Its first processed frame, by the first camera's clock."""
+        return None if self.first_ns is None else self.first_ns - self.ahead_ns
 
     def crossed(self, x_m: float) -> None:
         """A tuber's centre crossed the centre row there: each one counts for a twentieth."""
@@ -230,7 +237,8 @@ class CameraSight:
 
     def plain(self) -> dict[str, Any]:
         """As JSON keeps it."""
-        values = {name: getattr(self, name) for name in self.__slots__ if name != "published"}
+        left_out = {"published"} if self.ahead_ns else {"published", "ahead_ns"}  # so that a version before reads it
+        values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}
         return {**values, "published": {name: getattr(self.published, name) for name in Published.__slots__}}
 
     @classmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -68,7 +69,7 @@ class KeptSubscriber(Generic[M]):
         self._topic = topic
         self._counters = node.counters
         self._refusals = Refusals(topic, name=topic.name, counters=node.counters, log=node.log)
-        self._values = Bounded[M](most=most, rank=ranks(topic, known=known, alive=alive))
+        self._values = Bounded[tuple[float, M]](most=most, rank=ranks(topic, known=known, alive=alive))
         self._changed = threading.Condition()
         self._version = 0
         self._seen = 0
@@ -81,7 +82,7 @@ class KeptSubscriber(Generic[M]):
         )
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        key = str(sample.key_expr)
+        key, arrived_s = str(sample.key_expr), time.monotonic()
         if node_of(self._topic, key) is None:
             self._counters.add("kept_refused_name")
             return
@@ -91,7 +92,7 @@ class KeptSubscriber(Generic[M]):
             self._refusals.refuse(key, error)
             return
         with self._changed:
-            if not self._values.put(key, message):
+            if not self._values.put(key, (arrived_s, message)):
                 self._counters.add("kept_refused_full")
                 return
             self._version += 1
@@ -99,6 +100,10 @@ class KeptSubscriber(Generic[M]):
 
     def latest(self) -> dict[str, M]:
         """Newest value by key."""
+        return {key: message for key, (_, message) in self.arrivals().items()}
+
+    def arrivals(self) -> dict[str, tuple[float, M]]:
+        """The same, each with the moment at which it came, seconds of the monotonic clock."""
         with self._changed:
             self._seen = self._version
             return self._values.all()

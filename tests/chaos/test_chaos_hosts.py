@@ -1,4 +1,4 @@
-"""Two hosts whose clocks differ, and step while the line runs: no age, no coverage and no total knows of it."""
+"""Hosts whose clocks differ, and step while the line runs: no age, no coverage and no total knows of it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from conveyor.config import dump_toml, parse_config
+from aggregator.ledger.writer import Ledger
+from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.observer import observer_when_there
 from tests.chaos.harness import DisturbedLine
 from tuberline.processes import line_processes
 from tuberline.replayer import free_port
-from tuberline.supervisor import Supervisor
+from tuberline.supervisor import ProcessSpec, Supervisor
 
 SOURCE = Path(__file__).parent / "clock" / "ahead.c"
 COMPILER = shutil.which("cc")
@@ -62,6 +63,24 @@ def without_encoder(recording: Path, out: Path) -> Path:
     return out
 
 
+def a_line(folder: Path, recording: Path, starts_at_s: dict[str, float]) -> tuple[LineConfig, list[ProcessSpec]]:
+    """A live line whose cameras all play the one camera of `recording`, each from a moment of its own host's clock."""
+    played = {"path": str(recording), "camera": "front", "waits": False, "speed": SPEED}
+    config = parse_config(
+        {
+            "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
+            "cameras": {name: {**played, "starts_at_s": at_s} for name, at_s in starts_at_s.items()},
+            "segmenter": {"state_dir": str(folder / "state"), "max_age_ms": 2000.0},
+            "regressor": {"processes": 1, "state_dir": str(folder / "weights")},
+            "aggregator": {"out": str(folder / "run"), "exit_when_final": True},
+        },
+        where="of this test",
+    )
+    file = folder / "line.toml"
+    file.write_text(dump_toml(config))
+    return config, line_processes(config, config_path=file, run="hosts")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ahead_s", "steps_s"),
@@ -76,20 +95,7 @@ def test_a_camera_host_with_another_clock(
 ) -> None:
     """The camera says of itself what time its frames have: an hour more than its log's would be an hour of belt."""
     recording = without_encoder(live_recording, tmp_path / "recording")
-    camera = {"path": str(recording), "waits": False, "speed": SPEED, "starts_at_s": time.time() + ahead_s + STARTS_S}
-    config = parse_config(
-        {
-            "link": {"router": f"tcp/127.0.0.1:{free_port()}"},
-            "cameras": {"front": camera},
-            "segmenter": {"state_dir": str(tmp_path / "state"), "max_age_ms": 2000.0},
-            "regressor": {"processes": 1, "state_dir": str(tmp_path / "weights")},
-            "aggregator": {"out": str(tmp_path / "run"), "exit_when_final": True},
-        },
-        where="of this test",
-    )
-    file = tmp_path / "line.toml"
-    file.write_text(dump_toml(config))
-    specs = line_processes(config, config_path=file, run="hosts")
+    config, specs = a_line(tmp_path, recording, {"front": time.time() + ahead_s + STARTS_S})
     there = [spec for spec in specs if spec.args[0] in ("camera", "segmenter")]
     clock = Clock(tmp_path, ahead_s=ahead_s)
     with ExitStack() as stack:
@@ -116,3 +122,32 @@ def test_a_camera_host_with_another_clock(
     assert summary["belt_m"] < 10.0, "an hour of belt that never ran"
     assert sheet["unseen_m"].pop("before_first_frame") > 0, "the line had begun before its camera"
     assert sum(sheet["unseen_m"].values()) / summary["belt_m"] == pytest.approx(1 - share, abs=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ahead_s", [-2.0, 3600.0])
+def test_two_camera_hosts_whose_clocks_differ(ahead_s: float, live_recording: Path, tmp_path: Path) -> None:
+    """Two cameras see the same belt: laid side by side by clocks 2 s apart, every tuber would be two."""
+    recording = without_encoder(live_recording, tmp_path / "recording")
+    starts_s = time.time() + STARTS_S
+    config, specs = a_line(tmp_path, recording, {"front": starts_s, "other": starts_s + ahead_s})
+    there = [spec for spec in specs if spec.name in ("camera-other", "segmenter-other")]
+    assert len(there) == 2
+    with ExitStack() as stack:
+        here = stack.enter_context(Supervisor([s for s in specs if s not in there], log_dir=tmp_path / "logs"))
+        with Clock(tmp_path, ahead_s=ahead_s):
+            host = stack.enter_context(Supervisor(there, log_dir=tmp_path / "logs"))
+        observer = stack.enter_context(observer_when_there(config.link, line=config.name, meanwhile=here.poll))
+        line = DisturbedLine(here, observer)
+        line.wait(lambda: here.finished("aggregator"), what="the summary", timeout_s=200)
+        assert {*host.restarts.values(), *here.restarts.values()} == {0}
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    true = len(json.loads((live_recording / "truth.json").read_text())["tubers"])
+    with Ledger(tmp_path / "run" / "ledger.db") as ledger:
+        tubers = list(ledger.tubers("hosts"))
+    by_both = sum(len(tuber.cameras) == 2 for tuber in tubers)
+    assert f"{ahead_s:+.2f}"[:4] in (tmp_path / "logs" / "aggregator.log").read_text()
+    assert summary["balanced"]
+    assert len(tubers) <= true + 2, f"{len(tubers)} tubers of {true}, {by_both} seen by both"
+    assert by_both >= 0.8 * len(tubers) > 0
+    assert summary["belt_m"] < 10.0

@@ -5,6 +5,7 @@ A live line on a virtual clock: tubers, regressors, their pace and the length of
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -106,3 +107,24 @@ def test_frames_are_left_out_only_when_tubers_wait_for_their_first_view() -> Non
     assert calm.run.frames.dropped == {}
     assert flooded.run.frames.dropped["overload"] > 0.5 * flooded.frames
     assert 0.01 < flooded.belt.longest_step_m <= 0.0601
+
+
+@pytest.mark.parametrize("lives", [True, False])
+def test_frames_are_left_out_only_when_a_living_aggregator_does_not_keep_up(
+    lives: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is away, and comes back, costs no frame; what one that is too slow is sent has a limit."""
+    monkeypatch.setattr("segmenter.camera_run.MOST_BEHIND", 200)
+    line = FloodedLine(per_s=15.0, takes_s=0.01, workers=1, turn_s=1 / 30, confirms_per_s=0.0)
+    line.run.aggregator_lives = lives
+    line.run_for(40.0)
+    balanced(line)
+    if lives:
+        assert 200 < line.run.log.uncommitted <= 250
+        assert line.run.frames.dropped["overload"] > 0.5 * line.frames
+    else:
+        assert line.run.log.uncommitted > 600
+        assert line.run.frames.dropped == {}
+    line.confirms_per_s, left_out = math.inf, line.run.frames.dropped["overload"]
+    line.run_for(1.0)
+    assert line.run.frames.dropped["overload"] <= left_out + 1

@@ -121,6 +121,8 @@ class FloodedLine:
     turn_s: float
     settings: RunSettings = LIVE
     refuse_first: bool = False
+    confirms_per_s: float = math.inf
+    """Log entries that the aggregator takes."""
     now_s: float = 0.0
     frames: int = 0
     asleep_until_s: float = 0.0
@@ -159,7 +161,7 @@ class FloodedLine:
             if entry.track is not None:
                 self.logged.append(entry.track)
                 self.latest_log_s = max(self.latest_log_s, self.now_s - entry.track.crossed_ns / 1e9)
-        self.run.log.commit(self.run.log.newest)
+        self.run.log.commit(round(min(self.run.log.newest, self.confirms_per_s * self.now_s)))
 
     def run_for(self, seconds: float) -> None:
         """Let that much of the virtual clock pass."""

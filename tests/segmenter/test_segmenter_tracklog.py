@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import zlib
+from collections import deque
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from conveyor.messages import Committed, Mark, Track, TrackEntry
 from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
 from segmenter.old_log import MAGIC, read_old_log
-from segmenter.tracklog import TrackLog
+from segmenter.tracklog import UNDER_WAY_AT_MOST, TrackLog
 from tests.conftest import wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -230,6 +231,24 @@ def test_what_is_not_confirmed_is_sent_again_and_again_more_slowly() -> None:
         assert [entry.n for entry in log.due(3.1)] == [2]
         log.commit(2)
         assert log.due(60.0) == []
+
+
+def test_a_slow_aggregator_is_not_sent_a_long_log_again_and_again() -> None:
+    """Under overload it got 6000 entries from each of six cameras every few seconds, and confirmed nothing any more."""
+    with TrackLog(None, camera="front", run="r1") as log:
+        log.append([track(n) for n in range(1, 6001)])
+        held, sent, now_s = deque[int](), 0, 0.0
+        while log.uncommitted and now_s < 300:
+            due = [entry.n for entry in log.due(now_s)]
+            assert all(n <= log.committed + UNDER_WAY_AT_MOST for n in due)
+            held.extend(due)
+            sent += len(due)
+            if round(now_s * 10) % 30 == 29:  # it takes 120 entries a second and confirms them every 3 s
+                taken = [held.popleft() for _ in range(min(360, len(held)))]
+                log.commit(max(taken, default=0))
+            now_s += 0.1
+        assert log.uncommitted == 0, f"stuck at {log.committed} after {sent} entries"
+        assert sent <= 1.3 * 6000
 
 
 def test_numbers_go_on_after_what_the_aggregator_already_holds() -> None:
