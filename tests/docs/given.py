@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -81,7 +82,6 @@ def two_lines(stage: Stage) -> None:
     """north.toml and south.toml, at one router."""
     for name in ("north", "south"):
         (stage.clone / f"{name}.toml").write_text(line_toml(stage, name), encoding="utf-8")
-    stage.words["tcp/10.0.0.1:7447"] = stage.router
 
 
 def router(stage: Stage) -> None:
@@ -117,14 +117,11 @@ def contract(stage: Stage) -> None:
 
 
 def today(stage: Stage) -> None:
-    """The page names a day; the runs here are of the recording's."""
-    truth = json.loads((stage.clone / "runs" / "monday" / "summary.json").read_text(encoding="utf-8"))
-    stage.words["2026-11-22"] = str(truth.get("day") or _day(stage))
-
-
-def _day(stage: Stage) -> str:
-    frames = (stage.clone / "recordings" / "monday" / "front" / "frames.csv").read_text(encoding="utf-8").splitlines()
-    return time.strftime("%Y-%m-%d", time.localtime(int(frames[1].split(",")[1]) / 1e9))
+    """The page names a day; a replayed run's is the one on which it was replayed."""
+    ledger = sqlite3.connect(stage.clone / "runs" / "monday" / "ledger.db")
+    ((started_ns,),) = ledger.execute("SELECT started_ns FROM run")
+    ledger.close()
+    stage.words["2026-11-22"] = time.strftime("%Y-%m-%d", time.localtime(started_ns / 1e9))
 
 
 def cloud(stage: Stage) -> None:
