@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -66,10 +67,14 @@ def run_today(stage: Stage) -> None:
 
 
 def _copy_of_run(stage: Stage, name: str) -> None:
+    """A run that all pages share, of this page's own recording."""
     made = stage.clone.parent.parent / "run-of-pages"
     if not (made / "summary.json").is_file():
         stage.type(f"tuberline replay recordings/monday --out {made} --regressors 1")
     shutil.copytree(made, stage.clone / "runs" / name)
+    line = stage.clone / "runs" / name / "line.toml"
+    own = f'path = "{stage.clone}/recordings/monday"'
+    line.write_text(re.sub(r'path = ".*/recordings/monday"', own, line.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def line_file(stage: Stage) -> None:
