@@ -111,6 +111,7 @@ def bucket(stage: Stage) -> None:
         "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
         "--first 12 --last 61": f"--first 1 --last {len(truth)}",
+        "--from-x -1.5 --to-x -9.0": "--from-x 9.0 --to-x -9.0",
     }
 
 
