@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -65,10 +67,14 @@ def run_today(stage: Stage) -> None:
 
 
 def _copy_of_run(stage: Stage, name: str) -> None:
+    """A run that all pages share, of this page's own recording."""
     made = stage.clone.parent.parent / "run-of-pages"
     if not (made / "summary.json").is_file():
         stage.type(f"tuberline replay recordings/monday --out {made} --regressors 1")
     shutil.copytree(made, stage.clone / "runs" / name)
+    line = stage.clone / "runs" / name / "line.toml"
+    own = f'path = "{stage.clone}/recordings/monday"'
+    line.write_text(re.sub(r'path = ".*/recordings/monday"', own, line.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def line_file(stage: Stage) -> None:
@@ -81,7 +87,6 @@ def two_lines(stage: Stage) -> None:
     """north.toml and south.toml, at one router."""
     for name in ("north", "south"):
         (stage.clone / f"{name}.toml").write_text(line_toml(stage, name), encoding="utf-8")
-    stage.words["tcp/10.0.0.1:7447"] = stage.router
 
 
 def router(stage: Stage) -> None:
@@ -106,6 +111,7 @@ def bucket(stage: Stage) -> None:
         "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
         "--first 12 --last 61": f"--first 1 --last {len(truth)}",
+        "--from-x -1.5 --to-x -9.0": "--from-x 9.0 --to-x -9.0",
     }
 
 
@@ -117,14 +123,11 @@ def contract(stage: Stage) -> None:
 
 
 def today(stage: Stage) -> None:
-    """The page names a day; the runs here are of the recording's."""
-    truth = json.loads((stage.clone / "runs" / "monday" / "summary.json").read_text(encoding="utf-8"))
-    stage.words["2026-11-22"] = str(truth.get("day") or _day(stage))
-
-
-def _day(stage: Stage) -> str:
-    frames = (stage.clone / "recordings" / "monday" / "front" / "frames.csv").read_text(encoding="utf-8").splitlines()
-    return time.strftime("%Y-%m-%d", time.localtime(int(frames[1].split(",")[1]) / 1e9))
+    """The page names a day; a replayed run's is the one on which it was replayed."""
+    ledger = sqlite3.connect(stage.clone / "runs" / "monday" / "ledger.db")
+    ((started_ns,),) = ledger.execute("SELECT started_ns FROM run")
+    ledger.close()
+    stage.words["2026-11-22"] = time.strftime("%Y-%m-%d", time.localtime(started_ns / 1e9))
 
 
 def cloud(stage: Stage) -> None:

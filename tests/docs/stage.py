@@ -14,7 +14,7 @@ from tests.walks.walk import Walk
 
 STAYS_S = {"page": 5, "viewer": 8, "watch": 8, "top": 5, "recorder": 12, "regressor": 5}
 """Commands that go on until Ctrl-C, which comes after so many seconds; `run` goes on to the end of its page."""
-SPEAKS_S = 120
+SPEAKS_S = 300
 """The first word of such a command comes within this time on a busy machine."""
 READY = {"run": ("segmenter/front: started", "regressor/r1: started", "aggregator: started")}
 """What a line has said when others may ask it."""
@@ -27,7 +27,7 @@ class Stage(Walk):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        self.words: dict[str, str] = {}
+        self.words = {"tcp/10.0.0.1:7447": self.router}
         self._running: list[tuple[str, Path, subprocess.Popen[str]]] = []
         self._make_nothing()
 

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from conveyor.config import load_config
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
+from tuberline.cli.run import summarise_late
 from tuberline.replayer import free_port
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
@@ -74,6 +76,20 @@ def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_le
     (tmp_path / "run" / "summary.json").unlink()
     assert "of run monday" in tuberline("ledger", "summary", "--config", config).stdout
     assert json.loads(before)["totals"] == json.loads((tmp_path / "run" / "summary.json").read_text())["totals"]
+
+
+def test_the_summary_of_a_run_that_was_final_long_ago_is_left_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C some seconds after a recording's end was told that the aggregator had been down."""
+    line = load_config(line_file(tmp_path, tmp_path / "belt"))
+    summary = tmp_path / "run" / "summary.json"
+    summary.parent.mkdir()
+    for text, told in (('{"run": "monday", "final": true}', False), ('{"run": "monday", "final": false}', True)):
+        summary.write_text(text)
+        os.utime(summary, (1, 1))
+        summarise_late(line, "monday", stopped_s=100.0)
+        assert ("was down" in capsys.readouterr().err) == told
 
 
 def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_path: Path) -> None:

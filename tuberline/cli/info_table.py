@@ -4,23 +4,25 @@ from __future__ import annotations
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from conveyor.formats.inspection import CameraReport, RecordingReport
 
 
 def print_report(report: RecordingReport) -> None:
     """One column per camera, warnings below, on stdout."""
-    table = Table(title=f"{report.path} ({report.kind})", title_justify="left")
-    table.add_column("")
+    table = Table("")
     for camera in report.cameras:
-        table.add_column(camera.name)
+        table.add_column(Text(camera.name))
     for label, *values in zip(_LABELS, *(_values(camera) for camera in report.cameras), strict=True):
         table.add_row(label, *values)
     console = Console()
+    # As it is: not cut to the table's width, and brackets in a name are no markup.
+    console.print(Text(f"{report.path} ({report.kind})"), soft_wrap=True)
     console.print(table)
     for camera in report.cameras:
         for warning in camera.warnings:
-            console.print(f"warning: camera '{camera.name}': {warning}", highlight=False, soft_wrap=True)
+            console.print(Text(f"warning: camera '{camera.name}': {warning}"), soft_wrap=True)
 
 
 _LABELS = (

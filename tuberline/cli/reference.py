@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from cyclopts import App
+
 from tuberline.cli import build_app
 from tuberline.cli.api_page import api_page, shown
 from tuberline.cli.config_page import config_page
@@ -50,6 +52,18 @@ def _commands() -> str:
     """
     program, sys.argv = sys.argv, ["tuberline"]
     try:
-        return shown(build_app(all_listed=True).generate_docs(output_format="markdown").rstrip())
+        app = build_app(all_listed=True)
+        _inherit(app)
+        return shown(app.generate_docs(output_format="markdown").rstrip())
     finally:
         sys.argv = program
+
+
+def _inherit(app: App) -> None:
+    """What commands take over from their app when they run, Cyclopts forgets for the page of commands within commands:
+    a flag that is off needs no second one.
+    """
+    for name in app:
+        if not name.startswith("-"):
+            app[name].default_parameter = app[name].default_parameter or app.default_parameter
+            _inherit(app[name])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
 import threading
@@ -73,7 +74,7 @@ def summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
 
     out = line.aggregator.out
     summary = out / "summary.json"
-    if summary.is_file() and summary.stat().st_mtime >= stopped_s - CLOCK_SLACK_S:
+    if summary.is_file() and (summary.stat().st_mtime >= stopped_s - CLOCK_SLACK_S or _is_final(summary, run)):
         return
     told = f"tuberline: the aggregator of run {run} was down when the line was stopped: "
     try:
@@ -84,6 +85,15 @@ def summarise_late(line: LineConfig, run: str, stopped_s: float) -> None:
     except TuberlineError as error:
         told += f"there is no summary: {error}"
     sys.stderr.write(f"{told}; `tuberline run --run {run}` goes on with it\n")
+
+
+def _is_final(summary: Path, run: str) -> bool:
+    """Whether it tells of this run, and that all of it is counted: it was written then, however long ago."""
+    try:
+        told = json.loads(summary.read_text(encoding="utf-8"))
+        return told["run"] == run and bool(told["final"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def raise_if_pointless(supervisor: Supervisor) -> None:
