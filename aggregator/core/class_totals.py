@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from typing import Literal
+
+import numpy as np
 
 from aggregator.calibration.apply import CAMERA, RESTING
 from aggregator.core.size_classes import Share, class_shares, interval
@@ -21,14 +25,71 @@ def class_totals(load: LoadTotals, contract: Contract) -> tuple[ClassTotal, ...]
     Tubers without a size are taken to be like the others, as far as one may know that. What tickets say of the weights
     they say of the sizes.
     """
-    bins = load.sums.sizes.bins[contract.measure]
-    sized = sum(found.count for found in bins.values())
-    if not sized:
+    return classes_together([load], contract)
+
+
+def classes_together(
+    loads: Sequence[LoadTotals], contract: Contract, *, whole: Sequence[float] | None = None
+) -> tuple[ClassTotal, ...]:
+    """The classes of several loads together, each calibrated by its own tickets; their errors in common do not shrink.
+
+    Args:
+        whole: by what the weight of each is multiplied for belt that was not seen; default: 1.
+    """
+    known = [
+        (load, times, _shares(load, contract))
+        for load, times in zip(loads, whole or [1.0] * len(loads), strict=True)
+        if load.sums.sizes.bins[contract.measure]
+    ]
+    if not known:
         return ()
-    unsized = 1 - sized / load.sums.count
+    count = sum(load.sums.count for load in loads)
+    sized = sum(found.count for load, _, _ in known for found in load.sums.sizes.bins[contract.measure].values())
+    counts = [float(load.sums.count) for load, _, _ in known]
+    grams = [times * load.weight_g for load, times, _ in known]
+    seen = _Seen(
+        count=count,
+        unsized=1 - sized / count,
+        weight_g=sum(load.weight_g for load in loads),
+        low_g=sum(load.interval_g()[0] for load in loads),
+        high_g=sum(load.interval_g()[1] for load in loads),
+    )
+    return tuple(
+        _total(seen, each, _mean([shares[k] for _, _, shares in known], counts, grams))
+        for k, each in enumerate(contract.classes)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What passed: tubers, the share of them without a size, and their weight with its interval."""
+
+    count: int
+    unsized: float
+    weight_g: float
+    low_g: float
+    high_g: float
+
+
+def _shares(load: LoadTotals, contract: Contract) -> list[Share]:
+    bins = load.sums.sizes.bins[contract.measure]
     ratio, sd = _weight_known(load)
-    shares = class_shares(bins, contract.classes, measure=contract.measure, weight_ratio=ratio, weight_sd=sd)
-    return tuple(_total(load, each, share, unsized) for each, share in zip(contract.classes, shares, strict=True))
+    return class_shares(bins, contract.classes, measure=contract.measure, weight_ratio=ratio, weight_sd=sd)
+
+
+def _mean(shares: Sequence[Share], counts: Sequence[float], grams: Sequence[float]) -> Share:
+    """One class in loads of so many tubers and grams: what single tubers are off by is independent, the rest is not."""
+    of_count = np.array(counts) / sum(counts)
+    of_weight = np.array(grams) / sum(grams) if sum(grams) > 0 else of_count
+    rows = np.array([astuple(share) for share in shares]).T
+    return Share(
+        count=float(of_count @ rows[0]),
+        count_own=float(np.linalg.norm(of_count * rows[1])),
+        count_moved=float(of_count @ rows[2]),
+        weight=float(of_weight @ rows[3]),
+        weight_own=float(np.linalg.norm(of_weight * rows[4])),
+        weight_moved=float(of_weight @ rows[5]),
+    )
 
 
 def _weight_known(load: LoadTotals) -> tuple[float, float]:
@@ -44,15 +105,14 @@ def _weight_known(load: LoadTotals) -> tuple[float, float]:
     return seen.weight_g / max(tubers_g, 0.5 * raw_g), sd
 
 
-def _total(load: LoadTotals, each: SizeClass, share: Share, unsized: float) -> ClassTotal:
-    count_sd = math.hypot(share.count_sd, unsized * math.sqrt(share.count * (1 - share.count)))
-    weight_sd = math.hypot(share.weight_sd, unsized * math.sqrt(share.weight * (1 - share.weight)))
+def _total(seen: _Seen, each: SizeClass, share: Share) -> ClassTotal:
+    count_sd = math.hypot(share.count_sd, seen.unsized * math.sqrt(share.count * (1 - share.count)))
+    weight_sd = math.hypot(share.weight_sd, seen.unsized * math.sqrt(share.weight * (1 - share.weight)))
     count_low, count_high = interval(share.count, count_sd)
     low, high = interval(share.weight, weight_sd)
-    count, weight_g = load.sums.count, load.weight_g
-    low_g, high_g = load.interval_g()
-    below_g = math.hypot(NORMAL_90 * weight_sd * weight_g, share.weight * (weight_g - low_g))
-    above_g = math.hypot(NORMAL_90 * weight_sd * weight_g, share.weight * (high_g - weight_g))
+    count, weight_g = seen.count, seen.weight_g
+    below_g = math.hypot(NORMAL_90 * weight_sd * weight_g, share.weight * (weight_g - seen.low_g))
+    above_g = math.hypot(NORMAL_90 * weight_sd * weight_g, share.weight * (seen.high_g - weight_g))
     return ClassTotal(
         name=each.name,
         from_mm=each.low_mm,

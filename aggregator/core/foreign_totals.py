@@ -20,8 +20,12 @@ VOLUME_SD = 0.15
 """Of a load's foreign weight: standard deviation of filling, density and of what is clod and what is stone."""
 
 
-def foreign_total(load: LoadTotals, densities: ForeignConfig) -> ForeignTotal | None:
-    """What of a load is no tuber; None where there are neither tubers nor others."""
+def foreign_total(load: LoadTotals, densities: ForeignConfig, *, weight_g: float | None = None) -> ForeignTotal | None:
+    """What of a load is no tuber; None where there are neither tubers nor others.
+
+    `weight_g`: of all that was taken for tubers, where it is known better than `load` has it: of several loads, each by
+    its own tickets.
+    """
     found, tubers = load.sums.foreign, load.sums.count
     if not tubers and not found.count:
         return None
@@ -35,10 +39,10 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig) -> ForeignTotal | 
     lump_ml = found.bodies.get("lump", [0, 0.0])[1] - doubt.spared_ml
     # What was taken for a tuber and is a clod weighs by its volume too: its grams say that volume.
     hidden_g = doubt.hidden_g * lump_g_ml / TUBER_G_ML
-    weight_g = max(0.0, FILLED * (lump_ml * lump_g_ml + haulm_ml * densities.haulm_density) + hidden_g)
-    half_g = NORMAL_90 * math.hypot(VOLUME_SD * weight_g, count_sd * weight_g / max(count, 1.0))
-    tubers_g = max(0.0, load.weight_g - doubt.hidden_g)
-    low_g, high_g = max(0.0, weight_g - half_g), weight_g + half_g
+    foreign_g = max(0.0, FILLED * (lump_ml * lump_g_ml + haulm_ml * densities.haulm_density) + hidden_g)
+    half_g = NORMAL_90 * math.hypot(VOLUME_SD * foreign_g, count_sd * foreign_g / max(count, 1.0))
+    tubers_g = max(0.0, (load.weight_g if weight_g is None else weight_g) - doubt.hidden_g)
+    low_g, high_g = max(0.0, foreign_g - half_g), foreign_g + half_g
     return ForeignTotal(
         count=count,
         count_low=low,
@@ -46,10 +50,10 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig) -> ForeignTotal | 
         percent=100 * count / total,
         percent_low=100 * low / total,
         percent_high=100 * high / total,
-        weight_g=weight_g,
+        weight_g=foreign_g,
         low_g=low_g,
         high_g=high_g,
-        weight_percent=_percent(weight_g, tubers_g),
+        weight_percent=_percent(foreign_g, tubers_g),
         weight_percent_low=_percent(low_g, tubers_g),
         weight_percent_high=_percent(high_g, tubers_g),
         kinds={kind: own[0] for kind, own in sorted(found.bodies.items())},

@@ -39,12 +39,28 @@ LEAST_SD_MM = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """What of a load's sized tubers is of one class: shares of their number and of their weight, each with its sd."""
+    """What of a load's sized tubers is of one class: shares of their number and of their weight.
+
+    `own`: standard deviation by single tubers. `moved`: what is won (below zero: lost) were all sizes larger by one
+    standard deviation of what a recording shares.
+    """
 
     count: float
-    count_sd: float
+    count_own: float
+    count_moved: float
     weight: float
-    weight_sd: float
+    weight_own: float
+    weight_moved: float
+
+    @property
+    def count_sd(self) -> float:
+        """Standard deviation of the share of the number."""
+        return math.hypot(self.count_own, self.count_moved)
+
+    @property
+    def weight_sd(self) -> float:
+        """Standard deviation of the share of the weight."""
+        return math.hypot(self.weight_own, self.weight_moved)
 
 
 def class_shares(
@@ -62,7 +78,7 @@ def class_shares(
         weight_sd: what of their weights they may still all be off by, standard deviation as a share.
     """
     if not bins:
-        return [Share(0.0, 0.0, 0.0, 0.0) for _ in classes]
+        return [Share(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in classes]
     counts, grams, squares_g2, sd_mm = _arrays(bins)
     at_mm = np.asarray(np.arange(BINS) + 0.5, np.float64)
     density = _unfolded(counts, sd_mm, at_mm)
@@ -76,13 +92,15 @@ def class_shares(
         p = found[:, k]
         # One tuber more or less is never sure, however few an estimate puts near an edge.
         own = 1.0 + float(counts @ (p * (1 - p))), float((squares_g2 @ (p * (1 - p))) + squares_g2.sum() / total)
-        apart = [abs(float(per @ (moved[1][:, k] - moved[0][:, k]))) / 2 for per in (counts, grams)]
+        apart = [float(per @ (moved[1][:, k] - moved[0][:, k])) / 2 for per in (counts, grams)]
         shares.append(
             Share(
                 count=float(counts @ p / total),
-                count_sd=math.hypot(math.sqrt(own[0]), apart[0]) / float(total),
+                count_own=math.sqrt(own[0]) / float(total),
+                count_moved=apart[0] / float(total),
                 weight=float(grams @ p / total_g) if total_g else 0.0,
-                weight_sd=math.hypot(math.sqrt(own[1]), apart[1]) / float(total_g) if total_g else 0.0,
+                weight_own=math.sqrt(own[1]) / float(total_g) if total_g else 0.0,
+                weight_moved=apart[1] / float(total_g) if total_g else 0.0,
             )
         )
     return shares

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aggregator.core.class_totals import class_totals
+from aggregator.calibration.apply import CAMERA, RESTING
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.size_classes import SHARED_SD, class_shares
 from aggregator.core.size_fusion import fuse_sizes
@@ -123,6 +125,35 @@ def test_a_load_without_sizes_has_no_classes_and_one_with_some_says_so_in_its_in
     ware = class_totals(LoadTotals(half), wanted)[1]
     assert ware.count == pytest.approx(75, abs=8)
     assert ware.count_high - ware.count_low > 30
+
+
+def test_loads_add_up_each_by_its_own_ticket_and_what_they_share_does_not_shrink(tmp_path: Path) -> None:
+    rng, wanted = np.random.default_rng(SEED), contract(tmp_path)
+    sums, _ = drawn(rng, 300, mean=50.0, spread=5.0, error=1.0)
+    heavy = [Ticket(f"r{n}", "m", 1.1e6, 1000.0, 1e6, 3000.0, 1.0) for n in range(5)]
+    bare, weighed = LoadTotals(sums), LoadTotals(sums, heavy)
+    alone = class_totals(bare, wanted)
+    assert classes_together([bare] * 9, wanted)[1].percent == pytest.approx(alone[1].percent)
+    one, nine = (classes_together([bare] * n, wanted)[0] for n in (1, 9))
+    assert one == alone[0]
+    shared = 164.4 * abs(_moved(sums, wanted))
+    assert shared <= nine.percent_high - nine.percent < one.percent_high - one.percent
+    # Two loads of other tickets: their shares by their kilograms, belt that was not seen with them.
+    both, corrected = classes_together([bare, weighed], wanted, whole=[1.0, 2.0]), class_totals(weighed, wanted)
+    assert corrected[2].percent > alone[2].percent + 2, "a scale that says more makes all of them larger"
+    kg = np.array([bare.weight_g, 2 * weighed.weight_g])
+    for k, told in enumerate(both):
+        assert told.percent == pytest.approx(kg @ [alone[k].percent, corrected[k].percent] / kg.sum())
+    unsized = LoadSums(50.0)
+    unsized.add(replace(tuber(1, 50.0, 100.0), sizes=None))
+    assert classes_together([LoadTotals(unsized)], wanted) == ()
+
+
+def _moved(sums: LoadSums, wanted: Contract) -> float:
+    """Share of weight that the first class loses where all sizes are larger by what a recording shares."""
+    ratio_sd = LoadTotals(sums).calibrated()
+    sd = np.hypot(ratio_sd.parts_g[RESTING], ratio_sd.parts_g[CAMERA]) / ratio_sd.weight_g
+    return class_shares(sums.sizes.bins["mesh"], wanted.classes, measure="mesh", weight_sd=float(sd))[0].weight_moved
 
 
 def test_sums_come_back_with_their_sizes_and_add_up(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from aggregator.core.class_totals import class_totals
+from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
@@ -107,7 +107,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
     whole = LoadSums(loads[0].one.totals.sums.histogram_step_g)
     for load in loads:
         whole.take(load.one.totals.sums)
-    together = LoadTotals(whole)
+    ones = [load.one for load in loads]
     return DayFacts(
         days=tuple(sorted({load.labels["day"] for load in loads})),
         loads=tuple(_load(load, chosen, densities) for load in loads),
@@ -115,8 +115,8 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         by_field=tuple(grouped(loads, "field")),
         by_variety=tuple(grouped(loads, "variety")),
         contract=chosen,
-        classes=class_totals(together, chosen),
-        foreign=foreign_total(together, densities),
+        classes=classes_together([one.totals for one in ones], chosen, whole=[one.whole for one in ones]),
+        foreign=foreign_total(LoadTotals(whole), densities, weight_g=sum(one.totals.weight_g for one in ones)),
         calibrated_by=tuple(dict.fromkeys(filter(None, (load.one.totals.calibrated().told for load in loads)))),
         camera_doubt=whole.camera_doubt(),
         late=whole.late,
