@@ -37,11 +37,12 @@ from conveyor.config import LinkConfig
 from conveyor.counters import CounterSet
 from conveyor.delivery import LatestPublisher, LatestSubscriber
 from conveyor.direct import DirectLink
+from conveyor.frame_ring import IN_MEMORY, RingInlet, RingOutlet, ring_path
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 from conveyor.session import open_client, open_router
 
-WAYS = ("by the router", "direct, unix socket", "direct, tcp", "zmq ipc")
+WAYS = ("by the router", "direct, shared memory", "direct, unix socket", "direct, tcp", "zmq ipc")
 WAIT_S = 20.0
 CAMERA = "front"
 
@@ -77,9 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def measured(way: str, options: argparse.Namespace) -> dict[str, float]:
     """Milliseconds per frame, CPU milliseconds per frame by process, and how many arrived."""
-    folder = tempfile.mkdtemp(prefix="tuberline-")
+    folder = tempfile.mkdtemp(prefix="tuberline-", dir=IN_MEMORY if "memory" in way else None)
     endpoint = (
-        f"unixsock-stream/{folder}/f.sock" if "unix" in way else f"ipc://{folder}/f.ipc" if "zmq" in way else _tcp()
+        f"unixsock-stream/{folder}/f.sock"
+        if "unix" in way or "memory" in way
+        else f"ipc://{folder}/f.ipc"
+        if "zmq" in way
+        else _tcp()
     )
     try:
         with contextlib.ExitStack() as stack:
@@ -158,7 +163,15 @@ def _sender(way: str, endpoint: str) -> Iterator[Any]:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no one listens {way}")
             time.sleep(0.01)
-        yield publisher.put
+        path = ring_path(endpoint) if "memory" in way else None
+        if path is None:
+            yield publisher.put
+            return
+        ring = RingOutlet(End(session), path, camera=CAMERA)
+        while not ring.has_reader and time.monotonic() < deadline:
+            time.sleep(0.01)
+        yield lambda frame: ring.put(frame.encode())
+        ring.close()
 
 
 def _receive(way: str, endpoint: str, *, frames: int) -> None:
@@ -174,6 +187,8 @@ def _receive(way: str, endpoint: str, *, frames: int) -> None:
     else:
         with _session(way, endpoint, LinkConfig(router=_router_of(endpoint)), listens=True) as session:
             inbox = LatestSubscriber(End(session), topics.FRAME, Frame, capacity=3, camera=CAMERA)
+            path = ring_path(endpoint) if "memory" in way else None
+            _inlet = RingInlet(End(session), path, inbox, camera=CAMERA) if path else None
             deadline = time.monotonic() + WAIT_S
             while len(took_ms) < frames and time.monotonic() < deadline:
                 if (frame := inbox.get(0.5)) is not None:

@@ -11,6 +11,7 @@ from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery import LatestPublisher
 from conveyor.direct import DirectLink, direct_endpoint
+from conveyor.frame_ring import MOST_SLOTS, SLOTS, RingOutlet, ring_path
 from conveyor.messages import Frame
 from conveyor.node import Node
 
@@ -21,7 +22,8 @@ class FrameOutlet:
     """Publishes frames, each encoded once. A context manager.
 
     With a direct link the router sees a frame only while somebody beyond listens: viewer, recorder. Counters:
-    `frames_direct`, `frames_by_router`: how many went which way.
+    `frames_direct`, `frames_by_router`: how many went which way; `frames_in_memory`: of the direct ones, those that the
+    link told of and shared memory held.
     """
 
     def __init__(self, node: Node, config: LineConfig, *, codec: str) -> None:
@@ -33,10 +35,15 @@ class FrameOutlet:
         self._by_router = LatestPublisher(node, topics.FRAME, camera=node.name)
         endpoint = self._endpoint = direct_endpoint(config.camera(node.name), node.name)
         self._direct: LatestPublisher | None = None
+        self._ring: RingOutlet | None = None
         if endpoint is not None:
             link = self._stack.enter_context(DirectLink.open(node, endpoint, link=config.link, listens=False))
             self._direct = LatestPublisher(link, topics.FRAME, camera=node.name)
-        for counter in ("frames_direct", "frames_by_router"):
+            path, slots = ring_path(endpoint), max(SLOTS, config.camera(node.name).window + 2)
+            if path is not None and slots <= MOST_SLOTS:
+                self._ring = RingOutlet(link, path, camera=node.name, slots=slots)
+                self._stack.callback(self._ring.close)
+        for counter in ("frames_direct", "frames_in_memory", "frames_by_router"):
             node.counters.add(counter, 0)
 
     def __enter__(self) -> Self:
@@ -74,7 +81,10 @@ class FrameOutlet:
             return
         data = frame.encode(codec=self._codec)
         if self._direct is not None and to_direct:
-            self._direct.put_encoded(data)
+            if self._ring is not None and self._ring.put(data):
+                self._counters.add("frames_in_memory")
+            else:
+                self._direct.put_encoded(data)
             self._counters.add("frames_direct")
         if to_router:
             self._by_router.put_encoded(data)

@@ -62,7 +62,7 @@ class CameraConfig(Section):
         "auto",
         pattern=r"^(auto|off|unixsock-stream/.+|tcp/(127\.0\.0\.1|\[::1\]|localhost):\d{1,5})$",
         description="the segmenter's socket on the camera's own host, past the router, e.g. "
-        "unixsock-stream//run/tuberline/front.sock; auto: where one `tuberline run` starts both; off: by the router",
+        "unixsock-stream//dev/shm/tuberline/front.sock; auto: where one `run` starts both; off: by the router",
     )
     serial: str | None = Field(None, description="realsense: serial number of the device")
     realsense: RealSenseConfig = RealSenseConfig()

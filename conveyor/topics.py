@@ -111,6 +111,17 @@ FRAME = Topic(
     "Frame",
     "one depth image with everything needed to read it",
 )
+FRAME_SLOT = Topic(
+    "frame_slot",
+    "camera/<camera>/frame_slot",
+    ("camera",),
+    ("segmenter",),
+    Delivery.LATEST,
+    Priority.DATA_LOW,
+    "FrameSlot",
+    "where in their shared memory a frame lies",
+)
+"""Of the direct link between a camera and its segmenter alone: not in `TOPICS`, so that no router lets it pass."""
 CAMERA_INFO = Topic(
     "camera_info",
     "camera/<camera>/info",

@@ -23,6 +23,7 @@ from conveyor.delivery import (
 )
 from conveyor.delivery.endpoint import Endpoint
 from conveyor.direct import DirectLink, direct_endpoint
+from conveyor.frame_ring import RingInlet, ring_path
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
 from conveyor.reasons import FrameDrop
@@ -99,6 +100,8 @@ class SegmenterNode:
         if (endpoint := direct_endpoint(self._config.camera(camera), camera)) is not None:
             source = stack.enter_context(DirectLink.open(node, endpoint, link=self._config.link, listens=True))
         self._frames = LatestSubscriber(source, topics.FRAME, Frame, capacity=ring, camera=camera)
+        if endpoint is not None and (path := ring_path(endpoint)) is not None:
+            self._ring = RingInlet(source, path, self._frames, camera=camera)
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera=camera)
         self._log_out = ReliablePublisher(node, topics.TRACK, camera=camera)
         self._travel = LatestPublisher(node, topics.TRAVEL, source=camera)

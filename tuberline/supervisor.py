@@ -5,11 +5,9 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Sequence
@@ -18,6 +16,7 @@ from pathlib import Path
 
 from conveyor.direct import ENVIRONMENT as DIRECT
 from conveyor.errors import PASSING, PERMANENT
+from tuberline.direct_folder import DirectFolder
 from tuberline.heartbeat import Heartbeat
 from tuberline.orphan import ENVIRONMENT
 
@@ -78,7 +77,7 @@ class Supervisor:
     def __init__(self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None) -> None:
         self._children = [_Child(spec) for spec in specs]
         self._log_dir = log_dir
-        self._direct = ""
+        self._direct: DirectFolder | None = None
         self._lock = threading.RLock()
         self._stopping = threading.Event()
         self._looked_s = 0.0
@@ -88,7 +87,7 @@ class Supervisor:
         if self._log_dir:
             self._log_dir.mkdir(parents=True, exist_ok=True)
         self._looked_s = time.monotonic()
-        self._direct = tempfile.mkdtemp(prefix="tuberline-")
+        self._direct = DirectFolder()
         try:
             for child in self._children:
                 self._start(child)
@@ -172,7 +171,8 @@ class Supervisor:
                 child.done = True
                 if child.heartbeat is not None:
                     child.heartbeat.close()
-        shutil.rmtree(self._direct, ignore_errors=True)
+        if self._direct is not None:
+            self._direct.close()
 
     def _watch(self) -> None:
         while not self._stopping.wait(LOOK_EVERY_S):
@@ -224,7 +224,8 @@ class Supervisor:
             child.heartbeat.close()
         child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
         environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
-        environment |= {**child.heartbeat.environment, DIRECT: self._direct if self._has_both_ends(child.spec) else ""}
+        direct = str(self._direct.path) if self._direct is not None and self._has_both_ends(child.spec) else ""
+        environment |= {**child.heartbeat.environment, DIRECT: direct}
         command = [sys.executable, "-m", "tuberline", *child.spec.args]
         with contextlib.ExitStack() as stack:
             path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None

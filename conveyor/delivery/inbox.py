@@ -57,7 +57,11 @@ class Inbox(Generic[M]):
 
     def push(self, sample: zenoh.Sample) -> None:
         """Zenoh's callback; runs on its receiving thread, so it only copies and queues."""
-        item = (str(sample.key_expr), sample.payload.to_bytes())
+        self.push_data(str(sample.key_expr), sample.payload.to_bytes())
+
+    def push_data(self, key: str, data: bytes) -> None:
+        """Queue an encoded message that came on `key`."""
+        item = (key, data)
         with self._arrived:
             overwritten = len(self._queue) >= self._capacity
             if overwritten:
@@ -67,6 +71,11 @@ class Inbox(Generic[M]):
         self._counters.add(f"{self._name}_received")
         if overwritten:
             self._counters.add(f"{self._name}_dropped_overwritten")
+
+    def missed(self) -> None:
+        """A message came and was overwritten before it could be queued."""
+        self._counters.add(f"{self._name}_received")
+        self._counters.add(f"{self._name}_dropped_overwritten")
 
     def get(self, timeout_s: float) -> M | None:
         """The oldest message, waiting up to `timeout_s`; None if none came. Refused ones are counted and logged."""

@@ -3,7 +3,7 @@
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
-from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, Travel
+from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, FrameSlot, Travel
 from conveyor.messages.heights import HeightChange
 from conveyor.messages.in_view import TrackInView, TracksInView
 from conveyor.messages.loads import LoadAnswer, LoadNow, LoadOrder
@@ -22,6 +22,7 @@ __all__ = [
     "ForeignTotal",
     "Frame",
     "FrameProgress",
+    "FrameSlot",
     "HeightChange",
     "LoadAnswer",
     "LoadNow",

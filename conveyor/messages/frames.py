@@ -25,7 +25,7 @@ from conveyor.ranges import (
     Seq,
     Yes,
 )
-from conveyor.wire import MAX_ARRAY_BYTES
+from conveyor.wire import MAX_ARRAY_BYTES, MAX_MESSAGE_BYTES
 
 IMAGE_SIDES = ((1, MAX_SIDE_PIXELS), (1, MAX_SIDE_PIXELS))
 POSE = ArraySpec("f8", ((4, 4), (4, 4)), low=-1000.0, high=1000.0, unit="m")
@@ -82,6 +82,19 @@ class Frame(Message):
                 raise MessageError(f"Frame.{name} is {array.shape}, the intrinsics are for {size} (rows, columns)")
         if self.belt_from_camera is not None and self.belt_from_camera.shape != (4, 4):
             raise MessageError(f"Frame.belt_from_camera is {self.belt_from_camera.shape}, not (4, 4)")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSlot(Message):
+    """Where an encoded `Frame` lies in the memory that a camera shares with its segmenter (`conveyor.frame_ring`).
+
+    `ring`: the ring's id; `slot`: which of its places; `generation`: how often it was written, twice; `size`: bytes.
+    """
+
+    ring: Count
+    slot: Annotated[int, Range(0, 1023, "")]
+    generation: Count
+    size: Annotated[int, Range(1, MAX_MESSAGE_BYTES, "bytes")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from conveyor.config import CameraConfig, LineConfig, LinkConfig, dump_toml
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestSubscriber
 from conveyor.delivery.endpoint import Endpoint
 from conveyor.direct import DirectLink, direct_endpoint
+from conveyor.frame_ring import RingInlet, ring_path
 from conveyor.messages import CameraInfo, Counters, Frame, FrameProgress
 from conveyor.node import Node
 from tests.conftest import wait_until
@@ -46,12 +47,13 @@ def process(config: LineConfig, folder: Path, *args: str) -> Iterator[subprocess
 class OtherSide:
     """What a segmenter and an observer would see of the camera, and the progress that the former would tell.
 
-    `source`: where its frames come from.
+    `source`: where its frames come from; `ring`: and the memory that they lie in.
     """
 
-    def __init__(self, node: Node, source: Endpoint) -> None:
+    def __init__(self, node: Node, source: Endpoint, ring: Path | None = None) -> None:
         self.node = node
         self.frames = LatestSubscriber(source, topics.FRAME, Frame, capacity=512, camera="front")
+        self._ring = RingInlet(source, ring, self.frames, camera="front") if ring else None
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="front")
         self._counters = KeptSubscriber(node, topics.COUNTERS, Counters, role="*", name="*")
         self._progress = KeptPublisher(node, topics.FRAME_PROGRESS, camera="front")
@@ -107,7 +109,8 @@ def other_side(config: LineConfig) -> Iterator[OtherSide]:
         with Node("segmenter", "front", config=config, run=RUN) as node, ExitStack() as stack:
             endpoint = direct_endpoint(config.camera("front"), "front")
             direct = None if endpoint is None else DirectLink.open(node, endpoint, link=config.link, listens=True)
-            yield OtherSide(node, stack.enter_context(direct) if direct else node)
+            source = stack.enter_context(direct) if direct else node
+            yield OtherSide(node, source, ring_path(endpoint) if endpoint else None)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -15,6 +15,7 @@ from conveyor.delivery import LatestSubscriber
 from conveyor.direct import ENVIRONMENT, LONGEST_PATH, direct_endpoint
 from conveyor.errors import ConfigError
 from conveyor.formats import describe_recording
+from conveyor.frame_ring import IN_MEMORY, ring_path
 from conveyor.messages import Frame
 from tests.camera_sim.camera_process import RUN, OtherSide, line, other_side, process
 from tests.conftest import start_router, wait_until
@@ -25,9 +26,9 @@ pytestmark = pytest.mark.graph
 
 
 @pytest.fixture
-def direct() -> Iterator[str]:
-    """A socket with a short path: that of a test's own folder may be too long."""
-    folder = tempfile.mkdtemp(prefix="tuberline-")
+def direct(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A socket with a short path: that of a test's own folder may be too long. In memory, frames pass by a ring."""
+    folder = tempfile.mkdtemp(prefix="tuberline-", dir=getattr(request, "param", IN_MEMORY))
     yield f"unixsock-stream/{folder}/front.sock"
     shutil.rmtree(folder)
 
@@ -41,6 +42,7 @@ def _sent(side: OtherSide, name: str) -> int:
     return -1 if counters is None else int(counters.values.get(name, -1))
 
 
+@pytest.mark.parametrize("direct", [IN_MEMORY, None], indirect=True, ids=["in memory", "on disk"])
 def test_the_router_sees_frames_only_while_somebody_beyond_looks(
     link: LinkConfig, small_recording: Path, tmp_path: Path, direct: str
 ) -> None:
@@ -61,6 +63,25 @@ def test_the_router_sees_frames_only_while_somebody_beyond_looks(
         wait_until(lambda: _sent(side, "frames_direct") >= frames, what="the camera's last count")
         # What was sent while the word that it left was on its way went there too.
         assert here <= _sent(side, "frames_by_router") <= here + 2 < frames - 4
+        assert (_sent(side, "frames_in_memory") >= frames) == direct.startswith("unixsock-stream//dev/shm/")
+
+
+def test_a_ring_that_cannot_be_read_costs_no_frame(
+    link: LinkConfig, small_recording: Path, tmp_path: Path, direct: str
+) -> None:
+    """The segmenter leaves it, and the camera sends the frames themselves; those in between it sends again."""
+    ring = ring_path(direct)
+    assert ring is not None
+    config, frames = line(link, path=small_recording, speed=0, window=1, direct=direct), _frames(small_recording)
+    with other_side(config) as side, process(config, tmp_path, "camera", "--camera", "front"):
+        side.follow(1, done_seq=-1)
+        ring.unlink()
+        assert side._ring is not None
+        side._ring._reader.close()  # as one that starts now
+        side.follow(frames - 1, done_seq=1)
+        side.wait_for_state("ended")
+        assert sorted(set(side.seen)) == list(range(frames))
+        wait_until(lambda: _sent(side, "frames_direct") > _sent(side, "frames_in_memory") >= 2, what="both ways")
 
 
 def test_frames_flow_on_while_the_router_is_dead(

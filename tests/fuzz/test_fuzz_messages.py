@@ -45,6 +45,7 @@ EXAMPLES: list[m.Message] = [
     m.TrackEntry("c", "r", 10, mark=MARK),
     m.Committed("c", "r", 10),
     m.FrameProgress("c", "r", 10, 1),
+    m.FrameSlot(1, 0, 2, 100),
     m.Travel("c", "r", 10, 1.5, True),
     m.TracksInView(
         "c",
