@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,9 @@ class Message:
     """Base of all messages. Subclasses are frozen, slotted dataclasses; their name is the kind on the wire."""
 
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {}
+    LATER_FIELDS: ClassVar[Literal["forbid", "ignore"]] = "forbid"
+    """What a reader does with fields that it does not know. Reports, which nothing is counted from, are read without
+    them: so a page or a viewer goes on where the line's other hosts already run a later version."""
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True
     )
@@ -101,7 +104,8 @@ class Message:
         """The message in `data`; every value within what this class declares.
 
         Raises:
-            MessageError: other kind, missing or unknown field, wrong type, out of range, wrong array.
+            MessageError: other kind, missing or unknown field (but see `LATER_FIELDS`), wrong type, out of range,
+                wrong array.
         """
         header = read_header(data)
         if header.kind != cls.__name__:
@@ -110,7 +114,7 @@ class Message:
             )
         announced = {array.name: array for array in header.arrays}
         _check_arrays(cls, {name: (array.dtype, array.shape) for name, array in announced.items()})
-        return _checked(cls, header.fields, _read_arrays(cls, data, announced))
+        return _checked(cls, header.fields, _read_arrays(cls, data, announced), extra=cls.LATER_FIELDS)
 
     def _parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any] | None]]:
         header = {}
@@ -160,10 +164,16 @@ def _read_arrays(cls: type[Message], data: bytes, announced: Mapping[str, Announ
     return {name: arrays.get(name) for name in cls.ARRAYS}
 
 
-def _checked(cls: type[T], header: Mapping[str, Any], arrays: Mapping[str, Any]) -> T:
+def _checked(
+    cls: type[T],
+    header: Mapping[str, Any],
+    arrays: Mapping[str, Any],
+    *,
+    extra: Literal["forbid", "ignore"] = "forbid",
+) -> T:
     """The message of these fields and arrays, each field within its range."""
     try:
-        message: T = _adapter(cls).validate_python({**header, **arrays})
+        message: T = _adapter(cls).validate_python({**header, **arrays}, extra=extra)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = shown(".".join(str(part)[:60] for part in first["loc"])).strip("'\"")

@@ -34,6 +34,8 @@ class TrackInView:
 class TracksInView(Message):
     """All tracks that `camera` has in view at `captured_ns`. Provisional: what counts is in its log."""
 
+    LATER_FIELDS = "ignore"
+
     camera: Name
     run: Name
     captured_ns: Nanoseconds

@@ -57,4 +57,5 @@ class Picture(Message):
     outlines: Annotated[tuple[Outline, ...], Items(MOST_OUTLINES)] = ()
     drop: Word = ""
 
+    LATER_FIELDS = "ignore"
     ARRAYS: ClassVar[dict[str, ArraySpec]] = {"jpeg": ArraySpec("u1", ((1, MAX_PICTURE_BYTES),))}

@@ -39,6 +39,8 @@ class Tuber(Message):
     `log_odds`: of tuber against clod, stone or haulm, as the classifier believes; None where it was not asked.
     """
 
+    LATER_FIELDS = "ignore"
+
     tuber_id: Count
     run: Name
     crossed_ns: Nanoseconds
@@ -78,6 +80,8 @@ class Totals(Message):
     `classes` are those of the contract, named and measured as `contract` says; none without one.
     `foreign` is what is no tuber: clods, stones, haulm.
     """
+
+    LATER_FIELDS = "ignore"
 
     run: Name
     count: Count
@@ -125,6 +129,8 @@ class Counters(Message):
     """What a node received, did and dropped. `values` only grow while it lives; `gauges` are levels, among them the
     balance sheet of the run it works on, which starts again with another run. `status` is 'ok' or 'stalled'; the last
     one of a node that leaves says 'ended', or 'failed' where an error made it leave."""
+
+    LATER_FIELDS = "ignore"
 
     role: Name
     name: Name

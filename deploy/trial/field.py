@@ -126,17 +126,29 @@ class Seen:
         return [line for line in self.lines if '"tuber":' in line]
 
 
-COUNT = f"""
-import sqlite3
-db = sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True)
-print(*(db.execute(f"SELECT count(*) FROM {{table}}").fetchone()[0] for table in ("tuber", "summary")))
+WAIT = f"""
+import sqlite3, sys, time
+while True:
+    try:
+        db = sqlite3.connect("file:/{LEDGER}/ledger.db?mode=ro", uri=True)
+        counts = [db.execute(f"SELECT count(*) FROM {{table}}").fetchone()[0] for table in ("tuber", "summary")]
+        db.close()
+        if counts[0] >= int(sys.argv[1]) or counts[1]:
+            sys.exit(print("there"))
+    except sqlite3.Error:
+        pass
+    time.sleep(0.1)
 """
 
 
-def holds(machine: Machine, tubers: int) -> bool:
-    """The ledger of a running machine holds so many, asked inside, or all there are."""
-    said = machine.says("/opt/tuberline/bin/python", "-I", "-S", "-c", COUNT).split()
-    return len(said) == 2 and (int(said[0]) >= tubers or said[1] != "0")
+def wait_for(machine: Machine, tubers: int) -> None:
+    """Until the ledger of a running machine holds so many, or all there are.
+
+    One process inside waits: where each look starts one, a busy machine counts on for seconds until the answer.
+    """
+    words = ("/opt/tuberline/bin/python", "-I", "-S", "-c", WAIT, str(tubers))
+    # A machine that is only just starting has no such program yet.
+    until(lambda: machine.says(*words) == "there", f"{tubers} tubers in the ledger")
 
 
 def install(machine: Machine, text: str, roles: str, *options: str) -> str:

@@ -124,9 +124,7 @@ def cut_once(machine: Machine, belt: Path, cuts: Cuts, moment: tuple[float, int 
     machine.power_on()
     sleep(max(0.0, least_s - (monotonic() - start)))
     if tubers is not None:
-        wanted = max(tubers, len(cuts.committed) + 1)
-        what = f"{wanted} tubers in the ledger after cut {cuts.done}"
-        until(lambda: field.holds(machine, wanted), what, every_s=0.2)
+        field.wait_for(machine, max(tubers, len(cuts.committed) + 1))
     on_s = monotonic() - start
     machine.cut_power()
     cuts.at_boot += tubers is None

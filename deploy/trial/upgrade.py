@@ -114,8 +114,7 @@ def trial(folder: Path, root: Path) -> list[tuple[str, str]]:
         field.install(machine, field.config(speed=SPEED), field.ROLES)
         field.all_active(machine, field.UNITS)
         for number, (chosen, within_s) in enumerate(CUTS, start=1):
-            wanted = TUBERS_EACH * number
-            until(lambda n=wanted: field.holds(machine, n), f"{wanted} tubers", every_s=0.2)  # type: ignore[misc]
+            field.wait_for(machine, TUBERS_EACH * number)
             after_s = rng.uniform(*within_s)
             cut_in_upgrade(machine, chosen, after_s)
             held = in_the_load(machine, cuts)

@@ -177,7 +177,7 @@ def build(cls: type[Message], pick: Pick) -> Built:
         bodies.append(body)
     whole = {"kind": cls.__name__, "fields": header, "arrays": claims}
     if builder._left and pick(range(8)) == 7:
-        builder.wrong.append(_spoil_whole(whole, pick))
+        builder.wrong.append(_spoil_whole(cls, whole, pick))
     wrong = "; ".join(text for text in builder.wrong if text)
     try:
         packed: bytes = msgpack.packb(whole)
@@ -206,7 +206,7 @@ def read(cls: type[Message], built: Built) -> str:
     return reason
 
 
-def _spoil_whole(whole: dict[str, Any], pick: Pick) -> str:
+def _spoil_whole(cls: type[Message], whole: dict[str, Any], pick: Pick) -> str:
     where = pick(("drop", "add", "kind", "fields", "arrays", "more"))
     match where:
         case "drop":
@@ -214,6 +214,8 @@ def _spoil_whole(whole: dict[str, Any], pick: Pick) -> str:
             del whole["fields"][required[0]]
         case "add":
             whole["fields"][pick(("", "unknown", "__class__", "x" * 5000))] = pick(NO_FIELD)
+            if cls.LATER_FIELDS == "ignore":
+                return ""
         case "kind" | "fields":
             whole[where] = pick(NO_FIELD)
         case "arrays":

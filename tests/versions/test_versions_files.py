@@ -1,9 +1,11 @@
-"""What version 0.1 (commit a7bbfcc) wrote is read by every later one: recordings, packs, config, tickets, sidecar."""
+"""What version 0.1 (commit a7bbfcc) wrote is read by every later one: recordings, packs, config, tickets, weights."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import lzma
 import re
 import shutil
 import subprocess
@@ -22,7 +24,10 @@ from conveyor.errors import ConfigError
 from conveyor.formats import camera_names, open_source
 from conveyor.formats.packs.belts import belt_pack_meta, belt_shards, read_belt
 from conveyor.formats.packs.views import read_views, view_shards
-from regressor.network.checkpoint import Sidecar, load_checkpoint
+from conveyor.geometry import straight_down_belt_from_camera
+from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.weigh.prepare import PreparedCloud, prepare_depth
+from regressor.weigh.weigher import Weigher
 from tests.conftest import ROOT
 from tuberline.cli import build_app
 
@@ -30,6 +35,14 @@ OLD = Path(__file__).parent / "v0_1"
 DEPTH = "4e25889e085997fe6ab6f2ad46fb98ced204bb59e274b352729590c84de70a1e"
 """SHA-256 of all depth images one after the other, as 0.1 read them; the travel beside it."""
 LAST_TRAVEL_M = 0.6199
+MODEL = "small-0.1@17448026"
+WEIGHED = (
+    (148.53, 129.873, 168.747, 145.946),
+    (139.653, 115.775, 165.026, 135.716),
+    (165.483, 137.07, 197.498, 156.213),
+    (161.358, 137.282, 188.225, 154.253),
+)
+"""What 0.1 made of each view of its pack by its small weights: weight, both ends of the interval, the network's, g."""
 
 
 @pytest.mark.parametrize("name", ["folder", "own.mcap", "ros2.mcap"])
@@ -138,6 +151,62 @@ def test_a_sidecar_of_0_1_is_read_and_opens_its_weights(tmp_path: Path) -> None:
     (tmp_path / "w.json").write_text(text, encoding="utf-8")
     _, loaded = load_checkpoint(weights)
     assert loaded == sidecar
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights that 0.1 wrote, unpacked; their sidecar beside them."""
+    path = tmp_path_factory.mktemp("weights") / "small.safetensors"
+    path.write_bytes(lzma.decompress((OLD / "small.safetensors.xz").read_bytes()))
+    shutil.copy(OLD / "small.json", path.with_suffix(".json"))
+    return path
+
+
+def clouds() -> list[PreparedCloud]:
+    """The views of 0.1's pack, prepared as today."""
+    (shard,) = view_shards(OLD / "views")
+    return [
+        prepare_depth(
+            view.depth,
+            depth_scale_m=view.depth_scale_m,
+            fx=view.intrinsics.fx,
+            fy=view.intrinsics.fy,
+            cx=view.intrinsics.cx - view.u0,
+            cy=view.intrinsics.cy - view.v0,
+            belt_from_camera=straight_down_belt_from_camera(view.belt_distance_m),
+        )
+        for view in read_views(shard)
+    ]
+
+
+def test_weights_of_0_1_weigh_as_they_did(small: Path) -> None:
+    """The network to a milligram on the same points. The third view has an island of false matches, dropped since."""
+    weigher = Weigher.load(small)
+    found = [weigher.weigh(cloud, belt_sd_m=0.0025) for cloud in clouds()]
+    assert [weighed.model for weighed in found] == [MODEL] * 4
+    for n, (weighed, (weight_g, low_g, high_g, network_g)) in enumerate(zip(found, WEIGHED, strict=True)):
+        assert weighed.network_g == pytest.approx(network_g, rel=0.03 if n == 2 else 1e-5)
+        told = weighed.weight_g, weighed.low_g, weighed.high_g
+        assert told == pytest.approx((weight_g, low_g, high_g), rel=0.04 if n == 2 else 0.005)
+
+
+def test_weights_of_0_1_are_gone_on_with(small: Path, tmp_path: Path) -> None:
+    """What calibrates or fine-tunes them writes them again: the same tensors, with all that their sidecar said."""
+    model, sidecar = load_checkpoint(small)
+    again = tmp_path / "again.safetensors"
+    save_checkpoint(again, model.state_dict(), sidecar)
+    assert load_checkpoint(again)[1] == sidecar
+    assert again.read_bytes() == small.read_bytes()
+
+
+@pytest.mark.slow
+@pytest.mark.graph
+def test_a_line_weighs_by_weights_of_0_1(small: Path, tmp_path: Path) -> None:
+    """And the ledger names them."""
+    words = ["replay", str(OLD / "own.mcap"), "--out", str(tmp_path / "run"), "--weights", str(small)]
+    subprocess.run([sys.executable, "-m", "tuberline", *words], check=True, cwd=ROOT, capture_output=True)
+    rows = list(csv.DictReader((tmp_path / "run" / "tubers.csv").open(encoding="utf-8", newline="")))
+    assert [(row["method"], row["model"]) for row in rows] == [("pointraft", MODEL)] * 2
 
 
 def test_the_version_has_one_home_and_is_ahead_of_0_1() -> None:

@@ -1,9 +1,10 @@
-"""Nodes of 0.1 (commit a7bbfcc) and of this version on one line, and a line of three hosts upgraded during a load."""
+"""Nodes of 0.1 (commit a7bbfcc), of this version and of a later one on one line; three hosts upgraded during a load."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -30,6 +31,14 @@ from tuberline.replayer import fingerprint, recording_cameras, replay_config
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(600)]
 OLD_COMMIT = "a7bbfcc"
 TUBERS = 8
+PACKAGES = ("tuberline", "conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer")
+LATER = "0.3.0"
+LATER_PART = (
+    "return pack(type(self).__name__, header,",
+    """header |= {} if self.LATER_FIELDS == "forbid" else {"of_later": {"unknown": [1]}}
+        return pack(type(self).__name__, header,""",
+)
+"""What a later version may do: each of its reports says more than this one knows."""
 HOSTS = {"edge": ("router", "aggregator"), "barn": ("regressor",), "harvester": ("segmenter", "camera")}
 
 
@@ -45,15 +54,35 @@ def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def later(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sources of a later version."""
+    folder = tmp_path_factory.mktemp("later")
+    for package in PACKAGES:
+        (folder / package).symlink_to(ROOT / package)
+    (folder / "conveyor").unlink()
+    shutil.copytree(ROOT / "conveyor", folder / "conveyor", ignore=shutil.ignore_patterns("__pycache__"))
+    for name, before, after in (
+        ("__init__.py", f'"{__version__}"', f'"{LATER}"'),
+        ("messages/base.py", *LATER_PART),
+    ):
+        file = folder / "conveyor" / name
+        text = file.read_text(encoding="utf-8")
+        assert text.count(before) == 1, f"{name}: {before}"
+        file.write_text(text.replace(before, after), encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
 def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate(tmp_path_factory.mktemp("belt") / "recording", scene="singulated", tubers=str(TUBERS), fps="10")
 
 
 class Line:
-    """A line of single processes, each of one of the two versions."""
+    """A line of single processes, each of one of the versions."""
 
-    def __init__(self, recording: Path, out: Path, old: Path, *, speed: float = 0.0) -> None:
+    def __init__(self, recording: Path, out: Path, old: Path, later: Path = ROOT, *, speed: float = 0.0) -> None:
         self.out, self._old = out, old
+        self._homes = {"old": old, "new": ROOT, "later": later}
         self.run = f"replay-{fingerprint(recording)}"
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         names = recording_cameras(recording)
@@ -88,12 +117,12 @@ class Line:
 
     def start(self, *roles: str, version: str) -> None:
         for role in roles:
-            home = self._old if version == "old" else ROOT
+            home = self._homes[version]
             words = [role, "--config", str(self.out / f"{'old' if version == 'old' else 'line'}.toml")]
             words += [] if role == "router" else ["--run", self.run]
-            words += {"regressor": ["--name", "r1"], "router": [], "aggregator": []}.get(
-                role, ["--camera", self.camera]
-            )
+            own = {"regressor": ["--name", "r1"], "router": [], "aggregator": []}
+            own |= {"viewer": ["--rrd", str(self.out / "pictures.rrd")]}
+            words += own.get(role, ["--camera", self.camera])
             with (self.out / f"{role}.log").open("ab") as log:
                 module = "conveyor" if version == "old" else "tuberline"
                 self.processes[role] = subprocess.Popen(
@@ -157,6 +186,13 @@ class Line:
         self.stop(*self.processes)
 
 
+def counted(page: str) -> int:
+    """Tubers of the load that a page shows now."""
+    data = told(page).removeprefix("data:")
+    lines = json.loads(data)["lines"] if data else []
+    return sum(line["load"]["count"] for line in lines if line.get("load"))
+
+
 def told(page: str) -> str:
     """What a page tells a browser that opens it now."""
     try:
@@ -207,6 +243,43 @@ def test_what_0_1_cannot_read_it_refuses_in_words(line: Line, role: str, host: s
     assert "Traceback" not in line.log(role)
     line.upgrade(host, version="new")
     assert line.finish()["totals"]["count"] == TUBERS
+
+
+def test_a_viewer_of_0_1_is_told_by_all_and_disturbs_nothing(line: Line) -> None:
+    """It cannot read this version's totals, and says so."""
+    line.start("router", version="new")
+    time.sleep(1.0)
+    line.start("viewer", version="old")
+    line.start("aggregator", version="new")
+    page = line.page()
+    wait_until(lambda: "Totals." in line.log("viewer"), what="the refusal in words", timeout_s=120)
+    wait_until(lambda: "Version 0.1.0 on viewer/" in told(page), what="it told by the page", timeout_s=60)
+    wait_until(lambda: "runs tuberline 0.1.0" in line.log("aggregator"), what="it told by the ledger", timeout_s=60)
+    line.start("regressor", "segmenter", "camera", version="new")
+    assert line.finish()["totals"]["count"] == TUBERS
+    assert "Traceback" not in line.log("viewer")
+
+
+def test_people_see_the_load_while_the_ledger_is_a_later_versions(
+    belt: Path, old: Path, later: Path, tmp_path: Path
+) -> None:
+    """The ledger's host is upgraded first: pages and viewers of this version read what they know of its reports."""
+    line = Line(belt, tmp_path, old, later)
+    try:
+        line.start(*HOSTS["edge"], version="later")
+        line.start("regressor", "segmenter", "viewer", version="new")
+        page = line.page()
+        wait_until(lambda: f"Version {__version__} on " in told(page), what="the versions on the page", timeout_s=200)
+        line.start("camera", version="new")
+        summary = line.finish()
+        assert summary["totals"]["count"] == TUBERS
+        assert summary["software"] == LATER
+        assert set(summary["other_versions"].values()) == {__version__}
+        wait_until(lambda: counted(page) == TUBERS, what="the load on the page", timeout_s=60)
+        line.stop("viewer")
+        assert [entry for entry in line.log("viewer").splitlines() if "of_later" in entry or "refused" in entry] == []
+    finally:
+        line.close()
 
 
 def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(

@@ -11,7 +11,7 @@ import pytest
 import conveyor.messages as messages
 from conveyor.errors import MessageError, Refusal
 from conveyor.messages.views import LATER_PARTS
-from conveyor.wire import SCHEMA_VERSION, read_header
+from conveyor.wire import SCHEMA_VERSION, pack, read_array, read_header
 
 OLD = Path(__file__).parent / "v0_1" / "messages"
 KINDS = {"TrackEntryMark": "TrackEntry"}
@@ -70,3 +70,33 @@ def test_a_message_of_another_schema_is_refused_with_both_versions() -> None:
     ) as found:
         messages.Committed.decode(bytes(data))
     assert found.value.reason is Refusal.VERSION
+
+
+REPORTS = {"Counters", "Picture", "Totals", "TracksInView", "Tuber"}
+"""What people look at; nothing is counted from them."""
+
+
+def with_more(data: bytes, more: dict[str, object]) -> bytes:
+    """A message with fields of a later version."""
+    header = read_header(data)
+    return pack(header.kind, header.fields | more, {array.name: read_array(data, array) for array in header.arrays})
+
+
+def test_reports_of_a_later_version_are_read_without_what_is_new() -> None:
+    kinds = [getattr(messages, name) for name in messages.__all__]
+    tolerant = {kind.__name__ for kind in kinds if getattr(kind, "LATER_FIELDS", "") == "ignore"}
+    assert tolerant == REPORTS
+    report = decoded("Counters")
+    assert messages.Counters.decode(with_more(report.encode(), {"later": {"part": [1]}})) == report
+    track = messages.TrackInView("a/1", 0.1, 0.2, 60.0, 40.0, "open")
+    view = messages.TracksInView("front", "r1", 5, (track,))
+    fields = read_header(view.encode()).fields
+    fields["tracks"][0]["later"] = "within a part"
+    assert messages.TracksInView.decode(with_more(view.encode(), fields)) == view
+
+
+@pytest.mark.parametrize("sample", [name for name in SAMPLES if KINDS.get(name, name) not in REPORTS])
+def test_what_is_counted_from_is_refused_where_it_says_more(sample: str) -> None:
+    with pytest.raises(MessageError, match="later") as found:
+        type(decoded(sample)).decode(with_more((OLD / f"{sample}.bin").read_bytes(), {"later": 1}))
+    assert found.value.reason is Refusal.FIELD
