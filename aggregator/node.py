@@ -33,6 +33,8 @@ BATCH_ENTRIES = 2000
 """A batch is closed early when it holds so many entries: a flood must not make a transaction unbounded."""
 
 TOTALS_EVERY_S = 0.5
+TOTALS_SHARE = 10.0
+"""Totals take a tenth of the time at most: with many cameras on a busy host, coverage takes longer than entries do."""
 LONGEST_GATHER_S = 1.0
 TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
@@ -161,7 +163,7 @@ class AggregatorNode:
                 committed_due_s = now_s + COMMITTED_EVERY_S
             if now_s >= totals_due_s:
                 self._publish_totals(now_s)
-                totals_due_s = now_s + TOTALS_EVERY_S
+                totals_due_s = now_s + max(TOTALS_EVERY_S, TOTALS_SHARE * (time.monotonic() - now_s))
             self._node.progress()
             if self._core.finished and not reported:
                 reported = True

@@ -19,6 +19,9 @@ ENOUGH = 3
 AGREE_S = 0.05
 """Clocks that differ by less agree. 15 mm of belt; and by less they are set by any time server."""
 
+LARGEST_S = 9e9
+"""What nanoseconds in 64 bits hold: no camera's clock says more, whatever a report says."""
+
 
 @dataclass(slots=True)
 class CameraClocks:
@@ -28,13 +31,13 @@ class CameraClocks:
     _newest: dict[str, float] = field(default_factory=dict)
 
     def reported(self, camera: str, camera_s: float, *, arrived_s: float) -> None:
-        """A report came. One that is told again, for nothing newer has come, changes nothing.
+        """A report came. One that is told again, for nothing newer has come, changes nothing, nor does an absurd one.
 
         Args:
             camera_s: what the camera's clock said when the report was sent, seconds.
             arrived_s: when it came, by a steady clock of ours.
         """
-        if camera_s != self._newest.get(camera):
+        if abs(camera_s) <= LARGEST_S and camera_s != self._newest.get(camera):
             self._newest[camera] = camera_s
             self._seen.setdefault(camera, deque(maxlen=REMEMBERED)).append(camera_s - arrived_s)
 

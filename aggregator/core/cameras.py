@@ -29,7 +29,7 @@ CLOCKS_WITHIN_S = 8.0
 """So long the first tubers of live cameras without an encoder wait until it is known how far their clocks differ: each
 segmenter reports once a second."""
 TURNED_NS = 20_000_000
-"""Cameras' belts are laid side by side again when their clocks moved so far against each other. 6 mm of belt."""
+"""Belts are laid side by side by another difference once the clocks moved so far against each other. 6 mm of belt."""
 
 PLACE_SLACK_M = 0.01
 ESTIMATED_SLACK_M = 0.02

@@ -11,6 +11,8 @@ REMEMBER_S = 8.0
 TRUSTED_BUSY_S = 0.3
 LEAST_ANSWERS = 0.9
 """A rate is told once a regressor has been at work for so long, and has answered."""
+SLOW_S = 6.0
+"""Or at work for so much of the last `REMEMBER_S` without an answer: that is slow, and not unknown."""
 
 
 @dataclass(slots=True)
@@ -54,7 +56,7 @@ class Throughput:
         One answer more than there were, for the one under way: what is slow is not taken for slower than it is.
         """
         work = self._work.get(name)
-        if work is None or work.busy_s < TRUSTED_BUSY_S or work.answers < LEAST_ANSWERS:
+        if work is None or work.busy_s < TRUSTED_BUSY_S or (work.answers < LEAST_ANSWERS and work.busy_s < SLOW_S):
             return None
         return (work.answers + 1.0) / work.busy_s
 

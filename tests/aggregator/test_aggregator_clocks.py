@@ -43,6 +43,15 @@ def test_the_quickest_of_many_reports_tells_what_clocks_differ(ahead_s: float, r
         assert last_ns / SECOND_NS == (pytest.approx(ahead_s, abs=0.03) if abs(ahead_s) > AGREE_S else 0.0)
 
 
+@pytest.mark.parametrize("camera_s", [1e300, -1e300, 1e10])
+def test_an_absurd_clock_is_no_clock(camera_s: float) -> None:
+    clocks = CameraClocks()
+    for at_s in range(2 * ENOUGH):
+        clocks.reported("a", CLOCK_S + at_s, arrived_s=at_s)
+        clocks.reported("b", camera_s + at_s, arrived_s=at_s)
+    assert clocks.ahead_ns("b", of="a") is None
+
+
 def shifted(told: Story, camera: str, by_s: float) -> Story:
     """The same belt, one camera's clock ahead of the other's."""
     by_ns = round(by_s * SECOND_NS)

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from tests.laws.virtual_overload import LIVE, VIEWS, FloodedLine
 
 SECONDS = 50.0
+PATIENT = replace(LIVE, dispatch=replace(LIVE.dispatch, deadline_s=120.0))
 lines = st.fixed_dictionaries(
     {
         "per_s": st.floats(2.0, 60.0),
@@ -70,6 +71,16 @@ def test_what_cannot_be_weighed_is_given_up_early_flagged_and_counted(refuse_fir
     assert line.run.dispatcher.pace.total_per_s(line.crew) == pytest.approx(12.0, rel=0.1)
     views_each = 2 if refuse_first else 1
     assert len(line.logged) - len(line.never_weighed) >= 0.95 * (line.now_s - 30.0 * (views_each - 1)) * 12 / views_each
+
+
+def test_regressors_that_take_longer_than_is_remembered_are_slow_and_not_unknown() -> None:
+    """Eight on two cores took 16 s a view: 2048 tubers of each camera waited for their deadline of 60 s."""
+    line = FloodedLine(per_s=17.0, takes_s=12.0, workers=8, turn_s=0.5, settings=PATIENT)
+    line.run_for(150.0)
+    balanced(line)
+    assert line.run.dispatcher.outstanding < 150
+    assert line.lost["overload"] > 10 * line.lost.get("weigh_deadline", 0)
+    assert line.run.dispatcher.weighed > 0.3 * line.capacity_per_s * 150.0
 
 
 def test_a_regressor_that_sleeps_for_a_while_costs_no_tuber_its_weight() -> None:
