@@ -30,10 +30,10 @@ docs-site: docs
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[docs]'
 	$(BIN)/zensical build --strict
 
-# The wheel in dist/, installed into an empty environment and tried there.
+# The sdist and the wheel in dist/; its test, of `make test` too, installs them into an empty environment.
 wheel: $(STAMP)
-	$(BIN)/python -m pip wheel . --quiet --no-deps --no-build-isolation --wheel-dir dist
-	$(BIN)/python -m pytest -m slow tests/tuberline/test_tuberline_wheel.py
+	$(BIN)/python -m hatchling build --directory dist
+	$(BIN)/python -m pytest tests/tuberline/test_tuberline_wheel.py
 
 # `make bench` lists the benchmarks, `make bench BENCH="site --help"` runs one.
 bench: $(STAMP)

@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.docs.blocks import made_small
 from tests.walks.walk import Walk
 
-STAYS_S = {"page": 5, "viewer": 8, "watch": 8, "top": 5, "recorder": 12, "regressor": 5}
+STAYS_S = {"page": 5, "viewer": 8, "watch": 8, "top": 5, "recorder": 30, "regressor": 5}
 """Commands that go on until Ctrl-C, which comes after so many seconds; `run` goes on to the end of its page."""
 SPEAKS_S = 300
 """The first word of such a command comes within this time on a busy machine."""

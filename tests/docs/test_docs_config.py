@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 
 import pytest
 
@@ -52,7 +53,30 @@ def test_an_unknown_key_names_the_ones_that_may_be_meant() -> None:
 def test_the_page_has_a_row_for_each_key() -> None:
     rows = [line for line in config_page().splitlines() if line.startswith("| `")]
     assert len(rows) == len(settings())
-    assert {len(row.replace(r"\|", "").split("|")) for row in rows} == {8}
+    assert {len(row.replace(r"\|", "").split("|")) for row in rows} == {9}
+
+
+BESIDE = {
+    "cameras.<camera>.starts_at_s": "waits = false",
+    "cameras.<camera>.realsense.": '[cameras.front]\nsource = "realsense"',
+    "belt.gauge": 'surface = "rods"',
+    "alarms.": 'channels = ["https://farm.example"]',
+    "gnss.": 'source = "gpsd://host"',
+}
+"""What a key needs beside it, by its beginning."""
+
+
+def test_every_example_is_accepted() -> None:
+    for setting in settings():
+        section, _, name = setting.key.replace(CAMERA, "front").rpartition(".")
+        beside = next((more for begins, more in BESIDE.items() if setting.key.startswith(begins)), "")
+        before = beside if beside.startswith("[") else ""
+        head = f"[{section}]\n" if section else ""
+        own = f"{name} = {setting.example.strip('`')}\n"
+        more = f"{beside}\n" if beside and not before and not beside.startswith(f"{name} ") else ""
+        parse_config(tomllib.loads(f"{before}\n{head}{own}{more}"), where=setting.key)
+    assert explained("belt.gauge_size_mm").type == "list of numbers"
+    assert explained("cameras.front.realsense.exposure_us").unit == "µs"
 
 
 def test_config_show_explains_one_key() -> None:

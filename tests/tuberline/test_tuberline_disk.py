@@ -16,6 +16,8 @@ import pytest
 
 from conveyor.errors import InputError
 from conveyor.files import told, whole_output
+from tuberline.export.binary_files import write_xlsx
+from tuberline.export.table import Column, Table
 
 ROOT = Path(__file__).resolve().parents[2]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
@@ -132,6 +134,14 @@ def test_an_output_that_takes_nothing_is_told(tmp_path: Path) -> None:
             code, said = tuberline(*command, stdout=full.fileno())
             assert code == 1, said
             assert_one_sentence(code, said, "output: No space left on device; free space")
+
+
+def test_a_workbook_on_a_full_disk_is_a_fault_of_the_disk() -> None:
+    """It was one of xlsxwriter's, and ended in a traceback."""
+    pytest.importorskip("xlsxwriter")
+    table = Table("tubers", (Column("weight_g", "number", "g", "weight"),), [(100.0,)], {})
+    with pytest.raises(OSError, match="No space left"):
+        write_xlsx([table], Path("/dev/full"))
 
 
 def test_whole_output_moves_all_or_nothing(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def show(config: Path | None = None, *, json: bool = False, explain: str | None 
     json
         JSON instead of TOML.
     explain
-        One key alone, e.g. segmenter.ring: its type, default, range, unit and meaning.
+        One key alone, e.g. segmenter.ring: its type, default, range, unit, meaning and an example.
     """
     line = load_config(config) if config else LineConfig()
     if explain is not None:

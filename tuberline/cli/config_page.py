@@ -1,4 +1,4 @@
-"""Every key of a line's file with its type, default, range, unit and meaning, read from the schema of the config."""
+"""Every key of a line's file with type, default, range, unit, meaning and an example, read from the schema of the config."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
+from tuberline.cli.config_examples import example
 
 CAMERA = "<camera>"
 """Stands for a camera's name in a key."""
@@ -40,7 +41,7 @@ These commands check a file, print every setting in effect, and explain one key:
     tuberline config show --explain segmenter.ring
     tuberline config schema                              # JSON schema, for editors
 """
-_UNITS = {"mm2": "mm²", "mm": "mm", "ms": "ms", "m": "m", "s": "s", "g": "g"}
+_UNITS = {"mm2": "mm²", "mm": "mm", "ms": "ms", "us": "µs", "mw": "mW", "m": "m", "s": "s", "g": "g"}
 """Unit by the last part of a key's name."""
 _UNITS_OF = {
     "cameras.<camera>.depth_scale_m": "m per unit of depth",
@@ -56,8 +57,8 @@ _TYPES = {
     "number": "number",
     "integer": "whole number",
     "boolean": "true or false",
-    "array": "list of text",
 }
+_LISTS = {"string": "list of text", "number": "list of numbers"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class Setting:
     range: str
     unit: str
     meaning: str
+    example: str
 
 
 def settings() -> list[Setting]:
@@ -106,7 +108,7 @@ def config_page() -> str:
 
 
 def _table(section: str, rows: list[Setting], about: str) -> str:
-    head = ("key", "type", "default", "range", "unit", "meaning")
+    head = ("key", "type", "default", "range", "unit", "meaning", "example")
     lines = [head, ("---",) * len(head)]
     lines += [
         (f"`{row.key.rpartition('.')[2]}`", *(cell.replace("|", r"\|") for cell in astuple(row)[1:])) for row in rows
@@ -159,12 +161,16 @@ def _setting(key: str, field: Mapping[str, Any]) -> Setting:
         range=_range(value),
         unit=_UNITS_OF.get(key) or _UNITS.get(key.rpartition("_")[2], ""),
         meaning=field.get("description", ""),
+        example=f"`{example(key, value, field.get('default'))}`",
     )
 
 
 def _type(value: Mapping[str, Any]) -> str:
     if "enum" in value or "const" in value:
         return "one of"
+    if value.get("type") == "array":
+        (inner,) = {item["type"] for item in [*value.get("prefixItems", ()), value.get("items")] if item}
+        return _LISTS[inner]
     return "path" if value.get("format") == "path" else _TYPES[value["type"]]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -64,8 +65,10 @@ def write_xlsx(tables: Sequence[Table], path: Path) -> None:
             raise InputError(
                 f"{len(table.rows)} {table.name} do not fit a sheet (1,048,573 rows): export parquet or csv"
             )
+    # Packed in memory: its own faults of a full disk are no OSError, and its zip is left open.
+    packed = BytesIO()
     # Text stays text: a run's name that begins with '=' is no formula.
-    with xlsxwriter.Workbook(str(path), {"strings_to_formulas": False, "strings_to_urls": False}) as book:
+    with xlsxwriter.Workbook(packed, {"strings_to_formulas": False, "strings_to_urls": False}) as book:
         head = book.add_format({"bold": True, "bottom": 1})
         quiet = book.add_format({"italic": True, "font_color": "#666666"})
         for table in tables:
@@ -89,6 +92,7 @@ def write_xlsx(tables: Sequence[Table], path: Path) -> None:
         for at, (name, value) in enumerate(lines):
             about.write(at, 0, name)
             about.write(at, 1, value)
+    path.write_bytes(packed.getvalue())
 
 
 def _shapes(table: Table) -> list[Any]:
