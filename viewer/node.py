@@ -10,6 +10,7 @@ from pathlib import Path
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
 from conveyor.node import Node
+from viewer.scene.field_scene import NewCells
 from viewer.scene.inputs import Inputs
 from viewer.scene.primitives import Entry
 from viewer.scene.profiles import Profile
@@ -69,8 +70,9 @@ def run_viewer(
     name: str,
     run: str | None,
     until: Callable[[], bool] = lambda: False,
+    cells: NewCells | None = None,
 ) -> list[Sink]:
-    """Show the line until stopped, or until `until` says so.
+    """Show the line until stopped, or until `until` says so; `cells`: where the field's yield is put.
 
     Returns:
         The sinks that hang. Hold on to them and leave by `os._exit`: their destructors wait for the hub for ever.
@@ -84,7 +86,7 @@ def run_viewer(
                 sink.offer(entry)
 
         inputs = Inputs(node, profile)
-        show = Show(inputs, offer, profile=profile, run=run, counters=node.counters)
+        show = Show(inputs, offer, profile=profile, run=run, counters=node.counters, cells=cells)
         for sink in sinks:
             sink.start()
         while not node.stop.is_set() and not until():

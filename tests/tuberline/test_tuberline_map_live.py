@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +13,21 @@ import pytest
 
 from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
-from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter
+from conveyor import topics
+from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
+from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter, read_positions
+from conveyor.messages import Position
+from tests.viewer import viewer_line as line
 from tests.viewer.page_states import loaded_state
 from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until
 from tests.viewer.test_viewer_page_server import ask
 from tuberline.maps.field import Settings, field_map
 from tuberline.maps.live import features, live_map
 from viewer.page.board import Board
-from viewer.page.maps import MOST_PLACES, FieldMaps
+from viewer.page.maps import FieldMaps
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
+from viewer.way import MOST_PLACES
 
 __all__ = ["browser"]
 pytest.importorskip("pyproj")
@@ -55,6 +61,44 @@ def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
     east_m = (lons.max() - lons.min()) * np.cos(np.radians(lats.mean())) * 111_320
     assert east_m <= WORLD.size_m[0] + 3 * found.cells.cell_m, "degrees, longitude first"
     assert live_map(run, replace(SETTINGS, delay_s=None)) is not None, "not found yet: then it is assumed"
+
+
+@pytest.mark.graph
+def test_a_viewer_draws_the_field_while_the_machine_drives(run: Path, tmp_path: Path) -> None:
+    """Positions over the line, cells from the ledger beside it: both are in Rerun's file."""
+    pytest.importorskip("rerun")
+    rrd, found, day = tmp_path / "load.rrd", live_map(run, SETTINGS), read_positions(run / POSITIONS_FILE)
+    assert found is not None
+    more = (
+        f'[aggregator]\nout = "{run}"\n[gnss]\nsource = "file:x.nmea"\nwidth_m = 3.0\noverlap_m = 0.1\n'
+        f"delay_s = {WORLD.delay_s}\n"
+    )
+    with line.router() as link, line.viewer(link, tmp_path, "--rrd", str(rrd), more=more) as watcher:
+        info = KeptPublisher(watcher.observer, topics.CAMERA_INFO, camera="front")
+        frames = LatestPublisher(watcher.observer, topics.FRAME, camera="front")
+        told = ReliablePublisher(watcher.observer, topics.POSITION, receiver="roof")
+        info.put(line.camera_info())
+        line.within(10, lambda: frames.has_listener, "the viewer subscribes to frames")
+        frames.put(line.frame(0, line.potatoes(1, seed=1)))
+        for n, place in enumerate(day[:200]):
+            told.put(
+                Position("roof", line.RUN, n, place.time_ns, place.time_ns, place.lat_deg, place.lon_deg, 4, 0.8, 9)
+            )
+        line.within(10, lambda: watcher.counter("position_shown") >= 60, "positions are shown")
+        line.within(60, lambda: watcher.counter("cells_shown") >= 1, "the yield is shown")
+        line.within(10, lambda: watcher.settled("file"), "the file has everything")
+        watcher.stop()
+    known = np.isfinite(found.cells.t_ha)
+    ((_, t_ha),) = line.column(rrd, "/field/cells", "t_ha")[-1:]
+    assert sorted(t_ha) == pytest.approx(sorted(found.cells.t_ha[known]), abs=0.05)
+    ((_, centres),) = line.column(rrd, "/field/cells", "GeoPoints:positions")[-1:]
+    lat, lon = found.plane.to_degrees(found.cells.centres_m()[known])
+    assert np.allclose(np.array(centres), np.stack([lat, lon], axis=1), atol=2e-7)
+    here = [value[0] for _, value in line.column(rrd, "/field/machine", "GeoPoints:positions")]
+    assert all(any(math.dist(place, (p.lat_deg, p.lon_deg)) < 1e-9 for p in day[:200]) for place in here)
+    assert len(here) > 10, "the machine's places"
+    assert len(line.column(rrd, "/field/way", "GeoLineStrings:line_strings")) >= 1
+    assert "t/ha" in line.column(rrd, "/field/page", "TextDocument:text")[-1][1][0]
 
 
 def test_a_way_is_bounded_and_told_now_and_then() -> None:

@@ -6,11 +6,11 @@ import signal
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import viewer_line as line
+from viewer_line import column
 
 from conveyor import topics
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
@@ -33,20 +33,6 @@ def entities(path: Path) -> Counter[str]:
     for chunk in RrdReader(path).stream():
         rows[chunk.entity_path] += chunk.num_rows
     return rows
-
-
-def column(path: Path, entity: str, component: str, timeline: str = "capture") -> list[tuple[Any, Any]]:
-    """(time, value) of every row of a component, in order of time."""
-    from rerun.chunk import RrdReader
-
-    rows: list[tuple[Any, Any]] = []
-    for chunk in RrdReader(path).stream().filter(content=entity):
-        batch = chunk.to_record_batch()
-        if component in batch.schema.names and timeline in batch.schema.names:
-            rows += zip(
-                batch.column(timeline).cast("int64").to_pylist(), batch.column(component).to_pylist(), strict=True
-            )
-    return sorted((row for row in rows if row[1] is not None), key=lambda row: row[0])
 
 
 def values(path: Path, entity: str, component: str) -> list[float]:

@@ -24,6 +24,8 @@ from tests.viewer.test_viewer_page_browser import STICKS_OUT, browser, js, text,
 __all__ = ["browser"]
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(900)]
 TOLD_WITHIN_S = 3.0
+LINE_S = 240.0
+"""A whole line on a busy machine takes its time, to come up and to weigh."""
 SIZES = {
     "phone": (390, 844, 1.5, "dark", "en"),
     "phone-light": (390, 844, 1.5, "light", "en"),
@@ -35,6 +37,7 @@ SIZES = {
 }
 """Of each picture: width, height, dots a pixel, colours, language."""
 FIRST_LOAD_KG = "document.querySelector('[data-put=told] tbody tr:last-child').cells[2].textContent"
+FIRST_LOAD_SEEN = "document.querySelector('[data-put=told] tbody tr:last-child').cells[5].textContent"
 CANVASES = (
     "[...document.querySelectorAll('canvas[data-see]')].map((c) => [c.dataset.see, Number(c.dataset.outlines || 0)])"
 )
@@ -68,7 +71,7 @@ def opened(browser: Browser, line: PageLine, true: Callable[[], object], what: s
         except BrowserError:
             return False  # one page gives way to the next
 
-    deadline = time.monotonic() + 240
+    deadline = time.monotonic() + LINE_S
     while not there():
         assert time.monotonic() < deadline, what
         time.sleep(0.3)
@@ -79,11 +82,12 @@ def test_the_belt_is_seen_and_loads_change_while_tubers_come(browser: Browser, t
     with page_line(tmp_path, belt, cameras=("left", "right"), speed=0.06, waits=True) as line:
         opened(browser, line, lambda: all(n > 3 for _, n in js(browser, CANVASES) or [("", 0)]), "both belts")
         assert {see for see, _ in js(browser, CANVASES)} == {"north/left", "north/right"}
-        until(lambda: tubers(browser) > 4, what="tubers")
+        until(lambda: tubers(browser) > 4, what="tubers", within_s=LINE_S)
         assert order(browser, "start", fields={"name": "trailer 6", "field": "North 4", "variety": "Agria"})["done"]
-        until(lambda: "Load 1 · trailer 6" in text(browser) and tubers(browser) > 19, what="a load with tubers")
+        until(lambda: "Load 1 · trailer 6" in text(browser) and tubers(browser) > 19, what="a load", within_s=LINE_S)
         assert order(browser, "start", fields={"name": "trailer 7", "field": "North 4", "variety": "Agria"})["done"]
-        until(lambda: "Load 2 · trailer 7" in text(browser) and tubers(browser) > 9, what="the next load's tubers")
+        until(lambda: "Load 2 · trailer 7" in text(browser) and tubers(browser) > 9, what="the next", within_s=LINE_S)
+        until(lambda: js(browser, FIRST_LOAD_SEEN) == "100.0 %", what="all of the first load", within_s=LINE_S)
         scale_kg = round(1.02 * float(js(browser, FIRST_LOAD_KG).split()[0]), 1)
         assert order(browser, "ticket", load="1", kg=scale_kg)["done"]
         assert order(browser, "note", load="1", note="wet")["done"]

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,10 +244,10 @@ class ViewerProcess:
 
 
 @contextlib.contextmanager
-def viewer(link: LinkConfig, tmp_path: Path, *options: str) -> Iterator[ViewerProcess]:
-    """A viewer process on line 'line' that has announced itself."""
+def viewer(link: LinkConfig, tmp_path: Path, *options: str, more: str = "") -> Iterator[ViewerProcess]:
+    """A viewer process on line 'line' that has announced itself; `more` of the line's file."""
     config = tmp_path / "line.toml"
-    config.write_text(f'[link]\nrouter = "{link.router}"\n')
+    config.write_text(f'[link]\nrouter = "{link.router}"\n{more}')
     command = [sys.executable, "-m", "tuberline", "viewer", "--config", str(config), "--name", "test", *options]
     with Observer(link, line="line") as observer:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
@@ -257,3 +258,17 @@ def viewer(link: LinkConfig, tmp_path: Path, *options: str) -> Iterator[ViewerPr
             if process.poll() is None:
                 process.kill()
                 process.wait(30)
+
+
+def column(path: Path, entity: str, component: str, timeline: str = "capture") -> list[tuple[Any, Any]]:
+    """(time, value) of every row of a component, in order of time."""
+    from rerun.chunk import RrdReader
+
+    rows: list[tuple[Any, Any]] = []
+    for chunk in RrdReader(path).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if component in batch.schema.names and timeline in batch.schema.names:
+            rows += zip(
+                batch.column(timeline).cast("int64").to_pylist(), batch.column(component).to_pylist(), strict=True
+            )
+    return sorted((row for row in rows if row[1] is not None), key=lambda row: row[0])

@@ -10,12 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from conveyor.config import ViewerConfig, load_config
+from conveyor.config import LineConfig, ViewerConfig, load_config
 from conveyor.errors import ConfigError
 from tuberline.cli.address import LineAddress
 from viewer.scene.profiles import PROFILES, ProfileName
 
 if TYPE_CHECKING:
+    from viewer.scene.field_scene import NewCells
     from viewer.sink import Sink
 
 DEFAULT_LIMIT_MB = 2048
@@ -75,8 +76,9 @@ def viewer(
         connect=connect or (None if serve else section.connect),
         foxglove=foxglove or section.foxglove,
     )
+    cells = _live_cells(line)
     if not serve:
-        _end(run_viewer(line, target, profile=PROFILES[chosen], name=name, run=run))
+        _end(run_viewer(line, target, profile=PROFILES[chosen], name=name, run=run, cells=cells))
         return
     from viewer.rerun.launch import Ports, RerunProgram
 
@@ -84,7 +86,7 @@ def viewer(
     with RerunProgram(ports, page=True):
         sys.stderr.write(f"open {ports.link}\n")
         served = replace(target, connect=ports.url)
-        hanging = run_viewer(line, served, profile=PROFILES[chosen], name=name, run=run)
+        hanging = run_viewer(line, served, profile=PROFILES[chosen], name=name, run=run, cells=cells)
     _end(hanging)
 
 
@@ -132,6 +134,18 @@ def watch(
         name = f"watch-{socket.gethostname().split('.')[0][:32]}-{os.getpid()}"
         hanging = run_viewer(watched, target, profile=PROFILES[profile], name=name, run=None, until=program.ended)
     _end(hanging)
+
+
+def _live_cells(line: LineConfig) -> NewCells | None:
+    """Where the map of the run is put that is kept on this machine; None for a line without a GNSS receiver."""
+    if line.gnss is None:
+        return None
+    from tuberline.maps.live import LiveMap
+    from viewer.scene.field_scene import NewCells
+
+    cells = NewCells()
+    LiveMap(line, cells.put).start()
+    return cells
 
 
 def _has_display() -> bool:

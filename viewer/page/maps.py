@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-MOST_PLACES = 4000
-STEP_M = 1.0
+from viewer.way import Way
+
 TELL_EVERY = 20
 """Places after which browsers are told that the way has grown."""
-M_PER_DEG = 111_320.0
 
 
 @dataclass(slots=True)
@@ -21,7 +19,7 @@ class _Field:
     number: int = 0
     cells: Sequence[Mapping[str, Any]] = ()
     about: Mapping[str, float] = field(default_factory=dict)
-    way: list[tuple[float, float]] = field(default_factory=list)
+    way: Way = field(default_factory=Way)
     untold: int = 0
 
 
@@ -39,16 +37,13 @@ class FieldMaps:
             found.cells, found.about, found.number = cells, about, found.number + 1
 
     def add_place(self, line: str, *, lat_deg: float, lon_deg: float) -> None:
-        """Where the machine is now; steps of less than `STEP_M` are left out, an old way keeps every second one."""
+        """Where the machine is now."""
         with self._lock:
             found = self._fields.setdefault(line, _Field())
-            if found.way and _metres(found.way[-1], (lon_deg, lat_deg)) < STEP_M:
+            if not found.way.add(lat_deg=lat_deg, lon_deg=lon_deg):
                 return
-            found.way.append((lon_deg, lat_deg))
-            if len(found.way) > MOST_PLACES:
-                found.way = found.way[:-1:2] + found.way[-1:]
             found.untold += 1
-            if found.untold >= TELL_EVERY or len(found.way) == 2:
+            if found.untold >= TELL_EVERY or len(found.way.lon_lat) == 2:
                 found.number, found.untold = found.number + 1, 0
 
     def number(self, line: str) -> int:
@@ -60,13 +55,7 @@ class FieldMaps:
         """The map as JSON: {number, cells (a FeatureCollection), about, way ([lon, lat], oldest first)}."""
         with self._lock:
             found = self._fields.get(line, _Field())
-            way = [[round(lon, 7), round(lat, 7)] for lon, lat in found.way]
+            way = [[round(lon, 7), round(lat, 7)] for lon, lat in found.way.lon_lat]
             cells = {"type": "FeatureCollection", "features": list(found.cells)}
             told = {"number": found.number, "cells": cells, "about": dict(found.about), "way": way}
         return json.dumps(told, separators=(",", ":"), allow_nan=False).encode()
-
-
-def _metres(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Between two places (lon, lat) that are near each other."""
-    east = (a[0] - b[0]) * math.cos(math.radians(a[1])) * M_PER_DEG
-    return math.hypot(east, (a[1] - b[1]) * M_PER_DEG)

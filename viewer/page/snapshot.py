@@ -9,7 +9,7 @@ from typing import Any
 from conveyor.messages import CameraInfo, Totals
 from conveyor.messages.loads import LoadNow
 from viewer.page.alarms import Alarm, alarms, layers
-from viewer.page.state import STALE_S, LineState, NodeState
+from viewer.page.state import STALE_S, LineState, NodeState, ToldLoad
 
 FORGET_GONE_S = 600.0
 MAX_NODES = 64
@@ -28,7 +28,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
         "now": None if state.totals is None or state.totals.load is None else _now(state.totals.load),
         "contract": "" if state.totals is None else state.totals.contract,
         "changed_s": None if state.changed_s is None else round(state.changed_s, 1),
-        "told": [asdict(load) for load in state.told],
+        "told": [_told(load, state) for load in state.told],
         "flow": asdict(state.flow) if state.in_contact and not state.final else None,
         "rate": None if state.rate is None else asdict(state.rate),
         "cameras": [_camera(name, state, _troubled(name, found)) for name in _shown_cameras(state)],
@@ -62,6 +62,14 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "age_s": round(state.totals_age_s, 1),
         "old": state.totals_age_s > STALE_S and not totals.final,
     }
+
+
+def _told(load: ToldLoad, state: LineState) -> dict[str, Any]:
+    """A load of the ledger; the open one as the totals have it now: the list is older, and its belt goes on."""
+    found, now = asdict(load), None if state.totals is None else state.totals.load
+    if now is None or not load.open or now.number != load.number:
+        return found
+    return {**found, **{name: getattr(now, name) for name in ("count", "weight_g", "low_g", "high_g", "coverage")}}
 
 
 def _now(load: LoadNow) -> dict[str, Any]:

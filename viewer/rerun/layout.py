@@ -35,6 +35,13 @@ def blueprint(layout: Layout) -> Any:
     ]
     load = rrb.TextDocumentView(origin="/load/page", name="The load")
     weights = rrb.BarChartView(origin="/load/weights", name="How many tubers of which weight (g)")
+    # The tiles beneath the field need a network; the field does not.
+    field = rrb.Vertical(
+        rrb.MapView(origin="/field", name="The field"),
+        rrb.TextDocumentView(origin="/field/page", name="t/ha"),
+        row_shares=[5, 1],
+        name="The field",
+    )
     plots = rrb.Tabs(
         rrb.TimeSeriesView(origin="/load", contents=["+ /load/weight_kg", "+ /load/counted_kg"], name="Load, kg"),
         rrb.TimeSeriesView(origin="/tuber/weight_g", name="Each tuber, g"),
@@ -48,7 +55,8 @@ def blueprint(layout: Layout) -> Any:
     left: Any = (
         rrb.Vertical(belt, rrb.Horizontal(*pictures), row_shares=[1, 1]) if layout.pictures and pictures else belt
     )
-    right = rrb.Vertical(load, weights, plots, health, row_shares=[4, 3, 3, 2])
+    second = rrb.Tabs(field, weights, active_tab=0) if layout.field else weights
+    right = rrb.Vertical(load, second, plots, health, row_shares=[4, 3, 3, 2])
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[5, 3]),
         rrb.BlueprintPanel(state="collapsed"),

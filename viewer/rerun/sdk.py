@@ -20,6 +20,7 @@ from viewer.scene.primitives import (
     DepthPicture,
     Entry,
     Gone,
+    Ground,
     Lane,
     Lens,
     LogLine,
@@ -31,6 +32,7 @@ from viewer.scene.primitives import (
     Pose,
     Shift,
     State,
+    YieldCells,
 )
 
 INSTALL = f"install it {install_hint('viewer')}"
@@ -53,6 +55,9 @@ _STATE_COLORS = {
     "stalled": (220, 150, 40),
     "gone": (200, 60, 50),
 }
+_YIELD_AT = (0.0, 0.5, 1.0)
+_YIELD_RGB = ((247, 120, 0), (252, 198, 69), (185, 121, 41))
+"""Red, green and blue over the yield's range: light to dark, as `tuberline map` draws it."""
 FLUSH_TICK_S = 0.1
 FLUSH_BYTES = 16 << 20
 
@@ -172,6 +177,24 @@ def _measured(primitive: Measured) -> list[Any]:
     ]
 
 
+def _ground(primitive: Ground) -> list[Any]:
+    if primitive.way:
+        return [
+            rr.GeoLineStrings(lat_lon=[primitive.lat_lon_deg], colors=[primitive.color], radii=rr.Radius.ui_points(1.0))
+        ]
+    return [rr.GeoPoints(lat_lon=primitive.lat_lon_deg, colors=[primitive.color], radii=rr.Radius.ui_points(6.0))]
+
+
+def _cells(primitive: YieldCells) -> list[Any]:
+    low, high = np.percentile(primitive.t_ha, [2, 98])
+    share = np.clip((primitive.t_ha - low) / max(high - low, 1e-9), 0, 1)
+    colors = np.stack([np.interp(share, _YIELD_AT, channel) for channel in _YIELD_RGB], axis=1)
+    return [
+        rr.GeoPoints(lat_lon=primitive.lat_lon_deg, colors=colors.round().astype(np.uint8), radii=primitive.side_m / 2),
+        rr.AnyValues(t_ha=primitive.t_ha, low_t_ha=primitive.low_t_ha, high_t_ha=primitive.high_t_ha),
+    ]
+
+
 _ARCHETYPES: dict[type[Any], Callable[[Any], list[Any]]] = {
     BeltAxes: lambda _: [rr.ViewCoordinates.RIGHT_HAND_Z_UP],
     Pose: lambda m: [rr.Transform3D(translation=m.belt_from_camera[:3, 3], mat3x3=m.belt_from_camera[:3, :3])],
@@ -189,5 +212,7 @@ _ARCHETYPES: dict[type[Any], Callable[[Any], list[Any]]] = {
     Lane: lambda _: [rr.StateConfiguration(values=list(_STATE_COLORS), colors=list(_STATE_COLORS.values()))],
     State: lambda m: [rr.StateChange(state=m.state)],
     LogLine: lambda m: [rr.TextLog(m.text, level=m.level)],
+    Ground: _ground,
+    YieldCells: _cells,
     Page: lambda m: [rr.TextDocument(m.markdown, media_type="text/markdown")],
 }

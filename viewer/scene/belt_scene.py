@@ -60,6 +60,7 @@ class BeltScene:
         self._boxes = 0
         self._provisional = Provisional(self._new_path)
         self._clouds = 0
+        self._with_field = False
         self.newest: Moment | None = None
         self.counted_until: Moment | None = None
         """When the last counted tuber crossed; the start while there is none. What the totals are the totals of."""
@@ -73,6 +74,11 @@ class BeltScene:
             Entry("/tuber/weight_g", PlotStyle("each tuber, g", (240, 190, 90), points=True), None),
             Entry("layout", self._layout(), None),
         ]
+
+    def with_field(self) -> list[Entry]:
+        """From now on the window has the field's map beside the belt."""
+        self._with_field = True
+        return [Entry("layout", self._layout(), None)]
 
     def on_frame(self, frame: Frame) -> list[Entry]:
         """Draw a frame if it is its turn; [] when the profile shows fewer pictures than come."""
@@ -259,7 +265,7 @@ class BeltScene:
 
     def _layout(self) -> Layout:
         x0, x1, y0, y1 = self._extent()
-        return Layout(tuple(sorted(self._drawn.values())), self._profile.pictures, (x0, x1), (y0, y1))
+        return Layout(tuple(sorted(self._drawn.values())), self._profile.pictures, (x0, x1), (y0, y1), self._with_field)
 
     def _remember_yaw(self, track_id: str, points: NDArray[np.float64]) -> None:
         """Heading of the cloud's longest horizontal axis; kept for the box that follows."""

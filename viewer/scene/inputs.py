@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from conveyor import topics
 from conveyor.delivery import Inbox, KeptSubscriber, LatestSubscriber, Presence, ReliableSubscriber
-from conveyor.messages import CameraInfo, Counters, Frame, Totals, TrackEntry, TracksInView, Travel, Tuber, View
+from conveyor.messages import (
+    CameraInfo,
+    Counters,
+    Frame,
+    Position,
+    Totals,
+    TrackEntry,
+    TracksInView,
+    Travel,
+    Tuber,
+    View,
+)
 from conveyor.node import Node
 from viewer.scene.profiles import Profile
 
@@ -14,6 +25,7 @@ TRAVEL_RING = 64
 TRACK_RING = 1024
 IN_VIEW_RING = 32
 TUBER_INBOX = 8192
+POSITION_RING = 64
 
 
 class Inputs:
@@ -34,6 +46,9 @@ class Inputs:
             node, topics.IN_VIEW, TracksInView, capacity=IN_VIEW_RING, camera="*"
         )
         self.tubers: Inbox[Tuber] = ReliableSubscriber(node, topics.TUBER, Tuber, capacity=TUBER_INBOX)
+        self.positions: Inbox[Position] = LatestSubscriber(
+            node, topics.POSITION, Position, capacity=POSITION_RING, receiver="*"
+        )
         self.infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         self.totals = KeptSubscriber(node, topics.TOTALS, Totals)
         self.counters = KeptSubscriber(node, topics.COUNTERS, Counters, role="*", name="*")

@@ -160,16 +160,39 @@ class Page:
 
 
 @dataclass(frozen=True, slots=True)
+class Ground:
+    """(N, 2) float64 latitudes and longitudes, WGS84 degrees: places, or the way from each to the next."""
+
+    lat_lon_deg: NDArray[np.float64]
+    color: Color
+    way: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class YieldCells:
+    """The field's cells: (N, 2) latitudes and longitudes of their centres, degrees; (N,) yield with its 90 % interval,
+    t/ha; their side in metres."""
+
+    lat_lon_deg: NDArray[np.float64]
+    t_ha: NDArray[np.float64]
+    low_t_ha: NDArray[np.float64]
+    high_t_ha: NDArray[np.float64]
+    side_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Layout:
     """Which views the window shows.
 
-    `cameras`: name, width and height (pixels, as drawn) of each; `belt_x_m`, `belt_y_m` bound the belt that is drawn.
+    `cameras`: name, width and height (pixels, as drawn) of each; `belt_x_m`, `belt_y_m` bound the belt that is drawn;
+    `field`: the machine's place is known.
     """
 
     cameras: tuple[tuple[str, int, int], ...]
     pictures: bool
     belt_x_m: tuple[float, float]
     belt_y_m: tuple[float, float]
+    field: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +220,8 @@ Primitive = (
     | State
     | LogLine
     | Page
+    | Ground
+    | YieldCells
     | Layout
     | NewRun
 )

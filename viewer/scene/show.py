@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 from conveyor.counters import CounterSet
-from conveyor.messages import CameraInfo, Frame, Totals, TrackEntry, TracksInView, Travel, Tuber, View
+from conveyor.messages import CameraInfo, Frame, Position, Totals, TrackEntry, TracksInView, Travel, Tuber, View
 from viewer.scene.belt_scene import BeltScene
+from viewer.scene.field_scene import FieldScene, NewCells
 from viewer.scene.health_scene import HealthScene
 from viewer.scene.inputs import FRAME_RING, Inputs
 from viewer.scene.load_scene import LoadScene
@@ -33,12 +34,21 @@ class Show:
     Args:
         offer: gives one entry to every sink.
         run: show this run alone; None follows the line from run to run.
+        cells: where the field's yield is put, if it is computed on this machine.
     """
 
     def __init__(
-        self, inputs: Inputs, offer: Callable[[Entry], None], *, profile: Profile, run: str | None, counters: CounterSet
+        self,
+        inputs: Inputs,
+        offer: Callable[[Entry], None],
+        *,
+        profile: Profile,
+        run: str | None,
+        counters: CounterSet,
+        cells: NewCells | None = None,
     ) -> None:
         self._inputs = inputs
+        self._cells = cells or NewCells()
         self._offer = offer
         self._profile = profile
         self._fixed = run is not None
@@ -48,7 +58,7 @@ class Show:
         self._waiting_totals: Totals | None = None
         self._health_due = 0.0
         self._open_scenes()
-        for name in ("frame", "view", "tuber", "travel", "track", "in_view"):
+        for name in ("frame", "view", "tuber", "travel", "track", "in_view", "position"):
             counters.add(f"{name}_dropped_other_run", 0)
         for name in (
             "frame_skipped_rate",
@@ -57,6 +67,8 @@ class Show:
             "frame_shown",
             "view_shown",
             "tuber_shown",
+            "position_shown",
+            "cells_shown",
         ):
             counters.add(name, 0)
 
@@ -65,6 +77,7 @@ class Show:
         busy = self._cameras()
         busy |= self._frames()
         busy |= self._small()
+        busy |= self._field_seen()
         busy |= self._views()
         busy |= self._reports()
         return busy
@@ -74,6 +87,7 @@ class Show:
         self._belt = BeltScene(self._profile)
         self._load = LoadScene()
         self._health = HealthScene()
+        self._field = FieldScene()
         self._say([*self._belt.opening(), *self._load.opening()])
 
     def _say(self, entries: list[Entry]) -> None:
@@ -165,6 +179,26 @@ class Show:
                 self._say(self._belt.on_tuber(tuber))
                 if (counted_until := self._belt.counted_until) is not None:
                     self._say(self._load.on_tuber(tuber, counted_until))
+        return busy
+
+    def _field_seen(self) -> bool:
+        """The machine's place and the yield: they wait for the first capture time to stand at, and show their view."""
+        busy, known = False, self._field.known
+        for _ in range(MOST_PER_TURN):
+            now = self._belt.newest
+            position: Position | None = self._inputs.positions.get(0.0) if now is not None else None
+            if position is None or now is None:
+                break
+            busy = True
+            if self._of_this_run(position, "position"):
+                self._counters.add("position_shown")
+                self._say(self._field.on_position(position, now))
+        if self._field.known and not known:
+            self._say(self._belt.with_field())
+        if self._field.known and self._belt.newest is not None and (found := self._cells.take()) is not None:
+            busy = True
+            self._counters.add("cells_shown")
+            self._say(self._field.on_cells(*found, self._belt.newest))
         return busy
 
     def _reports(self) -> bool:

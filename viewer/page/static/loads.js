@@ -7,6 +7,12 @@ import { load, loadUnit, number, percent, scaled, t, weight, when } from "./word
 const UNDO_WITHIN_S = 60;
 const SAID_MS = 60000;
 
+// "packer 2026, by square mesh": a contract's own name, and by what it measures in the reader's language.
+function contractNamed(told) {
+  const [, name, measure] = /^(?:(.*), )?by (square mesh|length)$/.exec(told) ?? [null, told, ""];
+  return [name, measure && t(measure === "length" ? "measure.length" : "measure.mesh")].filter(Boolean).join(", ");
+}
+
 export class Loads {
   constructor(card) {
     this.card = card;
@@ -48,11 +54,12 @@ export class Loads {
     if (shares) this.card.put("foreign-range", t("foreign.range", { low: shares[0], high: shares[2] }));
     const classes = figures?.classes ?? [];
     matter.hidden = classes.length === 0;
-    this.card.put("contract", contract ? t("classes.of", { name: contract }) : t("classes"));
+    this.card.put("contract", contract ? t("classes.of", { name: contractNamed(contract) }) : t("classes"));
     const { unit } = loadUnit(classes[0]?.weight_g);
-    fill(this.card.places.sizes, [t("class"), t("share"), t("sure"), unit, t("limits")], classes.map((each) => [
+    const limits = classes.some((each) => each.state);
+    fill(this.card.places.sizes, [t("class"), t("share"), t("sure"), unit, ...(limits ? [t("limits")] : [])], classes.map((each) => [
       each.name, `${number(each.percent, 1)} %`, `${t("range", { low: number(each.percent_low, 1), high: number(each.percent_high, 1) })} %`,
-      load(each.weight_g, loadUnit(each.weight_g)), t(`limit.${each.state}`),
+      load(each.weight_g, loadUnit(each.weight_g)), ...(limits ? [each.state ? t(`limit.${each.state}`) : "–"] : []),
     ]), "");
   }
 
