@@ -12,8 +12,8 @@ from aggregator.core.camera_clocks import AGREE_S, ENOUGH, CameraClocks
 from aggregator.core.coverage import Moment, coverage
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.writer import Ledger
+from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, Tuber
-from conveyor.messages.frames import Intrinsics
 from tests.aggregator.belt_story import CLOCK_S, Story, tell
 from tests.aggregator.looking_story import look, positions_m
 from tests.aggregator.virtual_line import Aggregator
