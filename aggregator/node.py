@@ -273,7 +273,7 @@ class AggregatorNode:
             if started_s is None or report.role != "segmenter" or report.run != self._run:
                 continue
             camera_s = started_s + report.uptime_s
-            ahead_ns = self._core.cameras.clock(report.name, camera_s, arrived_s=arrived_s)
+            ahead_ns = self._core.cameras.clock(report.name, camera_s, host=report.host, arrived_s=arrived_s)
             if ahead_ns is not None:
                 self._node.counters.gauge(f"clock_ahead_s_{report.name}", ahead_ns / 1e9)
                 self._node.log.warning(

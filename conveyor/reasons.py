@@ -33,6 +33,7 @@ class FrameDrop(Reason):
     TOO_OLD = "too_old", "the frame waited longer than max_age_ms"
     OVERWRITTEN = "overwritten", "newer frames pushed it out of the ring"
     OVERLOAD = "overload", "left out, for the regressors cannot keep up; tubers are seen in other frames"
+    BEHIND = "behind", "left out, for the aggregator is thousands of log entries behind this camera"
 
 
 class InstanceRefusal(Reason):

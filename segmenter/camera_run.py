@@ -113,7 +113,9 @@ class CameraRun:
         self._heard_s = now_s
         if self.ended or not self.frames.receive(frame.seq, after_seq=frame.after_seq):
             return None
-        if drop is None and (self._far_behind or self._spared(frame)):
+        if drop is None and self._far_behind:
+            drop = FrameDrop.BEHIND
+        if drop is None and self._spared(frame):
             drop = FrameDrop.OVERLOAD
         if drop is not None:
             self.frames.dropped[drop] += 1

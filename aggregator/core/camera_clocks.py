@@ -29,16 +29,18 @@ class CameraClocks:
 
     _seen: dict[str, deque[float]] = field(default_factory=dict)
     _newest: dict[str, float] = field(default_factory=dict)
+    _hosts: dict[str, str] = field(default_factory=dict)
 
-    def reported(self, camera: str, camera_s: float, *, arrived_s: float) -> None:
+    def reported(self, camera: str, camera_s: float, *, host: str, arrived_s: float) -> None:
         """A report came. One that is told again, for nothing newer has come, changes nothing, nor does an absurd one.
 
         Args:
             camera_s: what the camera's clock said when the report was sent, seconds.
+            host: where the camera is.
             arrived_s: when it came, by a steady clock of ours.
         """
         if abs(camera_s) <= LARGEST_S and camera_s != self._newest.get(camera):
-            self._newest[camera] = camera_s
+            self._newest[camera], self._hosts[camera] = camera_s, host
             self._seen.setdefault(camera, deque(maxlen=REMEMBERED)).append(camera_s - arrived_s)
 
     def known(self, cameras: Sequence[str], *, of: str) -> bool:
@@ -46,9 +48,11 @@ class CameraClocks:
         return all(self.ahead_ns(camera, of=of) is not None for camera in cameras)
 
     def ahead_ns(self, camera: str, *, of: str) -> int | None:
-        """By how much the clock of `camera` is ahead of that `of` another, nanoseconds; 0 where they agree, None where
-        too little is known: too few reports, or all of them so late that the difference may be theirs.
+        """By how much the clock of `camera` is ahead of that `of` another, nanoseconds; 0 where they agree or are of
+        one host, None where too little is known: too few reports, or all so late that the difference may be theirs.
         """
+        if camera in self._hosts and self._hosts[camera] == self._hosts.get(of):
+            return 0  # whose frames may be half a second late under overload, of one camera more than of the other
         own, other = (sorted(self._seen.get(name, ()), reverse=True) for name in (camera, of))
         if min(len(own), len(other)) < ENOUGH:
             return None

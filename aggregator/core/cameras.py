@@ -28,6 +28,7 @@ INFO_AGE_S = 3.0
 CLOCKS_WITHIN_S = 8.0
 """So long the first tubers of live cameras without an encoder wait until it is known how far their clocks differ: each
 segmenter reports once a second."""
+NEWS_NS = 500_000_000
 TURNED_NS = 20_000_000
 """Belts are laid side by side by another difference once the clocks moved so far against each other. 6 mm of belt."""
 
@@ -158,20 +159,21 @@ class Cameras:
         elif info.state == "ended":
             state.info_s = math.inf
 
-    def clock(self, camera: str, camera_s: float, *, arrived_s: float) -> int | None:
+    def clock(self, camera: str, camera_s: float, *, host: str, arrived_s: float) -> int | None:
         """A live camera's clock stood at `camera_s` when a report was sent that came at `arrived_s` of ours. Returns
         what it is ahead of the first camera's, nanoseconds, where that is news; belts are laid side by side by it.
         """
         reference = self.names[0]
         if camera not in self.states:
             return None
-        self._clocks.reported(camera, camera_s, arrived_s=arrived_s)
+        self._clocks.reported(camera, camera_s, host=host, arrived_s=arrived_s)
         state = self.states[camera]
         ahead_ns = 0 if camera == reference else self._clocks.ahead_ns(camera, of=reference)
         if ahead_ns is None or abs(ahead_ns - state.sight.ahead_ns) < TURNED_NS:
             return None
-        state.sight.ahead_ns = state.curve.ahead_ns = ahead_ns
-        return ahead_ns
+        before_ns, state.sight.ahead_ns = state.sight.ahead_ns, ahead_ns
+        state.curve.ahead_ns = ahead_ns
+        return ahead_ns if 0 in (before_ns, ahead_ns) or abs(ahead_ns - before_ns) >= NEWS_NS else None
 
     def _clocks_known(self, now_s: float) -> bool:
         """It is known how far live cameras' clocks differ, or no use to wait for it any longer."""

@@ -70,6 +70,7 @@ DROPPED = {
     "too_old": "the frames came too late",
     "overwritten": "more frames came than could be processed",
     "overload": "the regressors could not keep up",
+    "behind": "the aggregator could not keep up",
 }
 """Reasons of a segmenter for dropped frames, in words; one that is not here is told as it is."""
 

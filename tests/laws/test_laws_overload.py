@@ -132,10 +132,10 @@ def test_frames_are_left_out_only_when_a_living_aggregator_does_not_keep_up(
     balanced(line)
     if lives:
         assert 200 < line.run.log.uncommitted <= 250
-        assert line.run.frames.dropped["overload"] > 0.5 * line.frames
+        assert line.run.frames.dropped["behind"] > 0.5 * line.frames
     else:
         assert line.run.log.uncommitted > 600
         assert line.run.frames.dropped == {}
-    line.confirms_per_s, left_out = math.inf, line.run.frames.dropped["overload"]
+    line.confirms_per_s, left_out = math.inf, line.run.frames.dropped["behind"]
     line.run_for(1.0)
-    assert line.run.frames.dropped["overload"] <= left_out + 1
+    assert line.run.frames.dropped["behind"] <= left_out + 1

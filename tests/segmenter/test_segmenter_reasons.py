@@ -25,7 +25,7 @@ def test_the_page_has_words_for_every_dropped_frame_and_lost_view() -> None:
 
 def test_values_are_those_of_ledgers_written_before() -> None:
     assert {str(reason) for reason in FrameDrop} == {
-        "blind", "frozen", "camera_changed", "no_belt", "too_old", "overwritten", "overload",
+        "blind", "frozen", "camera_changed", "no_belt", "too_old", "overwritten", "overload", "behind",
     }  # fmt: skip
     assert {str(reason) for reason in TrackRefusal} == {
         "before_start", "not_crossed", "born_late", "vanished", "few_frames", "fragment", "small", "tiny", "flat",

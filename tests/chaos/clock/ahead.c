@@ -1,9 +1,11 @@
 /* Preloaded into a process, it sets that process's clock of the day ahead by the seconds in the file AHEAD_FILE, read
-   again every 20 ms. Steady clocks and sleeps stay as they are: libfaketime's break Python's. */
+   again every 20 ms. Steady clocks and sleeps stay as they are: libfaketime's break Python's. The host is called
+   "another", as it would be. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <fcntl.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/syscall.h>
 #include <sys/time.h>
 #include <time.h>
@@ -25,6 +27,11 @@ static long long ahead_ns(void) {
         }
     }
     return ahead;
+}
+
+int gethostname(char *name, size_t length) {
+    strncpy(name, "another", length);
+    return 0;
 }
 
 int clock_gettime(clockid_t id, struct timespec *at) {
