@@ -6,10 +6,12 @@ import csv
 import io
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from aggregator.core.loads import Span, span_of
 from conveyor.errors import StorageError, TuberlineError
+from conveyor.files import cause
 from conveyor.messages import Sizes, Tuber
 
 SIZES = {"caliper_length": "length", "caliper_width": "width", "caliper_thickness": "thickness", "mesh": "mesh"}
@@ -99,5 +101,6 @@ def write_whole(path: Path, text: str | Iterable[str]) -> None:
         part.unlink(missing_ok=True)
         raise
     except OSError as error:
-        part.unlink(missing_ok=True)
-        raise StorageError(f"{path} cannot be written: {error.strerror}; free space or fix the rights") from error
+        with suppress(OSError):  # on a read-only disk this is refused too, whether there is one or not
+            part.unlink(missing_ok=True)
+        raise StorageError(f"{path} cannot be written: {cause(error)}") from error

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conveyor.errors import InputError
+from aggregator.ledger.files import write_whole
+from conveyor.errors import InputError, StorageError
 from conveyor.files import told, whole_output
 from tuberline.export.binary_files import write_xlsx
 from tuberline.export.table import Column, Table
@@ -169,6 +170,16 @@ def _write_half(path: Path, fault: Exception) -> None:
     with whole_output(path) as partial:
         partial.write_text("half")
         raise fault
+
+
+def test_a_summary_on_a_read_only_disk_is_a_fault_of_storage(tiny_disk: Path) -> None:
+    """The half that never was could not be removed, and that was told instead."""
+    subprocess.run(["mount", "-o", "remount,ro", str(tiny_disk)], check=True)
+    try:
+        with pytest.raises(StorageError, match=r"summary\.json cannot be written: Read-only file system; that file"):
+            write_whole(tiny_disk / "summary.json", "{}")
+    finally:
+        subprocess.run(["mount", "-o", "remount,rw", str(tiny_disk)], check=True)
 
 
 def test_every_sentence_has_path_cause_and_mend() -> None:

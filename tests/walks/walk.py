@@ -64,8 +64,9 @@ class Walk:
             text=True, check=False, timeout=LIMIT_S,
         )  # fmt: skip
         cpu_s = sum(os.times()[2:4]) - sum(before[2:4])
-        took = f"{time.monotonic() - begun:.1f} s, {cpu_s:.1f} s of CPU"
-        sys.stdout.write(f"$ {line}   # {took}\n{done.stdout[-1500:]}\n")
+        sys.stdout.write(
+            f"$ {line}   # {time.monotonic() - begun:.1f} s, {cpu_s:.1f} s of CPU\n{done.stdout[-1500:]}\n"
+        )
         assert done.returncode in codes, f"{line} ended with {done.returncode}\n{done.stdout[-3000:]}"
         assert "Traceback" not in done.stdout
         if line.startswith("tuberline init"):

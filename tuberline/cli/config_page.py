@@ -1,4 +1,4 @@
-"""Every key of a line's file: type, default, range, unit, meaning, an example; read from the schema of the config."""
+"""Every key of a line's file with type, default, range, unit, meaning and an example, from the schema of the config."""
 
 from __future__ import annotations
 
