@@ -56,7 +56,10 @@ def main(arguments: Sequence[str]) -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fit:
         training = fewer(plans("train"), only=given.only, tubers=given.tubers)
-        write_rules(given.fit, fitted([row for plan in training for row in kept(given.out, plan)]))
+        by_cultivar: dict[str, list[Passed]] = {}
+        for plan in training:
+            by_cultivar.setdefault(plan.stock.cultivar, []).extend(kept(given.out, plan))
+        write_rules(given.fit, fitted(by_cultivar))
         return
     groups: dict[str, list[Passed]] = {}
     for plan in fewer(plans(given.belts), only=given.only, tubers=given.tubers):
@@ -71,10 +74,11 @@ def main(arguments: Sequence[str]) -> None:
         draw(groups, given.picture)
 
 
-def fitted(rows: Sequence[Passed]) -> SizeRules:
-    """The rules from tubers whose truth is known."""
+def fitted(by_cultivar: dict[str, list[Passed]]) -> SizeRules:
+    """The rules from tubers whose truth is known; each cultivar has the same say, however many belts it had."""
     views = [
-        (features, [row.truth[key] for key in TRUE_KEYS.values()], terms)
+        (features, [row.truth[key] for key in TRUE_KEYS.values()], terms, 1 / sum(len(row.terms) for row in rows))
+        for rows in by_cultivar.values()
         for row in rows
         for features, terms in zip(row.features, row.terms, strict=True)
     ]

@@ -110,20 +110,30 @@ class QuadraticRule:
 
 
 def fit_quadratic(
-    features: NDArray[np.float64], target: NDArray[np.float64], *, names: tuple[str, ...] = NAMES
+    features: NDArray[np.float64],
+    target: NDArray[np.float64],
+    *,
+    names: tuple[str, ...] = NAMES,
+    weights: NDArray[np.float64] | None = None,
 ) -> QuadraticRule:
-    """Ridge-regularised least squares of (n,) targets on (n, k) features in the order of `names`."""
+    """Ridge-regularised least squares of (n,) targets on (n, k) features in the order of `names`.
+
+    `weights`: (n,) of the rows; default: all alike.
+    """
     terms = terms_of(features, names, known=names)
     low, high = ranges_of(terms)
     terms = np.clip(terms, low, high)
     columns = np.column_stack([terms, pairs_of(terms, low, high)])
-    centre, spread = columns.mean(0), spreads_of(columns)
+    share = np.full(len(target), 1 / len(target)) if weights is None else weights / weights.sum()
+    centre, spread = share @ columns, spreads_of(columns)
     design = (columns - centre) / spread
-    normal = design.T @ design + RIDGE * len(design) * np.eye(design.shape[1])
-    slopes = np.linalg.solve(normal, design.T @ (target - target.mean())) / spread
+    weighted = design.T * share
+    normal = weighted @ design + RIDGE * np.eye(design.shape[1])
+    middle = float(share @ target)
+    slopes = np.linalg.solve(normal, weighted @ (target - middle)) / spread
     least, most = np.quantile(target, [CLIP_SHARE, 1 - CLIP_SHARE])
     return QuadraticRule(
-        intercept=float(target.mean() - centre @ slopes),
+        intercept=float(middle - centre @ slopes),
         coefficients=tuple(slopes[: len(names)].tolist()),
         products=tuple(slopes[len(names) :].tolist()),
         low=tuple(low.tolist()),

@@ -108,16 +108,17 @@ def fit_sizes(
     features: NDArray[np.float64],
     sizes_mm: NDArray[np.float64],
     terms: NDArray[np.float64],
+    weights: NDArray[np.float64] | None = None,
 ) -> SizeRules:
     """The rules from views with their truth.
 
     Args:
         features: (n, 21) in the order of `FEATURES`. sizes_mm: (n, 4) in the order of `MEASURES`.
-        terms: (n, 6) of `view_terms`.
+        terms: (n, 6) of `view_terms`. weights: (n,) of the views in the sizes; default: all alike.
     """
     rules = {}
     for column, name in enumerate(MEASURES):
-        value = fit_quadratic(features, np.log(sizes_mm[:, column]), names=FEATURES)
+        value = fit_quadratic(features, np.log(sizes_mm[:, column]), names=FEATURES, weights=weights)
         residual_mm = sizes_mm[:, column] - np.exp(value.values(features))
         scale = fit_scale(terms, residual_mm)
         spread = float(np.quantile(np.abs(residual_mm) / scale.scale_g(terms), 0.9)) / NORMAL_90

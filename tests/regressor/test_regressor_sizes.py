@@ -87,6 +87,11 @@ def test_a_fit_finds_sizes_that_follow_from_features() -> None:
     value, sd = rules.rules["length"].sizes_mm(features[:5], np.full((5, 6), 0.5))
     assert value == pytest.approx(sizes[:5, 0], rel=0.03)
     assert (sd > 0).all()
+    # Rows that say something else and weigh nothing change nothing.
+    twice, other = np.vstack([features, features]), np.vstack([sizes, 2 * sizes])
+    weighed = fit_sizes(twice, other, rng.uniform(0.0, 1.0, (800, 6)), np.repeat([1.0, 0.0], 400))
+    said, before = (found.rules["mesh"].value.values(features) for found in (weighed, rules))
+    assert said == pytest.approx(before, abs=0.01), "ln mm; alike they would be 0.35 more"
 
 
 def test_an_interval_is_never_below_zero() -> None:
