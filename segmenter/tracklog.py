@@ -17,9 +17,10 @@ from segmenter.log_writer import LogWriter
 MAX_UNCOMMITTED = 100_000
 RESEND_AFTER_S = 1.0
 RESEND_AFTER_AT_MOST_S = 8.0
-UNDER_WAY_AT_MOST = 512
+UNDER_WAY_AT_MOST, UNDER_WAY_AT_LEAST = 512, 16
 """Entries sent and not yet confirmed. An aggregator that is slow is not sent a whole log again and again: reading it
-would take the time that it needs to confirm anything."""
+would take the time that it needs to confirm anything. Whenever nothing is confirmed in time, half as many are under way
+from then on; each that is confirmed lets one more."""
 
 
 class TrackLog:
@@ -44,6 +45,7 @@ class TrackLog:
         self._unsent_from = 1
         self._progress_s: float | None = None
         self._patience_s = RESEND_AFTER_S
+        self._under_way = UNDER_WAY_AT_MOST
         self._sent_to = 0
         self._timed: tuple[int, float] | None = None
 
@@ -116,6 +118,7 @@ class TrackLog:
         """The aggregator has made entries 1..n durable."""
         if n <= self.committed:
             return
+        self._under_way = min(self._under_way + n - self.committed, UNDER_WAY_AT_MOST)
         self.committed = n
         self._progress_s = None
         self._forget_committed()
@@ -134,9 +137,10 @@ class TrackLog:
         if now_s - self._progress_s >= self._patience_s:
             self._progress_s, self._timed = now_s, None
             self._patience_s = min(2 * self._patience_s, RESEND_AFTER_AT_MOST_S)
+            self._under_way = max(self._under_way // 2, UNDER_WAY_AT_LEAST)
             self.resend()
         durable = self.store.durable if isinstance(self.store, LogWriter) else self.newest
-        until = min(durable, self.committed + UNDER_WAY_AT_MOST)
+        until = min(durable, self.committed + self._under_way)
         if not self._entries or self._unsent_from > until:
             return []
         first = self._entries[0].n

@@ -160,6 +160,18 @@ def test_presence_follows_tokens(node: Node) -> None:
     wait_until(lambda: presence.names() == set(), what="the token to go")
 
 
+def test_presence_asks_for_what_it_was_not_told(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two segmenters that stood still for 10 s were told of no token any more."""
+    monkeypatch.setattr("conveyor.delivery.presence.ASK_EVERY_S", 0.05)
+    presence = Presence(node, "regressor")
+    with Node("regressor", "r1", config=node.config, run="r1"):
+        wait_until(lambda: presence.names() == {"r1"}, what="the token")
+        presence._subscriber.undeclare()
+        presence._names.discard("r1")
+        presence._names.put("r2", None)
+        wait_until(lambda: presence.names() == {"r1"}, what="who is there, and no one else")
+
+
 def test_no_router_is_one_clear_error(free_port: int) -> None:
     link = LinkConfig(router=f"tcp/127.0.0.1:{free_port}", connect_timeout_s=0.3)
     with pytest.raises(LinkError, match=rf"no router answered at tcp/127.0.0.1:{free_port}.*tuberline router"):

@@ -251,6 +251,17 @@ def test_a_slow_aggregator_is_not_sent_a_long_log_again_and_again() -> None:
         assert sent <= 1.3 * 6000
 
 
+def test_an_aggregator_that_confirms_nothing_is_sent_ever_less() -> None:
+    """512 entries of each of six cameras every 8 s were more than one on a starved host could read as repeats."""
+    with TrackLog(None, camera="front", run="r1") as log:
+        log.append([track(n) for n in range(1, 2001)])
+        sent = [len(log.due(0.1 * turn)) for turn in range(3000)]
+        assert sum(sent[:200]) > UNDER_WAY_AT_MOST
+        assert sum(sent[1500:]) <= 16 * (150 / 8 + 1)
+        log.commit(16)
+        assert len(log.due(300.1)) == 32 - 16 + 16, "it is there again: twice as much from now on"
+
+
 def test_numbers_go_on_after_what_the_aggregator_already_holds() -> None:
     with TrackLog(None, camera="front", run="r1") as log:
         log.commit(7)
