@@ -31,6 +31,9 @@ from tuberline.replayer import fingerprint, recording_cameras, replay_config
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(600)]
 OLD_COMMIT = "a7bbfcc"
 TUBERS = 8
+SLOW = 0.02
+"""Speed of a replay that lasts two and a half minutes."""
+PATIENCE_S = 300.0
 PACKAGES = ("tuberline", "conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer")
 LATER = "0.3.0"
 LATER_PART = (
@@ -80,7 +83,17 @@ def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Line:
     """A line of single processes, each of one of the versions."""
 
-    def __init__(self, recording: Path, out: Path, old: Path, later: Path = ROOT, *, speed: float = 0.0) -> None:
+    def __init__(
+        self,
+        recording: Path,
+        out: Path,
+        old: Path,
+        later: Path = ROOT,
+        *,
+        speed: float = 0.0,
+        old_speed: float = 0.0,
+    ) -> None:
+        """`speed`, `old_speed`: of the replay by a camera of this version, and by one of 0.1."""
         self.out, self._old = out, old
         self._homes = {"old": old, "new": ROOT, "later": later}
         self.run = f"replay-{fingerprint(recording)}"
@@ -92,7 +105,9 @@ class Line:
         (self.camera,) = names
         (out / "line.toml").write_text(dump_toml(config))
         given = config.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
-        (out / "old.toml").write_text(tomli_w.dumps(self._known_to_old(given)))
+        kept = self._known_to_old(given)
+        kept["cameras"][self.camera]["speed"] = old_speed
+        (out / "old.toml").write_text(tomli_w.dumps(kept))
 
     def _known_to_old(self, given: dict[str, Any]) -> dict[str, Any]:
         """What its host's file would say: of what is `given`, the keys that it has."""
@@ -237,7 +252,7 @@ def test_what_0_1_cannot_read_it_refuses_in_words(line: Line, role: str, host: s
     line.start(*(name for name in ("aggregator", "regressor", "segmenter", "camera") if name != role), version="new")
     line.start(role, version="old")
     page = line.page()
-    wait_until(lambda: word in line.log(role), what="the refusal in words", timeout_s=120)
+    wait_until(lambda: word in line.log(role), what="the refusal in words", timeout_s=PATIENCE_S)
     wait_until(lambda: f"Version 0.1.0 on {role}/" in told(page), what="it told by the page", timeout_s=60)
     wait_until(lambda: "runs tuberline 0.1.0" in line.log("aggregator"), what="it told by the ledger", timeout_s=60)
     assert "Traceback" not in line.log(role)
@@ -287,16 +302,17 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(
 ) -> None:
     """First the edge with the ledger, then the regressors, the harvester last; each step with tubers in the ledger.
 
-    Each host loses its power twice on the way: in its old version, and while the new one starts.
+    Each host loses its power twice on the way: in its old version, and while the new one starts. The old camera is
+    slow, so that the load lasts until its host is upgraded, however busy the machine is.
     """
-    line = Line(belt, tmp_path, old, speed=0.05)
+    line = Line(belt, tmp_path, old, speed=0.2, old_speed=SLOW)
     try:
         for host in HOSTS:
             line.start(*HOSTS[host], version="old")
             time.sleep(1.0)
         before: dict[int, float] = {}
         for step, host in enumerate(HOSTS, start=1):
-            wait_until(lambda n=step: len(line.tubers()) >= n, what=f"{step} tubers", timeout_s=200)  # type: ignore[misc]
+            wait_until(lambda n=step: len(line.tubers()) >= n, what=f"{step} tubers", timeout_s=PATIENCE_S)  # type: ignore[misc]
             line.lose_power(host)
             line.start(*HOSTS[host], version="new")
             time.sleep(rng.uniform(0.3, 4.0))
@@ -317,12 +333,12 @@ def test_three_hosts_are_upgraded_during_a_load_and_no_tuber_is_lost(
 
 def test_the_way_back_in_a_load_loses_no_tuber_and_leaves_the_ledger(belt: Path, old: Path, tmp_path: Path) -> None:
     """0.1 refuses a ledger of this version and does not touch it: that host stays, the two others go back."""
-    line = Line(belt, tmp_path, old, speed=0.15)
+    line = Line(belt, tmp_path, old, speed=SLOW, old_speed=0.2)
     try:
         for host in HOSTS:
             line.start(*HOSTS[host], version="new")
             time.sleep(0.5)
-        wait_until(lambda: len(line.tubers()) >= 1, what="a tuber", timeout_s=200)
+        wait_until(lambda: len(line.tubers()) >= 1, what="a tuber", timeout_s=PATIENCE_S)
         line.stop("aggregator")
         held = line.tubers()
         line.start("aggregator", version="old")
