@@ -216,7 +216,7 @@ def other_weights(stage: Stage) -> None:
 
 def track(stage: Stage) -> None:
     """monday.nmea: a straight drive while the recording ran, too short to tell the time from ground to camera."""
-    stage.words["--track monday.nmea"] = "--track monday.nmea --delay-s 5"
+    stage.words["--track monday.nmea"] = "--track monday.nmea --delay-s 5 --cell-m 1"
     frames = (stage.clone / "recordings" / "monday" / "front" / "frames.csv").read_text(encoding="utf-8").splitlines()
     first, last = (int(frames[n].split(",")[1]) / 1e9 for n in (1, -1))
     sentences = []
