@@ -215,21 +215,23 @@ def other_weights(stage: Stage) -> None:
 
 
 def track(stage: Stage) -> None:
-    """monday.nmea: a straight drive while the recording ran."""
+    """monday.nmea: a straight drive while the recording ran, too short to tell the time from ground to camera."""
+    stage.words["--track monday.nmea"] = "--track monday.nmea --delay-s 5 --cell-m 1"
     frames = (stage.clone / "recordings" / "monday" / "front" / "frames.csv").read_text(encoding="utf-8").splitlines()
     first, last = (int(frames[n].split(",")[1]) / 1e9 for n in (1, -1))
     sentences = []
     for n, at in enumerate(np.arange(first - 120, last + 60, 1.0)):
         clock = time.gmtime(at)
         minutes = 30.0 + 1.2 * n / 1852
-        body = (
-            f"GPRMC,{time.strftime('%H%M%S', clock)}.00,A,52{minutes:08.5f},N,00530.00000,E,2.3,0.0,"
-            f"{time.strftime('%d%m%y', clock)},,,A"
-        )
-        sum_ = 0
-        for letter in body.encode():
-            sum_ ^= letter
-        sentences.append(f"${body}*{sum_:02X}")
+        clock_text, place = time.strftime("%H%M%S", clock), f"52{minutes:08.5f},N,00530.00000,E"
+        for body in (
+            f"GPRMC,{clock_text}.00,A,{place},2.3,0.0,{time.strftime('%d%m%y', clock)},,,A",
+            f"GPGGA,{clock_text}.00,{place},2,12,0.8,10.0,M,45.0,M,,",
+        ):
+            sum_ = 0
+            for letter in body.encode():
+                sum_ ^= letter
+            sentences.append(f"${body}*{sum_:02X}")
     (stage.clone / "monday.nmea").write_text("\r\n".join(sentences) + "\r\n", encoding="utf-8")
 
 
