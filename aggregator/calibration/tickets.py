@@ -148,17 +148,25 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     return (*others, ticket)
 
 
-def set_aside(tickets: Sequence[Ticket], run: str, *, kind: str | None, reason: str) -> tuple[Ticket, ...]:
+def set_aside(
+    tickets: Sequence[Ticket], run: str, *, kind: str | None, reason: str, part: str | None = None
+) -> tuple[Ticket, ...]:
     """`tickets` with the one of `run` set aside for a reason, or back in use for the reason ''.
 
     Raises:
         InputError: none of that run, or several kinds or parts of it.
     """
-    chosen = [ticket for ticket in tickets if ticket.run == run and kind in (None, ticket.kind)]
+    chosen = [
+        ticket
+        for ticket in tickets
+        if ticket.run == run and kind in (None, ticket.kind) and part in (None, ticket.part)
+    ]
     if len(chosen) != 1:
         known = "; ".join(ticket.name for ticket in chosen or tickets) or "none"
-        many = "several tickets" if chosen else "no ticket"
-        raise InputError(f"{many} of {kind or 'any kind'} of run {run!r}; choose with --run and --kind among: {known}")
+        many, of_part = "several tickets" if chosen else "no ticket", f", part {part!r}" if part is not None else ""
+        raise InputError(
+            f"{many} of {kind or 'any kind'} of run {run!r}{of_part}; choose by --run, --kind, --part among: {known}"
+        )
     return tuple(replace(ticket, set_aside=reason) if ticket is chosen[0] else ticket for ticket in tickets)
 
 

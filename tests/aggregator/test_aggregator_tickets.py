@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,20 @@ def test_a_ticket_is_set_aside_for_a_reason_that_is_kept_and_taken_back(tmp_path
     assert set_aside(kept, "tuesday", kind=None, reason="") == known
     with pytest.raises(InputError, match="load of run monday; load of run tuesday"):
         set_aside(known, "friday", kind=None, reason="x")
+
+
+def test_of_several_tickets_of_a_run_one_is_chosen_by_its_part() -> None:
+    known = tuple(
+        replace(ticket(ratio), kind="bucket", part=part) for ratio, part in ((0.9, "0 to 1 m"), (1.0, "load 2"))
+    )
+    with pytest.raises(
+        InputError, match=r"--kind, --part among: bucket of run monday, 0 to 1 m; bucket of run monday"
+    ):
+        set_aside(known, "monday", kind="bucket", reason="x")
+    aside = set_aside(known, "monday", kind="bucket", part="load 2", reason="x")
+    assert [one.set_aside for one in aside] == ["", "x"]
+    with pytest.raises(InputError, match="no ticket of bucket of run 'monday', part 'load 3'"):
+        set_aside(known, "monday", kind="bucket", part="load 3", reason="x")
 
 
 def test_a_ticket_of_a_ledger_knows_its_run_weights_and_coverage(tmp_path: Path) -> None:

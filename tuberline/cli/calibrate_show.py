@@ -38,7 +38,16 @@ def show(tickets: Path, /, *, model: str | None = None, resting_offset_mm: float
         sys.stdout.write(_text(found))
 
 
-def set_aside(tickets: Path, /, *, run: str, reason: str = "", kind: str | None = None, back: bool = False) -> None:
+def set_aside(
+    tickets: Path,
+    /,
+    *,
+    run: str,
+    reason: str = "",
+    kind: str | None = None,
+    part: str | None = None,
+    back: bool = False,
+) -> None:
     """Take a ticket out of use; it stays in the file with the reason. Or take it back.
 
     Parameters
@@ -51,6 +60,8 @@ def set_aside(tickets: Path, /, *, run: str, reason: str = "", kind: str | None 
         Why it is not used: what was found to be wrong with it.
     kind
         load, bucket or tubers, where the run has several tickets.
+    part
+        Of the run, as `calibrate show` names it after the run, where it has several of a kind.
     back
         Use it again.
     """
@@ -59,7 +70,7 @@ def set_aside(tickets: Path, /, *, run: str, reason: str = "", kind: str | None 
 
     if back == bool(reason.strip()):
         raise InputError('give either --reason "what is wrong with the ticket" or --back to use it again')
-    known = kept.set_aside(kept.read_tickets(tickets), run, kind=kind, reason=reason.strip())
+    known = kept.set_aside(kept.read_tickets(tickets), run, kind=kind, part=part, reason=reason.strip())
     kept.write_tickets(tickets, known)
     sys.stdout.write(f"run {run}: {'used again' if back else f'set aside: {reason.strip()}'}\n")
 

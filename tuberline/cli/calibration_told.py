@@ -80,9 +80,10 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
 
 def warning(entry: LeftOut, path: Path) -> str:
     """A ticket that contradicts, and what to do about it."""
+    part = f"--part '{entry.ticket.part}' " if entry.ticket.part else ""
     return (
         f"contradicts all else that is known: {entry.ticket.name} says {entry.ticket.ticket_g / 1000:.3f} kg, "
         f"expected are {entry.expected_g / 1000:.3f} kg, {abs(entry.z):.1f} standard deviations apart; it counts for "
         f"little. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
-        f'--kind {entry.ticket.kind} --reason "..."'
+        f'--kind {entry.ticket.kind} {part}--reason "..."'
     )
