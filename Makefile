@@ -14,7 +14,7 @@ demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile
+	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
