@@ -161,7 +161,8 @@ class Supervisor:
     def stop(self) -> None:
         """SIGTERM to all, last started first; SIGKILL to those still there after 4 s."""
         self._stopping.set()
-        if self._thread is not None and self._thread is not threading.current_thread():
+        # A signal may come while the thread starts: then it cannot be joined, and ends by itself.
+        if self._thread is not None and self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join()
         with self._lock:
             running = [c for c in reversed(self._children) if c.process is not None and c.process.poll() is None]

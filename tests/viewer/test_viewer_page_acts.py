@@ -96,7 +96,7 @@ def test_a_load_is_started_ended_and_weighed_while_tubers_come(
             confirm(browser, token=TOKEN)
             until(lambda: closed(browser), what="the load is started")
             until(lambda: figure(browser, "which") == "Load 1 · trailer 7", what="the open load")
-            until(lambda: int(figure(browser, "count")) > 3, what="tubers of the load")
+            until(lambda: int(figure(browser, "count") or 0) > 3, what="tubers of the load")
             press(browser, "end")
             confirm(browser)
             until(lambda: figure(browser, "which") == "No load is open", what="the load has ended")
