@@ -160,9 +160,7 @@ def test_of_several_tickets_of_a_run_one_is_chosen_by_its_part() -> None:
     known = tuple(
         replace(ticket(ratio), kind="bucket", part=part) for ratio, part in ((0.9, "0 to 1 m"), (1.0, "load 2"))
     )
-    with pytest.raises(
-        InputError, match=r"--kind, --part among: bucket of run monday, 0 to 1 m; bucket of run monday"
-    ):
+    with pytest.raises(InputError, match=r"--kind, --part among: bucket of run monday, 0 to 1 m; bucket of run monday"):
         set_aside(known, "monday", kind="bucket", reason="x")
     aside = set_aside(known, "monday", kind="bucket", part="load 2", reason="x")
     assert [one.set_aside for one in aside] == ["", "x"]
