@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,13 @@ NAMES_FORMER = ("segmenter/training/samples.py", "tuberline/cli/commands.py")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_prose_wraps_at_100_characters(page: Path) -> None:
     assert [line for line in prose(page) if len(line) > WIDTH] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_paragraph_and_no_item_stands_twice(page: Path) -> None:
+    """A merge that takes both sides leaves them so."""
+    parts = [part for part in re.split(r"\n\n|\n(?=\* )", page.read_text(encoding="utf-8")) if len(part) > 80]
+    assert [part[:80] for part, count in Counter(parts).items() if count > 1] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
