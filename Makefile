@@ -14,6 +14,7 @@ demo: $(DEMO_STAMP)
 	$(BIN)/tuberline demo --out out/demo
 
 test: $(STAMP)
+	$(BIN)/python -m tests.kernels
 	$(BIN)/python -m pytest -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 lint: $(STAMP)
