@@ -29,6 +29,8 @@ from tests.conftest import wait_until
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 CAMERAS = ("watched", "alone")
 FRAMES = 60
+DROP_MS = 50.0
+"""The longest that a router of Zenoh's tries before it drops a message in pieces; with BLOCK a put waits 5 s."""
 
 WATCHER = """
 import sys
@@ -125,4 +127,4 @@ def test_a_frozen_watcher_makes_no_put_longer_and_no_reader_miss_a_frame(link: L
     assert late < FRAMES, "the watcher missed nothing: the router never ran out of room for it"
     watched_ms, alone_ms = (statistics.median(took[camera] for took in took_ms) for camera in CAMERAS)
     sys.stdout.write(f"median put {watched_ms:.2f} ms watched, {alone_ms:.2f} ms alone; the watcher got {late}\n")
-    assert watched_ms < 3.0 * alone_ms + 1.0
+    assert watched_ms - alone_ms < DROP_MS
