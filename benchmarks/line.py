@@ -2,9 +2,10 @@
 
     python -m benchmarks line --seconds 60 --cameras 2 --fps 15 --tubers-per-s 20 [--out FOLDER]
 
-A simulated recording, its belt as fast as the asked rate needs, is laid end to end and played by cameras that wait for
-no one, by one clock, as all cameras of a line see one belt; router, segmenters, regressors and aggregator are the real
-processes, all on this machine. What else runs on the machine decides the figures: the load average stands beside them.
+A simulated recording, its belt as full as the asked rate needs (or, in bursts, as fast), is laid end to end and played
+by cameras that wait for no one, by one clock, as all cameras of a line see one belt; router, segmenters, regressors and
+aggregator are the real processes, all on this machine. What else runs on the machine decides the figures: the load
+average stands beside them.
 """
 
 from __future__ import annotations
@@ -22,12 +23,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.line_belt import SCENES, simulated_belt
 from benchmarks.line_table import markdown
 from benchmarks.line_watch import TOTAL, Watcher, latencies_s, percentile
-from benchmarks.site_command import tuberline
 from benchmarks.soak import loop, sample
-from camera_sim.sim.presets import PRESETS
-from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
 from conveyor.config import LineConfig, dump_toml
 from conveyor.errors import TuberlineError
 from conveyor.messages import Counters
@@ -38,8 +37,6 @@ from tuberline.supervisor import Supervisor
 RUN = "bench"
 START_LIMIT_S = 120.0
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-SCENES = {1: "touching", 2: "two-cameras"}
-GUESS_MPS = 0.31
 STARTS_IN_S = 10.0
 """The belt begins to run when the processes are there: what passes before is not looked at."""
 LEVELS = ("views_per_tuber", "views_outstanding", "regressors_busy_share", "frame_age_max_ms", "frame_ms")
@@ -77,7 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         recording = options.recording or Path(folder) / "belt"
         if options.recording is None:
-            simulated(recording, options)
+            simulated_belt(
+                recording, cameras=options.cameras, tubers_per_s=options.tubers_per_s, tubers=options.tubers,
+                fps=options.fps, seed=options.seed, load=options.load,
+            )  # fmt: skip
         looped = loop(recording, Path(folder) / "looped", for_s=options.seconds + options.warm_up_s + START_LIMIT_S)
         out = options.out or Path(folder) / "out"
         config = live_config(looped, out, options)
@@ -94,8 +94,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--warm-up-s", type=float, default=12.0)
     parser.add_argument("--cameras", type=int, choices=sorted(SCENES), default=2)
     parser.add_argument("--fps", type=float, default=15.0)
-    parser.add_argument("--tubers-per-s", type=float, default=20.0, help="in the mean; sets the belt's speed")
-    parser.add_argument("--tubers", type=int, default=200, help="of the recording that is repeated")
+    parser.add_argument("--tubers-per-s", type=float, default=20.0, help="in the mean")
+    parser.add_argument("--tubers", type=int, default=400, help="of the recording that is repeated")
+    parser.add_argument(
+        "--load", choices=("even", "bursts"), default="even", help="bursts: a full belt, then a bare one"
+    )
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--regressors", type=int, default=2)
     parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
@@ -104,31 +107,6 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")
     return parser.parse_args(arguments)
-
-
-def simulated(path: Path, options: argparse.Namespace) -> None:
-    """A belt that brings the asked tubers a second when it is repeated."""
-    layout = layout_named(SCENES[options.cameras])
-    settings = SceneSettings(
-        scene=SCENES[options.cameras],
-        seed=options.seed,
-        tubers=options.tubers,
-        preset=PRESETS["easy"],
-        fps=options.fps,
-        speed_mps=GUESS_MPS,
-    )
-    world = build_world(settings, layout)
-    lap_s = world.motion.duration_s
-    speed_mps = GUESS_MPS * options.tubers_per_s * lap_s / options.tubers
-    if not 0.05 <= speed_mps <= 1.2:
-        raise TuberlineError(
-            f"--tubers-per-s {options.tubers_per_s:g} needs a belt of {speed_mps:.2f} m/s; allowed are 0.05 to 1.2: "
-            "ask for another rate"
-        )
-    tuberline(
-        "simulate", "--out", path, "--seed", str(options.seed), "--scene", SCENES[options.cameras],
-        "--tubers", str(options.tubers), "--fps", f"{options.fps:g}", "--speed-mps", f"{speed_mps:.4f}",
-    )  # fmt: skip
 
 
 def live_config(recording: Path, out: Path, options: argparse.Namespace) -> LineConfig:
@@ -233,6 +211,8 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
                 "precision",
                 "centroids",
                 "direct",
+                "load",
+                "tubers",
                 "seed",
                 "seconds",
             )

@@ -11,7 +11,8 @@ def markdown(report: Mapping[str, Any]) -> str:
     asked, machine = report["asked"], report["machine"]
     before, after = report["load_average"]
     lines = [
-        f"{asked['cameras']} cameras at {asked['fps']:g} frames/s, {asked['tubers_per_s']:g} tubers/s asked for, "
+        f"{asked['cameras']} cameras at {asked['fps']:g} frames/s, {asked['tubers_per_s']:g} tubers/s asked for "
+        f"({asked['load']}, {asked['tubers']} a lap), "
         f"{report['tubers_per_s']:.1f} committed; {asked['regressors']} regressors, {asked['precision']}, "
         f"centroids {asked['centroids'] or 128}; {asked['seconds']:g} s, seed {asked['seed']}. "
         f"{machine['cores']} cores {machine['machine']}, Python {machine['python']}, load average {before:.1f} at the "
