@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
+PER_MM = np.float32(1 / LEVEL_MM)
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
 MOST_LEVELS = 65535
 """16 m of relief: what is higher is flooded as if it were as high."""
-RELIEF, PEAK = 0, 1
-"""Columns of a node. Its relief stands there as its float32 bits, which order as the heights do where none is negative:
-so all that is asked of a neighbour lies in one place of the memory. Its peak is a row of the table of peaks, -1 before
-it is flooded; few peaks are found, so that their table stays in the cache."""
+BACKGROUND = np.float32(-1)
+"""Its relief; its level is 0."""
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -27,170 +25,198 @@ def _find(parents: NDArray[np.int32], peak: Any) -> Any:
     return peak
 
 
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def flood(
     relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
 ) -> tuple[NDArray[np.int32], int]:
     """Basins of a relief, flooded from its peaks downwards.
 
     Two basins that meet become one when the lower peak rises less than max(`least_mm`, `share` * its own height) over
-    the pass between them; this replaces h-maxima and a watershed by one pass over the cells in falling order. Basins of
-    two patches that do not touch never meet, so patch after patch is flooded: what belongs together stays in the cache.
+    the pass between them; this replaces h-maxima and a watershed by one pass over the cells in falling order.
+
+    A cell belongs to the basin of its highest neighbour that comes before it in that order, whatever was merged until
+    then. So basins are found by following neighbours upwards, and only cells between two basins are sorted and flooded.
 
     Args:
-        relief_mm: (h, w) float32, high inside tubers.
+        relief_mm: (h, w) float32, high inside tubers, not negative.
         foreground: (h, w) uint8, cells to label.
         least_mm, share: the dynamics a peak needs.
 
     Returns:
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
-    patches, patch = cv2.connectedComponents(foreground, connectivity=8, ltype=cv2.CV_32S)
-    return _flood(relief_mm, np.asarray(patch, np.int32), patches, least_mm, share)
+    relief, levels = _rimmed(relief_mm, foreground)
+    width = relief_mm.shape[1] + 2
+    basins, peaks = _basins(relief, levels, width)
+    parents = np.arange(len(peaks)).astype(np.int32)
+    for cell in _falling(*_between(basins, levels, width)):
+        _meet(cell, basins, levels, relief, width, peaks, parents, least_mm, share)
+    return _named(basins, levels, peaks, parents, relief_mm.shape)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _level(relief_mm: Any) -> Any:
-    return min(max(0, int(relief_mm / LEVEL_MM)) + 1, MOST_LEVELS)
+def _rimmed(relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """((h + 2) * (w + 2),) relief and its levels with a rim of background, so that no neighbour needs a check."""
+    rows, columns = relief_mm.shape
+    width = columns + 2
+    relief, levels = np.full((rows + 2) * width, BACKGROUND), np.zeros((rows + 2) * width, np.uint16)
+    for i in range(rows):
+        first = (i + 1) * width + 1
+        own, of_level = relief[first : first + columns], levels[first : first + columns]
+        for j in range(columns):  # without a branch, so that the compiler takes several cells at once
+            steps = min(max(relief_mm[i, j] * PER_MM, np.float32(0)), np.float32(MOST_LEVELS - 1))
+            own[j] = relief_mm[i, j] if foreground[i, j] else BACKGROUND
+            of_level[j] = np.uint16(np.int32(steps) + 1) if foreground[i, j] else np.uint16(0)
+    return relief, levels
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16], counts: NDArray[np.int64]) -> NDArray[np.int32]:
-    """The cells of a patch, highest level first, in their order within a level: a counting sort. `counts`: zeros."""
-    low, high = np.int64(MOST_LEVELS), np.int64(0)
+def _around(width: int) -> tuple[Any, Any]:
+    """Steps to the four neighbours before a cell and the four after it, unsigned: a step back goes around the end of
+    the numbers, and no index needs a check for what a negative one means.
+    """
+    before = np.uintp(-width - 1), np.uintp(-width), np.uintp(-width + 1), np.uintp(-1)
+    after = np.uintp(1), np.uintp(width - 1), np.uintp(width), np.uintp(width + 1)
+    return before, after
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _basins(
+    relief: NDArray[np.float32], levels: NDArray[np.uint16], width: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Before anything is merged: (cells,) -1 - the row of the peak that each leads up to, 0 in the background; (peaks,)
+    their cells. Cells of one level come in the order of their rows and columns.
+    """
+    basins = np.zeros(len(levels), np.int32)
+    peaks = np.empty(len(levels), np.int32)
+    found = 0
+    before, after = _around(width)
+    for cell in range(np.uintp(len(levels))):
+        level = levels[cell]
+        if level == 0:
+            continue
+        highest, up = BACKGROUND, np.uintp(0)
+        for step in before + after:
+            if relief[cell + step] > highest:
+                highest, up = relief[cell + step], cell + step
+        if levels[up] <= level:  # it may come later: of this level only those before are asked
+            highest, up = BACKGROUND, np.uintp(0)
+            for step in before:
+                if levels[cell + step] == level and relief[cell + step] > highest:
+                    highest, up = relief[cell + step], cell + step
+        basins[cell] = up
+        if up == 0:
+            peaks[found] = cell
+            found += 1
+            basins[cell] = -found
+    for cell in range(len(levels)):
+        if basins[cell] > 0:
+            top = basins[basins[cell]]
+            while top > 0:
+                top = basins[top]
+            step = cell
+            while basins[step] > 0:
+                basins[step], step = top, basins[step]
+    return basins, peaks[:found]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _between(
+    basins: NDArray[np.int32], levels: NDArray[np.uint16], width: int
+) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
+    """(n,) cells with a neighbour that comes before them and leads up to another peak than they do; their levels."""
+    cells = np.empty(len(levels), np.int32)
+    n = 0
+    before, after = _around(width)
+    for cell in range(np.uintp(len(levels))):
+        basin, level = basins[cell], levels[cell]
+        if level == 0:
+            continue
+        met = False
+        for step in before:
+            met = met or (basins[cell + step] != basin and levels[cell + step] >= level)
+        for step in after:
+            met = met or (basins[cell + step] != basin and levels[cell + step] > level)
+        if met:
+            cells[n] = cell
+            n += 1
+    return cells[:n], levels[cells[:n]]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16]) -> NDArray[np.int32]:
+    """The cells, highest level first, in their order within a level: a counting sort."""
+    counts = np.zeros(MOST_LEVELS + 1, np.int64)
     for level in levels:
         counts[level] += 1
-        low, high = min(low, np.int64(level)), max(high, np.int64(level))
     before = 0
-    for level in range(high, low - 1, -1):
+    for level in range(MOST_LEVELS, -1, -1):
         before, counts[level] = before + counts[level], before
     order = np.empty_like(cells)
     for n in range(len(cells)):
         order[counts[levels[n]]] = cells[n]
         counts[levels[n]] += 1
-    counts[low : high + 1] = 0
     return order
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _named(
-    nodes: NDArray[np.int32], peaks: NDArray[np.int32], parents: NDArray[np.int32], patch: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], int]:
-    """Number the basins 1..n, highest peak first, without the rim of one cell that `_flood` works with.
+def _meet(
+    cell: int,
+    basins: NDArray[np.int32],
+    levels: NDArray[np.uint16],
+    relief: NDArray[np.float32],
+    width: int,
+    peaks: NDArray[np.int32],
+    parents: NDArray[np.int32],
+    least_mm: float,
+    share: float,
+) -> None:
+    """Merge what meets at a cell: it is the pass between the basins around it, the highest, for cells come falling.
 
-    The first cell of a basin was a peak, so that the peaks alone, in falling order, tell the order of the basins.
+    Args:
+        parents: union-find forest over the peaks; a root is the highest peak of its basin.
     """
-    rows, columns = patch.shape
-    width = columns + 2
-    labels = np.zeros((rows, columns), np.int32)
-    relief = nodes.view(np.float32)
+    root = _find(parents, -1 - basins[cell])
+    for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
+        near = cell + step
+        if levels[near] >= levels[cell] + (step > 0):
+            other = _find(parents, -1 - basins[near])
+            if other != root:
+                low, high = (other, root) if relief[peaks[other]] < relief[peaks[root]] else (root, other)
+                top = relief[peaks[low]]
+                # The lower peak hardly rises over the pass: no tuber of its own.
+                if top - relief[cell] < max(least_mm, share * top):
+                    parents[low] = high
+                    root = high
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _named(
+    basins: NDArray[np.int32],
+    levels: NDArray[np.uint16],
+    peaks: NDArray[np.int32],
+    parents: NDArray[np.int32],
+    shape: tuple[int, int],
+) -> tuple[NDArray[np.int32], int]:
+    """Number the basins 1..n, highest peak first, without the rim."""
     falling = np.empty(len(peaks), np.int64)
     for k in range(len(peaks)):
-        falling[k] = -np.int64(_level(relief[peaks[k], RELIEF])) * len(nodes) + peaks[k]
-    names = np.zeros(len(peaks), np.int32)
+        falling[k] = -np.int64(levels[peaks[k]]) * len(levels) + peaks[k]
+    names = np.zeros(len(peaks) + 1, np.int32)
     n = 0
     for k in np.argsort(falling):
-        root = _find(parents, k)
+        root = _find(parents, k) + 1
         if names[root] == 0:
             n += 1
             names[root] = n
     for k in range(len(peaks)):
-        names[k] = names[_find(parents, k)]
+        names[k + 1] = names[_find(parents, k) + 1]
+    labels = np.empty(shape, np.int32)
+    rows, columns = shape
     for i in range(rows):
         for j in range(columns):
-            if patch[i, j]:
-                labels[i, j] = names[nodes[(i + 1) * width + j + 1, PEAK]]
+            labels[i, j] = names[-basins[(i + 1) * (columns + 2) + j + 1]]
     return labels, n
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _flood(
-    relief_mm: NDArray[np.float32], patch: NDArray[np.int32], patches: int, least_mm: float, share: float
-) -> tuple[NDArray[np.int32], int]:
-    """See `flood`; `patch`: (h, w) which of the `patches` that do not touch a cell belongs to, 0 = background."""
-    # A rim of one cell around the image, so that no neighbour needs a check of the border.
-    rows, columns = relief_mm.shape
-    width = columns + 2
-    nodes = np.full(((rows + 2) * width, 2), np.int32(-1), np.int32)
-    relief = nodes.view(np.float32)
-    ends = np.zeros(patches + 1, np.int64)
-    for i in range(rows):
-        for j in range(columns):
-            ends[patch[i, j] + 1] += 1
-    ends[1] = 0
-    ends = np.cumsum(ends)
-    cells = np.empty(ends[patches], np.int32)
-    levels = np.empty(ends[patches], np.uint16)
-    for i in range(rows):
-        for j in range(columns):
-            if patch[i, j]:
-                cell = (i + 1) * width + j + 1
-                relief[cell, RELIEF] = relief_mm[i, j]
-                cells[ends[patch[i, j]]] = cell
-                levels[ends[patch[i, j]]] = _level(relief_mm[i, j])
-                ends[patch[i, j]] += 1
-    counts = np.zeros(MOST_LEVELS + 1, np.int64)
-    peaks, parents = np.empty(len(cells), np.int32), np.empty(len(cells), np.int32)
-    found, begin = 0, 0
-    for k in range(1, patches):
-        order = _falling(cells[begin : ends[k]], levels[begin : ends[k]], counts)
-        found = _flood_patch(nodes, order, width, least_mm, share, peaks, parents, found)
-        begin = ends[k]
-    return _named(nodes, peaks[:found], parents[:found], patch)
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _flood_patch(
-    nodes: NDArray[np.int32],
-    order: NDArray[np.int32],
-    width: int,
-    least_mm: float,
-    share: float,
-    peaks: NDArray[np.int32],
-    parents: NDArray[np.int32],
-    found: int,
-) -> int:
-    """Flood the cells of a patch in their falling order; returns how many peaks there are then.
-
-    Args:
-        peaks: cell of each peak, written from `found` on.
-        parents: union-find forest over the peaks; a root is the highest peak of its basin.
-    """
-    relief = nodes.view(np.float32)
-    for cell in order:
-        # The cell joins the basin of its highest flooded neighbour; without one it is a peak of its own.
-        home, highest, first, meet = np.int32(-1), np.int32(-1), np.int32(-1), False
-        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-            near = cell + step
-            peak = nodes[near, PEAK]
-            if peak >= 0:
-                if nodes[near, RELIEF] > highest:
-                    highest = nodes[near, RELIEF]
-                    home = peak
-                meet = bool(meet or (first >= 0 and peak != first))
-                first = peak
-        if home < 0:
-            nodes[cell, PEAK] = parents[found] = found
-            peaks[found] = cell
-            found += 1
-            continue
-        root = _find(parents, home)
-        nodes[cell, PEAK] = root
-        if not meet:
-            continue
-        # Where it touches other basins it is the pass between them: the highest, for cells come in falling order.
-        for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-            peak = nodes[cell + step, PEAK]
-            if peak >= 0 and peak != root:
-                other = _find(parents, peak)
-                if other != root:
-                    lower = nodes[peaks[other], RELIEF] < nodes[peaks[root], RELIEF]
-                    low, high = (other, root) if lower else (root, other)
-                    top = relief[peaks[low], RELIEF]
-                    # The lower peak hardly rises over the pass: no tuber of its own.
-                    if top - relief[cell, RELIEF] < max(least_mm, share * top):
-                        parents[low] = high
-                        root = high
-    return found
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
