@@ -1,12 +1,14 @@
-"""Recorded belts and the undisturbed run that others are compared with, made once per test session."""
+"""Recorded belts and the undisturbed run that others are compared with, made once for all workers of a test session."""
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -44,24 +46,37 @@ def simulate(out: Path, **options: str) -> Path:
     return out
 
 
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
+    """The folder `name`, which `make` fills: the worker that asks first does, the others wait. No test writes to it."""
+    base = factory.getbasetemp()
+    base = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "once"
+    base.mkdir(exist_ok=True)
+    folder, done = base / name, base / f"{name}.done"
+    with (base / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            make(folder)
+            done.touch()
+    return folder
+
+
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two overlapping cameras over one belt, with truth."""
-    return simulate(tmp_path_factory.mktemp("belt") / "recording", scene="two-cameras", tubers="24")
+    return made_once(tmp_path_factory, "recording", lambda out: simulate(out, scene="two-cameras", tubers="24"))
 
 
 @pytest.fixture(scope="session")
 def run_dir(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The undisturbed run every other one is compared with: one regressor, and as fast as it goes."""
-    out = tmp_path_factory.mktemp("run") / "out"
-    replay(recording, out, "--regressors", "1")
-    return out
+    return made_once(tmp_path_factory, "run", lambda out: replay(recording, out, "--regressors", "1"))
 
 
 @pytest.fixture(scope="session")
 def live_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One camera over a belt that takes 6 s to pass, with truth."""
-    return simulate(tmp_path_factory.mktemp("belt") / "live", scene="touching", tubers="80")
+    return made_once(tmp_path_factory, "live", lambda out: simulate(out, scene="touching", tubers="80"))
 
 
 @pytest.fixture(scope="session")
@@ -69,11 +84,14 @@ def loaded_recording(live_recording: Path, tmp_path_factory: pytest.TempPathFact
     """The same belt from its first tuber to its last. Two fifths of the other one are empty: there the share of belt
     that was seen says little of the share of tubers that were counted.
     """
-    out = tmp_path_factory.mktemp("belt") / "loaded"
+    return made_once(tmp_path_factory, "loaded", lambda out: loaded(live_recording, out))
+
+
+def loaded(live_recording: Path, out: Path) -> None:
+    """See `loaded_recording`."""
     shutil.copytree(live_recording, out)
     passed_m = [-tuber["place_x_m"] for tuber in json.loads((out / "truth.json").read_text())["tubers"]]
     table = out / "front" / "frames.csv"
     head, *rows = table.read_text().splitlines()
-    loaded = [row for row in rows if min(passed_m) - 0.02 <= float(row.split(",")[2]) <= max(passed_m) + 0.02]
-    table.write_text("\n".join([head, *loaded]) + "\n")
-    return out
+    kept = [row for row in rows if min(passed_m) - 0.02 <= float(row.split(",")[2]) <= max(passed_m) + 0.02]
+    table.write_text("\n".join([head, *kept]) + "\n")

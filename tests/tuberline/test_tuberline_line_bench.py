@@ -74,7 +74,7 @@ def test_the_table_names_every_loss() -> None:
     text = markdown(
         {
             "asked": {"cameras": 1, "fps": 15.0, "tubers_per_s": 20.0, "regressors": 2, "precision": "float32",
-                      "centroids": None, "seed": 11, "seconds": 60.0},
+                      "centroids": None, "seed": 11, "seconds": 60.0, "load": "even", "tubers": 400},
             "machine": {"cores": 2, "machine": "x86_64", "python": "3.11"},
             "load_average": (1.0, 2.0),
             "tubers_per_s": 19.6,
