@@ -111,6 +111,18 @@ FRAME = Topic(
     "Frame",
     "one depth image with everything needed to read it",
 )
+FRAME_FEW = Topic(
+    "frame_few",
+    "camera/<camera>/frame_few",
+    ("camera",),
+    ("viewer",),
+    Delivery.LATEST,
+    Priority.DATA_LOW,
+    "Frame",
+    "the first frame of each fifth of a second, for those who show no more",
+)
+FEW_PER_S = 5
+"""Of capture time."""
 FRAME_SLOT = Topic(
     "frame_slot",
     "camera/<camera>/frame_slot",
@@ -326,6 +338,7 @@ ORDER_LOAD = Topic(
 
 TOPICS: tuple[Topic, ...] = (
     FRAME,
+    FRAME_FEW,
     CAMERA_INFO,
     FRAME_PROGRESS,
     PICTURE,

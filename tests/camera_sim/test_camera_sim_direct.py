@@ -14,7 +14,7 @@ from conveyor.config import CameraConfig, LineConfig, LinkConfig, parse_config
 from conveyor.delivery import LatestSubscriber
 from conveyor.direct import ENVIRONMENT, LONGEST_PATH, direct_endpoint
 from conveyor.errors import ConfigError
-from conveyor.formats import describe_recording
+from conveyor.formats import describe_recording, open_source
 from conveyor.frame_ring import IN_MEMORY, ring_path
 from conveyor.messages import Frame
 from tests.camera_sim.camera_process import RUN, OtherSide, line, other_side, process
@@ -42,12 +42,22 @@ def _sent(side: OtherSide, name: str) -> int:
     return -1 if counters is None else int(counters.values.get(name, -1))
 
 
+def _first_of_each_tick(few: list[Frame], recording: Path) -> None:
+    source = open_source(recording, camera="front", ignore_masks=True).frames(run=RUN)
+    ticks = {f.seq: f.captured_ns * topics.FEW_PER_S // 10**9 for f in source if isinstance(f, Frame)}
+    firsts = [seq for seq in sorted(ticks) if ticks.get(seq - 1) != ticks[seq]]
+    # It may have come when the first one was out already, or the process sent some again.
+    assert set(firsts[1:]) <= {frame.seq for frame in few} <= set(firsts)
+    assert len(firsts) <= len(ticks) / 2
+
+
 @pytest.mark.parametrize("direct", [IN_MEMORY, None], indirect=True, ids=["in memory", "on disk"])
 def test_the_router_sees_frames_only_while_somebody_beyond_looks(
     link: LinkConfig, small_recording: Path, tmp_path: Path, direct: str
 ) -> None:
     config, frames = line(link, path=small_recording, speed=0, window=1, direct=direct), _frames(small_recording)
     with other_side(config) as side, process(config, tmp_path, "camera", "--camera", "front"):
+        few = LatestSubscriber(side.node, topics.FRAME_FEW, Frame, capacity=64, name="few", camera="*")
         side.follow(1, done_seq=-1)
         wait_until(lambda: _sent(side, "frames_direct") >= 3, what="three frames by the direct link")
         assert _sent(side, "frames_by_router") == 0
@@ -64,6 +74,7 @@ def test_the_router_sees_frames_only_while_somebody_beyond_looks(
         # What was sent while the word that it left was on its way went there too.
         assert here <= _sent(side, "frames_by_router") <= here + 2 < frames - 4
         assert (_sent(side, "frames_in_memory") >= frames) == direct.startswith("unixsock-stream//dev/shm/")
+        _first_of_each_tick(list(iter(lambda: few.get(0.0), None)), small_recording)
 
 
 def test_a_ring_that_cannot_be_read_costs_no_frame(

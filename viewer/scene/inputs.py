@@ -34,6 +34,7 @@ class Inputs:
     def __init__(self, node: Node, profile: Profile) -> None:
         self._node = node
         self._pictures = profile.pictures
+        self._frames_of = topics.FRAME_FEW if profile.rate_hz <= topics.FEW_PER_S else topics.FRAME
         self.frames: dict[str, Inbox[Frame]] = {}
         self.views: Inbox[View] | None = None
         if profile.pictures:
@@ -58,7 +59,7 @@ class Inputs:
         """Subscribe to the frames of a camera that showed up."""
         if self._pictures and camera not in self.frames:
             self.frames[camera] = LatestSubscriber(
-                self._node, topics.FRAME, Frame, capacity=FRAME_RING, name=f"frame_{camera}", camera=camera
+                self._node, self._frames_of, Frame, capacity=FRAME_RING, name=f"frame_{camera}", camera=camera
             )
 
     def alive(self) -> set[str]:
