@@ -105,8 +105,9 @@ def bucket(stage: Stage) -> None:
     truth = json.loads((stage.clone / "truth.json").read_text(encoding="utf-8"))["tubers"]
     kg = sum(tuber["weight_g"] for tuber in truth) / 1000
     (summary,) = (stage.clone / "runs").glob("*/summary.json")
+    run = json.loads(summary.read_text(encoding="utf-8"))["run"]
     stage.words |= {
-        "--run monday --kind load": f"--run {json.loads(summary.read_text(encoding='utf-8'))['run']} --kind bucket",
+        "--run monday --kind load": f"--run {run} --kind bucket --part 'tubers 1 to {len(truth)}'",
         "--kg 8.61": f"--kg {kg:.2f}",
         "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
