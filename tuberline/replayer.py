@@ -21,7 +21,8 @@ from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 QUIET_LIMIT_S = 90.0
-START_LIMIT_S = 120.0
+START_LIMIT_S = 600.0
+"""First use compiles in each process: minutes on a small or busy machine. What crashes or gives up is told at once."""
 CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 MOST_CRASHES = 6
