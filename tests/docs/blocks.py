@@ -29,7 +29,7 @@ SMALL = {
     "follow": "--tubers 6 --only 0",
     "foreign": "--tubers 6 --only 0",
     "frames": "--frames 20",
-    "gauge": "--worlds 1 --loads 1 --only rods",
+    "gauge": "--worlds 1 --loads 1 --only rods --tubers 4",
     "heights": "--lines 3 --pool 100",
     "layers": "--tubers 8 --only 0",
     "line": "--seconds 5 --warm-up-s 5 --tubers-per-s 2 --tubers 8 --cameras 1",
