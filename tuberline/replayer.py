@@ -7,9 +7,9 @@ import json
 import socket
 import time
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
@@ -19,6 +19,9 @@ from conveyor.observer import observer_when_there
 from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
+
+if TYPE_CHECKING:
+    from tuberline.cli.replay_table import Show
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 600.0
@@ -248,16 +251,15 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     """Until the aggregator has written its summary; returns what is wrong with the belts. Raises when a node gave up or
     nothing moves any more.
     """
-    from rich.console import Console
-    from rich.live import Live
+    showing: AbstractContextManager[Show | None] = nullcontext()
+    if show:
+        from tuberline.cli.replay_table import replay_table
 
-    from tuberline.cli.live import line_table
-
-    live = Live(console=Console(stderr=True), refresh_per_second=4, transient=True) if show else nullcontext()
+        showing = replay_table(_frames(config))
     observing = observer_when_there(
         config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor), within_s=START_LIMIT_S
     )
-    with observing as observer, live as table:
+    with observing as observer, showing as table:
         moved, last = time.monotonic(), -1
         findings: dict[str, str] = {}
         limit_s = START_LIMIT_S
@@ -274,9 +276,18 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
             if time.monotonic() - moved > limit_s:
                 raise LinkError(_stands_still(supervisor, config, limit_s))
             if table is not None:
-                table.update(line_table(observer.totals(), nodes, alive=observer.alive()))
+                table(observer.totals(), nodes, observer.alive())
             time.sleep(0.1)
         return list(findings.values())
+
+
+def _frames(config: LineConfig) -> int | None:
+    """How many frames the recording of the replay has; None where that is not known before all are read."""
+    from conveyor.formats import open_source
+
+    paths = {name: camera.path for name, camera in config.cameras.items()}
+    counts = [open_source(Path(path), camera=name).description.frames for name, path in paths.items() if path]
+    return None if None in counts else sum(count or 0 for count in counts)
 
 
 def _stands_still(supervisor: Supervisor, config: LineConfig, limit_s: float) -> str:
