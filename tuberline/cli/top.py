@@ -6,7 +6,7 @@ from conveyor.observer import Observer
 from tuberline.cli.address import NO_ADDRESS, LineAddress
 
 LOGGED_EVERY_S = 10.0
-"""Into a file or a pipe the table goes anew after so long: a screen that is drawn over means nothing there."""
+"""Into a file or a pipe the table is written again after so long: a screen that is drawn over means nothing there."""
 
 
 def top(*, address: LineAddress = NO_ADDRESS) -> None:
