@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 SIZES = {
     "--tubers": ("TUBERLINE_DOCS_TUBERS", "12"),
-    "--views": ("TUBERLINE_DOCS_VIEWS", "4"),
+    "--views": ("TUBERLINE_DOCS_VIEWS", "6"),
     "--minutes": ("TUBERLINE_DOCS_MINUTES", "0.1"),
     "--epochs": ("TUBERLINE_DOCS_EPOCHS", "1"),
     "--belts": ("TUBERLINE_DOCS_BELTS", "2"),
