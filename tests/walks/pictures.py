@@ -2,7 +2,7 @@
 
     python -m tests.walks.pictures RECORDING OUT
 
-plays the recording (15 s or longer) as a line, slowly, and writes terminal.png, page-phone.png, page-panel.png,
+plays the recording of a camera `front` as a line, slowly, and writes terminal.png, page-phone.png, page-panel.png,
 page-desk.png, rerun.png and foxglove.png into OUT. Needs Chromium and the extras `viewer`, `foxglove` and `dev`.
 Everything is shown as it stood in the middle of the run, while potatoes were in view that were not counted yet.
 """
@@ -26,12 +26,13 @@ from rich.console import Console
 from rich.text import Text
 
 from conveyor.config import load_config
+from conveyor.formats import open_source
 from conveyor.observer import observer_when_there
 from tests.deploy.remote_browser import Browser, chromium
 from tests.walks.foxglove_picture import foxglove_picture
 
-SPEED = 0.25
-"""Times real time: the belt runs while several pictures are taken by software rendering on a busy machine."""
+LASTS_S = 240.0
+"""The belt is slowed to run so long: pictures are taken by software rendering on a busy machine meanwhile."""
 LEAST_TUBERS = 6
 """Counted before pictures are taken."""
 SIZES = {"phone": (390, 844), "panel": (1280, 800), "desk": (1680, 1050)}
@@ -59,7 +60,9 @@ def main(recording: Path, out: Path) -> None:
     """See the module."""
     out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix="operator-"))
-    text = LINE.format(port=_free_port(), recording=recording.resolve(), speed=SPEED)
+    keys = open_source(recording, camera="front").keys()
+    speed = (keys[-1].captured_ns - keys[0].captured_ns) / 1e9 / LASTS_S
+    text = LINE.format(port=_free_port(), recording=recording.resolve(), speed=f"{speed:.4f}")
     (folder / "line.toml").write_text(text, encoding="utf-8")
     link = load_config(folder / "line.toml").link
     with (folder / "line.log").open("w") as log, chromium(folder / "profile") as browser:
