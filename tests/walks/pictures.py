@@ -27,14 +27,14 @@ from rich.text import Text
 
 from conveyor.config import load_config
 from conveyor.formats import open_source
-from conveyor.observer import observer_when_there
+from conveyor.observer import Observer, observer_when_there
 from tests.deploy.remote_browser import Browser, chromium
 from tests.walks.foxglove_picture import foxglove_picture
 
-LASTS_S = 240.0
+LASTS_S = 150.0
 """The belt is slowed to run so long: pictures are taken by software rendering on a busy machine meanwhile."""
-LEAST_TUBERS = 6
-"""Counted before pictures are taken."""
+LEAST_TUBERS, LEAST_SHOWN = 6, 5
+"""Tubers that are counted, and frames that Rerun has, before pictures are taken."""
 SIZES = {"phone": (390, 844), "panel": (1280, 800), "desk": (1680, 1050)}
 """Of the page, in pixels; each picture is the whole page at that width."""
 LIMIT_S = 400
@@ -73,7 +73,7 @@ def main(recording: Path, out: Path) -> None:
         )
         try:
             with observer_when_there(link, line="monday", meanwhile=lambda: None, within_s=LIMIT_S) as observer:
-                _until(lambda: (told := observer.totals()) is not None and told.count >= LEAST_TUBERS, line)
+                _until(lambda: _is_shown(observer), line)
             shutil.copy(folder / "line.rrd", folder / "middle.rrd")
             said = subprocess.run(
                 [sys.executable, "-m", "tuberline", "status", "--config", "line.toml"],
@@ -92,6 +92,12 @@ def main(recording: Path, out: Path) -> None:
     _tuberline(*command, folder=folder, stdout=None, stderr=None).wait(LIMIT_S)
     cv2.imwrite(str(out / "foxglove.png"), foxglove_picture(mcap))
     sys.stdout.write(f"pictures in {out}; the line's own files in {folder}\n")
+
+
+def _is_shown(observer: Observer) -> bool:
+    told, nodes = observer.totals(), observer.nodes()
+    shown = nodes["viewer/viewer"].count("frame_shown") if "viewer/viewer" in nodes else 0
+    return told is not None and told.count >= LEAST_TUBERS and shown >= LEAST_SHOWN
 
 
 def _env() -> dict[str, str]:
