@@ -123,14 +123,14 @@ def _cause_row(kind: str, seed: int, preset: str, by: Disturbed, reading: GaugeR
     )
 
 
-def loads(kind: GaugeKind, seeds: range) -> Iterator[LoadRow]:
+def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[LoadRow]:
     """A row for each seed: half of them drift, half are moved, by half of the most at least."""
     weigher = Weigher.load()
     for n, seed in enumerate(seeds):
         rng = np.random.default_rng([seed, 173])
         share = float(rng.uniform(0.5, 1.0)) * (1.0 if rng.random() < 0.5 else -1.0)
         by = Disturbed(drift_px=share * MOST_DRIFT_PX) if n % 2 == 0 else Disturbed(shift_m=share * MOST_SHIFT_M)
-        world = gauge_world(kind, seed, preset="field", tubers=TUBERS)
+        world = gauge_world(kind, seed, preset="field", tubers=tubers)
         right, wrong = (_frames(world, one) for one in (Disturbed(), by))
         keeper = GaugeKeeper(world.gauge)
         for frames, looks in ((right, REFERENCE_LOOKS), (wrong, LOOKS_AFTER)):
@@ -236,6 +236,7 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks gauge", description=__doc__)
     parser.add_argument("--worlds", type=int, default=24, help="of each gauge, for the causes")
     parser.add_argument("--loads", type=int, default=4, help="of each gauge")
+    parser.add_argument("--tubers", type=int, default=TUBERS, help="of each load")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--only", choices=KINDS, help="one gauge")
     parser.add_argument("--out", type=Path, help="rows as JSON")
@@ -254,7 +255,7 @@ def main(arguments: list[str]) -> None:
             cause_rows.append(row)
             print("right" if row.right else "WRONG", row, flush=True)
         _save(options.out, cause_rows, load_rows)
-        for load in loads(kind, range(options.seed + 500, options.seed + 500 + options.loads)):
+        for load in loads(kind, range(options.seed + 500, options.seed + 500 + options.loads), tubers=options.tubers):
             load_rows.append(load)
             print(load, flush=True)
         _save(options.out, cause_rows, load_rows)

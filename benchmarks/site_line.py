@@ -101,7 +101,7 @@ class SiteLine:
         self._stack.enter_context(group)
         group.add(self._processes[name].pid)
 
-    def wait_alive(self, names: Sequence[str], *, timeout_s: float = 90.0) -> None:
+    def wait_alive(self, names: Sequence[str], *, timeout_s: float = 300.0) -> None:
         """Until all these nodes show their tokens."""
         self.wait(
             lambda: set(names) <= set(self._latest.get("alive", ())), what=f"{list(names)} alive", timeout_s=timeout_s

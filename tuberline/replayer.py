@@ -7,21 +7,26 @@ import json
 import socket
 import time
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, TuberlineError
-from conveyor.observer import observer_when_there
+from conveyor.observer import Observer, observer_when_there
 from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
+if TYPE_CHECKING:
+    from tuberline.cli.replay_table import Show
+
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
+COMING_UP_LIMIT_S = 600.0
+"""First use compiles in each process, for minutes on a small or busy machine."""
 CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 MOST_CRASHES = 6
@@ -247,19 +252,17 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
     """Until the aggregator has written its summary; returns what is wrong with the belts. Raises when a node gave up or
     nothing moves any more.
     """
-    from rich.console import Console
-    from rich.live import Live
+    showing: AbstractContextManager[Show | None] = nullcontext()
+    if show:
+        from tuberline.cli.replay_table import replay_table
 
-    from tuberline.cli.live import line_table
-
-    live = Live(console=Console(stderr=True), refresh_per_second=4, transient=True) if show else nullcontext()
+        showing = replay_table(_frames(config))
     observing = observer_when_there(
         config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor), within_s=START_LIMIT_S
     )
-    with observing as observer, live as table:
+    with observing as observer, showing as table:
         moved, last = time.monotonic(), -1
         findings: dict[str, str] = {}
-        limit_s = START_LIMIT_S
         while not supervisor.finished("aggregator"):
             _raise_failures(supervisor)
             nodes = observer.nodes()
@@ -268,14 +271,29 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
                 findings |= {f"{name} {finding}": text for finding, text in told.items()}
             done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
             if done != last:
-                limit_s = QUIET_LIMIT_S if last >= 0 and done else START_LIMIT_S
                 moved, last = time.monotonic(), done
+            limit_s = QUIET_LIMIT_S if done else _start_limit_s(supervisor, observer)
             if time.monotonic() - moved > limit_s:
                 raise LinkError(_stands_still(supervisor, config, limit_s))
             if table is not None:
-                table.update(line_table(observer.totals(), nodes, alive=observer.alive()))
+                table(observer.totals(), nodes, observer.alive())
             time.sleep(0.1)
         return list(findings.values())
+
+
+def _start_limit_s(supervisor: Supervisor, observer: Observer) -> float:
+    """Longer while a node is on its way up for the first time. The router has no token."""
+    coming = not any(supervisor.restarts.values()) and len(observer.alive()) < len(supervisor.restarts) - 1
+    return COMING_UP_LIMIT_S if coming else START_LIMIT_S
+
+
+def _frames(config: LineConfig) -> int | None:
+    """How many frames the recording of the replay has; None where that is not known before all are read."""
+    from conveyor.formats import open_source
+
+    paths = {name: camera.path for name, camera in config.cameras.items()}
+    counts = [open_source(Path(path), camera=name).description.frames for name, path in paths.items() if path]
+    return None if None in counts else sum(count or 0 for count in counts)
 
 
 def _stands_still(supervisor: Supervisor, config: LineConfig, limit_s: float) -> str:

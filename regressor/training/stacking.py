@@ -58,8 +58,9 @@ def restack(
     seen, views = seen.subset(seen.clean), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
         raise InputError(
-            f"{unseen} holds {len(np.unique(views.recording))} recordings; at least {MIN_RECORDINGS} are needed: a "
-            "blend is fitted over recordings, each of which shares one belt and one camera"
+            f"{unseen} holds {len(np.unique(views.recording))} recordings without soil on the tubers; at least "
+            f"{MIN_RECORDINGS} are needed: a blend is fitted over recordings, each of which shares one belt and one "
+            "camera"
         )
     network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)

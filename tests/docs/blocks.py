@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 SIZES = {
     "--tubers": ("TUBERLINE_DOCS_TUBERS", "12"),
-    "--views": ("TUBERLINE_DOCS_VIEWS", "4"),
+    "--views": ("TUBERLINE_DOCS_VIEWS", "6"),
     "--minutes": ("TUBERLINE_DOCS_MINUTES", "0.1"),
     "--epochs": ("TUBERLINE_DOCS_EPOCHS", "1"),
     "--belts": ("TUBERLINE_DOCS_BELTS", "2"),
@@ -29,7 +29,7 @@ SMALL = {
     "follow": "--tubers 6 --only 0",
     "foreign": "--tubers 6 --only 0",
     "frames": "--frames 20",
-    "gauge": "--worlds 1 --loads 1 --only rods",
+    "gauge": "--worlds 1 --loads 1 --only rods --tubers 4",
     "heights": "--lines 3 --pool 100",
     "layers": "--tubers 8 --only 0",
     "line": "--seconds 5 --warm-up-s 5 --tubers-per-s 2 --tubers 8 --cameras 1",

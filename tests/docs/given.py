@@ -105,8 +105,9 @@ def bucket(stage: Stage) -> None:
     truth = json.loads((stage.clone / "truth.json").read_text(encoding="utf-8"))["tubers"]
     kg = sum(tuber["weight_g"] for tuber in truth) / 1000
     (summary,) = (stage.clone / "runs").glob("*/summary.json")
+    run = json.loads(summary.read_text(encoding="utf-8"))["run"]
     stage.words |= {
-        "--run monday --kind load": f"--run {json.loads(summary.read_text(encoding='utf-8'))['run']} --kind bucket",
+        "--run monday --kind load": f"--run {run} --kind bucket --part 'tubers 1 to {len(truth)}'",
         "--kg 8.61": f"--kg {kg:.2f}",
         "--ticket-kg 8412": f"--ticket-kg {kg:.2f}",
         "--count 50": f"--count {len(truth)}",
@@ -189,7 +190,7 @@ def packs(stage: Stage) -> None:
 
 def twin(stage: Stage) -> None:
     """A folder in 3DPotatoTwin's layout under its name: the data themselves are not ours to hand out."""
-    stage.type("tuberline simulate-views --layout potatotwin --out 3DPotatoTwin --tubers 15 --views 3 --seed 5")
+    stage.type("tuberline simulate-views --layout potatotwin --out 3DPotatoTwin --tubers 15 --views 6 --seed 5")
 
 
 def apples(stage: Stage) -> None:

@@ -271,7 +271,7 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert again.interval_rule != loaded.interval_rule
     assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
     assert load_checkpoint(tmp_path / "out" / "weights.safetensors")[1] == again
-    with pytest.raises(InputError, match="1 recordings; at least 20"):
+    with pytest.raises(InputError, match="1 recordings without soil on the tubers; at least 20"):
         restack(tmp_path / "out" / "weights.safetensors", packs / "train", packs / "val", cache=None)
     write_pack(tmp_path / "unseen", tubers=24, views=2, seed=5)
     _by_recording(tmp_path / "unseen")

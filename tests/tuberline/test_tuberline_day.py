@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import shutil
 from pathlib import Path
@@ -15,8 +16,18 @@ from benchmarks.day_stitch import Clock
 from benchmarks.day_world import LEAST_TUBERS, plan_day
 from tuberline.cli.map import map_field
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "yield.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "yield.md"
 TABLES = ("stages", "loads", "classes", "foreign", "map", "exports")
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "deploy/trial"])
+def test_everything_that_is_run_by_name_is_imported(folder: str) -> None:
+    """A benchmark named a thing that had moved: no one saw it until it was wanted. Here, where most is loaded."""
+    modules = [path.stem for path in sorted((ROOT / folder).glob("[a-z]*.py"))]
+    assert len(modules) > 10
+    for name in modules:
+        importlib.import_module(f"{folder.replace('/', '.')}.{name}")
 
 
 def test_the_day_has_twenty_loads_of_three_hundred_tubers() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from conveyor.messages import Counters
 from tuberline.cli import progress
 from tuberline.cli.live import nodes_tables
 from tuberline.cli.markdown import print_markdown
+from tuberline.cli.replay_table import replay_table
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -77,6 +79,17 @@ def test_every_long_command_shows_the_bar_of_the_house() -> None:
     own = re.compile(r"\bProgress\(|console\.status\(|rich\.status")
     found = [path.name for path in (ROOT / "tuberline").rglob("*.py") if own.search(path.read_text(encoding="utf-8"))]
     assert found == ["progress.py"]
+
+
+def test_a_replay_says_how_long_its_frames_still_take() -> None:
+    out = io.StringIO()
+    with replay_table(80, on=Console(file=out, force_terminal=True, width=80, color_system=None)) as show:
+        for done in (20, 40, 60):
+            name, values = "segmenter/front", {"frames_processed": done}
+            show(None, {name: Counters("segmenter", "front", "r", 1, "h", "1", 1.0, values, {})}, {name})
+            time.sleep(0.1)
+    assert "75%" in out.getvalue()
+    assert re.search(r"75% 0:00:0\d", out.getvalue()), out.getvalue()
 
 
 METHODS = ("PointRAFT with visible volume (as weighed)", "linear on box L, W, h (the paper's baseline)")

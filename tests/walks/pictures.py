@@ -2,9 +2,9 @@
 
     python -m tests.walks.pictures RECORDING OUT
 
-plays the recording (15 s or longer) as a live line and writes terminal.png, page.png, rerun.png and foxglove.png into
-OUT. Needs Chromium and the extras `viewer`, `foxglove` and `dev`. Rerun is shown as it stood in the middle of the run,
-while potatoes were in view that were not counted yet.
+plays the recording of a camera `front` as a line, slowly, and writes terminal.png, page-phone.png, page-panel.png,
+page-desk.png, rerun.png and foxglove.png into OUT. Needs Chromium and the extras `viewer`, `foxglove` and `dev`.
+Everything is shown as it stood in the middle of the run, while potatoes were in view that were not counted yet.
 """
 
 from __future__ import annotations
@@ -25,12 +25,19 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from conveyor.config import load_config
+from conveyor.formats import open_source
+from conveyor.observer import Observer, observer_when_there
 from tests.deploy.remote_browser import Browser, chromium
 from tests.walks.foxglove_picture import foxglove_picture
 
-STARTS_IN_S = 45
-"""The line's processes need so long on a busy machine of two cores; the recording plays from then on."""
-LIMIT_S = 240
+LASTS_S = 150.0
+"""The belt is slowed to run so long: pictures are taken by software rendering on a busy machine meanwhile."""
+LEAST_TUBERS, LEAST_SHOWN = 6, 5
+"""Tubers that are counted, and frames that Rerun has, before pictures are taken."""
+SIZES = {"phone": (390, 844), "panel": (1280, 800), "desk": (1680, 1050)}
+"""Of the page, in pixels; each picture is the whole page at that width."""
+LIMIT_S = 400
 RERUN_COLOURS = 400
 """Rerun's window without data has fewer; software rendering of it takes seconds a frame."""
 LINE = """name = "monday"
@@ -39,9 +46,7 @@ router = "tcp/127.0.0.1:{port}"
 [cameras.front]
 source = "recording"
 path = "{recording}"
-speed = 1.0
-waits = false
-starts_at_s = {starts_at_s}
+speed = {speed}
 [aggregator]
 out = "run"
 exit_when_final = true
@@ -55,9 +60,11 @@ def main(recording: Path, out: Path) -> None:
     """See the module."""
     out.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix="operator-"))
-    starts_at_s = int(time.time()) + STARTS_IN_S
-    text = LINE.format(port=_free_port(), recording=recording.resolve(), starts_at_s=starts_at_s)
+    keys = open_source(recording, camera="front").keys()
+    speed = (keys[-1].captured_ns - keys[0].captured_ns) / 1e9 / LASTS_S
+    text = LINE.format(port=_free_port(), recording=recording.resolve(), speed=f"{speed:.4f}")
     (folder / "line.toml").write_text(text, encoding="utf-8")
+    link = load_config(folder / "line.toml").link
     with (folder / "line.log").open("w") as log, chromium(folder / "profile") as browser:
         line = _tuberline("run", "line.toml", folder=folder, stdout=log, stderr=log)
         port = _free_port()
@@ -65,14 +72,15 @@ def main(recording: Path, out: Path) -> None:
             "page", "--config", "line.toml", "--listen", f"127.0.0.1:{port}", folder=folder, stdout=log, stderr=log
         )
         try:
-            _until(lambda: "segmenter/front: started" in (folder / "line.log").read_text(), line)
-            _until(lambda: time.time() > starts_at_s + 7, line)
+            with observer_when_there(link, line="monday", meanwhile=lambda: None, within_s=LIMIT_S) as observer:
+                _until(lambda: _is_shown(observer), line)
             shutil.copy(folder / "line.rrd", folder / "middle.rrd")
             said = subprocess.run(
                 [sys.executable, "-m", "tuberline", "status", "--config", "line.toml"],
                 cwd=folder, capture_output=True, text=True, check=True, env=_env(), timeout=LIMIT_S,
             ).stdout  # fmt: skip
-            _look(browser, f"http://127.0.0.1:{port}/", out / "page.png", seconds=9)
+            for name, size in SIZES.items():
+                _page(browser, f"http://127.0.0.1:{port}/", size, out / f"page-{name}.png")
             line.wait(LIMIT_S)
         finally:
             page.terminate()
@@ -84,6 +92,12 @@ def main(recording: Path, out: Path) -> None:
     _tuberline(*command, folder=folder, stdout=None, stderr=None).wait(LIMIT_S)
     cv2.imwrite(str(out / "foxglove.png"), foxglove_picture(mcap))
     sys.stdout.write(f"pictures in {out}; the line's own files in {folder}\n")
+
+
+def _is_shown(observer: Observer) -> bool:
+    told, nodes = observer.totals(), observer.nodes()
+    shown = nodes["viewer/viewer"].count("frame_shown") if "viewer/viewer" in nodes else 0
+    return told is not None and told.count >= LEAST_TUBERS and shown >= LEAST_SHOWN
 
 
 def _env() -> dict[str, str]:
@@ -118,8 +132,26 @@ def _look(browser: Browser, url: str, out: Path, *, seconds: float, colours: int
     raise AssertionError(f"{url} did not come to show anything: {before} colours")
 
 
+def _page(browser: Browser, url: str, size: tuple[int, int], out: Path) -> None:
+    """The whole page at a width: pictures of the belt are only fetched for what is on the screen."""
+    width, height = size
+
+    def resize(high: int) -> None:
+        metrics = {"width": width, "height": high, "deviceScaleFactor": 1, "mobile": width < 600}
+        browser.page("Emulation.setDeviceMetricsOverride", **metrics)
+
+    resize(height)
+    _look(browser, url, out, seconds=3)
+    asked = browser.page("Runtime.evaluate", expression="document.documentElement.scrollHeight", returnByValue=True)
+    resize(int(asked["result"]["value"]))
+    time.sleep(3)
+    if picture := browser.png():
+        out.write_bytes(picture)
+
+
 def _terminal(browser: Browser, said: str, folder: Path, out: Path) -> None:
     """The words of a command in a terminal of 80 columns."""
+    browser.page("Emulation.clearDeviceMetricsOverride")
     console = Console(record=True, width=80, file=(folder / "terminal.txt").open("w"))
     console.print(Text(said), soft_wrap=False)
     console.save_svg(str(folder / "terminal.svg"), title="tuberline status")

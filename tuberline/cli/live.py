@@ -169,7 +169,8 @@ def _did(name: str, counters: Counters, pace: Pace | None) -> Iterator[str]:
     for key in _SHOWN.get(counters.role, ()):
         if counters.count(key):
             rate = pace.per_s(name, key) if pace else None
-            yield f"{key.split('_', 1)[-1]} {counters.count(key)}" + ("" if rate is None else f" ({rate:.1f}/s)")
+            what = f"{key.split('_')[0]}s" if counters.role == "viewer" else key.split("_", 1)[-1]
+            yield f"{what} {counters.count(key)}" + ("" if rate is None else f" ({rate:.1f}/s)")
 
 
 def losses(counters: Counters) -> dict[str, float]:

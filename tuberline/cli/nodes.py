@@ -62,7 +62,7 @@ def gnss(*, config: Path, run: str | None = None) -> None:
     run_gnss(load_config(config), run=run or _new_run())
 
 
-def regressor(*, config: Path, name: str, run: str) -> None:
+def regressor(*, config: Path, name: str, run: str | None = None) -> None:
     """Weigh views; any number of regressors, anywhere.
 
     Parameters
@@ -72,12 +72,12 @@ def regressor(*, config: Path, name: str, run: str) -> None:
     name
         This worker's name, unique on the line.
     run
-        Id of this run.
+        Id of this run, for the counters only; default: the time of its start.
     """
     from conveyor.config import load_config
     from regressor.serve.node import run_regressor
 
-    run_regressor(load_config(config), name=name, run=run)
+    run_regressor(load_config(config), name=name, run=run or _new_run())
 
 
 def aggregator(*, config: Path, run: str | None = None, fingerprint: str = "", new_run: bool = False) -> None:

@@ -5,18 +5,34 @@ from __future__ import annotations
 from conveyor.observer import Observer
 from tuberline.cli.address import NO_ADDRESS, LineAddress
 
+LOGGED_EVERY_S = 10.0
+"""Into a file or a pipe the table is written again after so long: a screen that is drawn over means nothing there."""
+
 
 def top(*, address: LineAddress = NO_ADDRESS) -> None:
-    """Watch totals and nodes of a running line; Ctrl-C ends it and changes nothing."""
+    """Watch totals and nodes of a running line; Ctrl-C ends it and changes nothing.
+
+    Into a file or a pipe, the table is written every 10 s.
+    """
+    import time
+    from contextlib import nullcontext
+
+    from rich.console import Console
     from rich.live import Live
 
     from tuberline.cli.live import Pace, line_table
 
     link, name = address.link()
-    pace = Pace()
-    with Observer(link, line=name) as observer, Live(refresh_per_second=4, screen=True) as live:
+    pace, console = Pace(), Console()
+    drawn = Live(console=console, refresh_per_second=4, screen=True) if console.is_terminal else None
+    with Observer(link, line=name) as observer, drawn or nullcontext():
         while True:
             observer.wait_totals(0.5)
             nodes = observer.nodes()
             pace.update(nodes)
-            live.update(line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace))
+            table = line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace)
+            if drawn:
+                drawn.update(table)
+            else:
+                console.print(table)
+                time.sleep(LOGGED_EVERY_S)
