@@ -153,8 +153,10 @@ class AggregatorNode:
         reported, took_s = False, 0.0
         while not self._node.stop.is_set():
             self._gather(self._settings.commit_interval_s, at_most_s=min(took_s, LONGEST_GATHER_S))
+            self._node.progress()  # each step by itself: on a starved host one takes seconds
             began_s = time.monotonic()
             self._commit()
+            self._node.progress()
             now_s = time.monotonic()
             took_s = now_s - began_s
             answer_all(self._orders, self._commit, now_s)

@@ -27,7 +27,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict
+from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict, worst
 from conveyor.config import CameraConfig, dump_toml
 from tuberline.processes import line_processes
 from tuberline.replayer import prepare_out, recording_cameras, replay_config
@@ -193,12 +193,12 @@ def told(watch: Watch, books: dict[str, Any], *, minutes: float, warm_up_s: floa
     found = {name: role_verdict(name, seen, warm_up_s=warm_up_s) for name, seen in watch.samples.items()}
     roles = [verdict for verdict in found.values() if verdict]
     line = line_verdict(dict(watch.samples), warm_up_s=warm_up_s)
-    words = {verdict.word for verdict in roles} | ({line.verdict} if line else set())
+    words = [verdict.word for verdict in roles] + ([line.verdict] if line else [])
     shm = watch.shm_files
     return {
         "minutes": minutes,
         "warm_up_s": warm_up_s,
-        "verdict": "grows" if "grows" in words else "untold" if "untold" in words or not words else "flat",
+        "verdict": worst(words),
         "line_rss_mib": asdict(line) if line else None,
         "kills": dict(watch.kills),
         "restarts": watch.restarts,
@@ -231,17 +231,16 @@ def _row(verdict: RoleVerdict, restarts: int) -> str:
 
 
 def _slope(growth: Growth | None) -> str:
-    return (
-        "too short" if growth is None else f"{growth.per_h:+.0f} ({growth.low_per_h:+.0f} to {growth.high_per_h:+.0f})"
-    )
+    if growth is None:
+        return "too short"
+    late = growth.late and "; last half {:+.0f} ({:+.0f} to {:+.0f})".format(*growth.late)
+    return f"{growth.per_h:+.0f} ({growth.low_per_h:+.0f} to {growth.high_per_h:+.0f}){late or ''}"
 
 
 def markdown(report: dict[str, Any]) -> str:
     """The report for people."""
     books, shm, line = report["books"], report["shm_files"], report["line_rss_mib"]
-    whole = "too short to tell" if line is None else (
-        f"{line['per_h']:+.0f} MiB/h ({line['low_per_h']:+.0f} to {line['high_per_h']:+.0f}): {line['verdict']}"
-    )  # fmt: skip
+    whole = "too short to tell" if line is None else f"{_slope(Growth(**line))} MiB/h: {line['verdict']}"
     rows = [
         f"{report['minutes']:g} minutes, {sum(report['kills'].values())} kills; verdict: **{report['verdict']}**. "
         f"All processes together: {whole}. Files in /dev/shm: {shm['first']} at the start, {shm['last']} at the end, "

@@ -2,14 +2,17 @@
 
 Samples of one life hang together, so they are averaged over half a minute first: the error of the slope would be told
 far too small otherwise. Lives are pooled with a level of their own each: a restart takes nothing back.
+
+What grows for ever grows in the last half of the time too. A cache that is filled once, or what a link that was lost
+needs to come back for the first time, does not: such a process is called settled, and the last half's slope is told.
 """
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 WARM_UP_S = 90.0
@@ -34,13 +37,17 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """Growth per hour with its 95 % bounds; 'flat', 'grows', or 'untold' where the bounds lie on both sides of it."""
+    """Growth per hour with its 95 % bounds; 'flat', 'grows', or 'untold' where the bounds lie on both sides of it.
+
+    `late`: where the whole is not flat, the same of the last halves of all lives; 'settled' where those are flat.
+    """
 
     per_h: float
     low_per_h: float
     high_per_h: float
     measured_s: float
     verdict: str
+    late: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +65,17 @@ class RoleVerdict:
     @property
     def word(self) -> str:
         """The worst of its verdicts."""
-        words = {growth.verdict for growth in self.pooled.values() if growth}
-        return "grows" if "grows" in words else "untold" if "untold" in words or not words else "flat"
+        return worst(growth.verdict for growth in self.pooled.values() if growth)
 
     def as_dict(self) -> dict[str, Any]:
         """For machines."""
         return {**asdict(self), "verdict": self.word}
+
+
+def worst(words: Iterable[str]) -> str:
+    """Of several verdicts the one that tells most against them; nothing told is 'untold'."""
+    said = set(words) or {"untold"}
+    return next(word for word in ("grows", "untold", "settled", "flat") if word in said)
 
 
 def role_verdict(name: str, samples: Sequence[Sample], *, warm_up_s: float = WARM_UP_S) -> RoleVerdict | None:
@@ -110,6 +122,21 @@ def growth(lives: Sequence[Sequence[tuple[float, float]]], measure: str) -> Grow
 
     Least squares on means over half a minute; bounds are 1.96 standard errors.
     """
+    whole = _growth(lives, measure)
+    if whole is None or whole.verdict == "flat":
+        return whole
+    late = _growth([_last_half(life) for life in lives], measure)
+    if late is None:
+        return whole
+    told = (late.per_h, late.low_per_h, late.high_per_h)
+    return replace(whole, late=told, verdict="settled" if late.verdict == "flat" else whole.verdict)
+
+
+def _last_half(life: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
+    return [(at_s, value) for at_s, value in life if at_s >= (life[0][0] + life[-1][0]) / 2]
+
+
+def _growth(lives: Sequence[Sequence[tuple[float, float]]], measure: str) -> Growth | None:
     xs, ys, levels, measured_s = [], [], 0, 0.0
     for life in lives:
         means = _binned(life)

@@ -145,5 +145,17 @@ def test_a_mark_that_repeats_a_time_adds_no_sample() -> None:
     curve = TravelCurve()
     for t_ns, x_m in ((0, 0.0), (10, 1.0), (10, 1.5), (5, 9.0)):
         curve.add(t_ns, x_m)
-    assert (curve.times_ns, curve.travels_m) == ([0, 10], [0.0, 1.0])
+    assert (list(curve.times_ns), list(curve.travels_m)) == ([0, 10], [0.0, 1.0])
     assert curve.at(5) == 0.5
+
+
+def test_a_day_of_samples_takes_no_more_than_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lists of every mark's sample grew by 4 MB an hour and live camera on a belt without an encoder."""
+    monkeypatch.setattr("aggregator.core.travel.SAMPLES", 100)
+    curve = TravelCurve()
+    for n in range(10_000):
+        curve.add(n, n * n / 1e8)
+        assert len(curve.times_ns) == len(curve.travels_m) <= 100
+    assert (curve.first_ns, curve.last_ns) == (0, 9999)
+    assert [curve.at(n) for n in range(9951, 10_000)] == [n * n / 1e8 for n in range(9951, 10_000)]
+    assert curve.at(9800) == pytest.approx(0.9604, abs=1e-3), "coarser, and still there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -48,6 +49,20 @@ def test_descriptors_that_are_never_closed_are_found() -> None:
     assert found.word == "grows"
     assert found.pooled["threads"] is not None
     assert found.pooled["threads"].verdict == "flat"
+
+
+@pytest.mark.parametrize(("filled_min", "word"), [(13, "settled"), (29, "grows")])
+def test_a_cache_that_is_filled_once_is_told_from_what_never_ends(filled_min: float, word: str) -> None:
+    """An aggregator whose cache held its 4096 tubers after 12 minutes of 30 was called a leak."""
+    flat = lives(each_min=30, leak_mib_h=0.0, seed=5)
+    filling = [replace(s, rss_mib=s.rss_mib + 40.0 * min(1.0, s.at_s / 60 / filled_min)) for s in flat]
+    found = role_verdict("aggregator", filling)
+    assert found is not None
+    assert found.word == word
+    rss = found.pooled["rss_mib"]
+    assert rss is not None
+    assert rss.late is not None
+    assert (abs(rss.late[0]) < 10.0) == (word == "settled")
 
 
 def test_the_whole_line_is_measured_where_everybody_has_settled() -> None:
