@@ -22,7 +22,7 @@ from tuberline.processes import line_processes
 from tuberline.replayer import prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import Supervisor
 
-pytestmark = [pytest.mark.slow, pytest.mark.graph]
+pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(900)]
 EMPTY_COLOURS = 100
 """A viewer without data has some dozens, in steps of 16."""
 pytest.importorskip("rerun", reason="remote viewing needs tuberline[viewer]")
