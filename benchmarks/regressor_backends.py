@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Self
 
@@ -16,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import TuberlineError
+from conveyor.extras import install_hint
 from regressor.network.checkpoint import load_checkpoint
 from regressor.network.export import OPSET, ExportedPointRaft
 from regressor.network.fast import FastPointRaft, Form, fused_layer, groups_tensor
@@ -90,8 +92,11 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
     runners |= {name: _fast(FastPointRaft(model, form), clouds) for name, form in forms.items()}
     runners["ONNX Runtime, float32"] = _onnxruntime(graph, clouds)
     runners["ONNX Runtime, int8"] = _onnxruntime(_quantised(graph, clouds), clouds)
-    runners["OpenVINO, float32"] = _openvino(graph, clouds, "f32")
-    runners["OpenVINO, bfloat16"] = _openvino(graph, clouds, "bf16")
+    if find_spec("openvino"):
+        runners["OpenVINO, float32"] = _openvino(graph, clouds, "f32")
+        runners["OpenVINO, bfloat16"] = _openvino(graph, clouds, "bf16")
+    else:
+        sys.stderr.write(f"OpenVINO is left out, for it is not installed: {install_hint('backends')}\n")
     for run in runners.values():
         run(slice(0, 2))
     return runners
