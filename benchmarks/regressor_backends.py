@@ -5,8 +5,10 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Self
 
@@ -15,11 +17,12 @@ import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import TuberlineError
+from conveyor.extras import install_hint
 from regressor.network.checkpoint import load_checkpoint
-from regressor.network.export import export_onnx
+from regressor.network.export import OPSET, ExportedPointRaft
 from regressor.network.fast import FastPointRaft, Form, fused_layer, groups_tensor
-from regressor.network.grouping import SharedGroups, group_prefix
-from regressor.network.pointraft import PointRaft
+from regressor.network.grouping import CENTROIDS_2, SharedGroups, group_prefix
+from regressor.network.pointraft import NEIGHBOURS, PointRaft
 from regressor.network.sampling import farthest_points
 from regressor.training.labelled import read_labelled
 
@@ -74,9 +77,8 @@ class Clouds:
 
 def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str, Runner]:
     """Every back end by name, warm."""
-    model, sidecar = load_checkpoint(weights)
-    graph = scratch / "network.onnx"
-    export_onnx(graph, model, sidecar)
+    model, _ = load_checkpoint(weights)
+    graph = _network_alone(scratch / "network.onnx", model)
     forms = {
         "torch, exact": Form(),
         "torch, exact, 64 centroids": Form(centroids=64),
@@ -90,11 +92,33 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
     runners |= {name: _fast(FastPointRaft(model, form), clouds) for name, form in forms.items()}
     runners["ONNX Runtime, float32"] = _onnxruntime(graph, clouds)
     runners["ONNX Runtime, int8"] = _onnxruntime(_quantised(graph, clouds), clouds)
-    runners["OpenVINO, float32"] = _openvino(graph, clouds, "f32")
-    runners["OpenVINO, bfloat16"] = _openvino(graph, clouds, "bf16")
+    if find_spec("openvino"):
+        runners["OpenVINO, float32"] = _openvino(graph, clouds, "f32")
+        runners["OpenVINO, bfloat16"] = _openvino(graph, clouds, "bf16")
+    else:
+        sys.stderr.write(f"OpenVINO is left out, for it is not installed: {install_hint('backends')}\n")
     for run in runners.values():
         run(slice(0, 2))
     return runners
+
+
+def _network_alone(path: Path, model: PointRaft) -> Path:
+    """The network as ONNX without the rules that an export puts around it: all back ends compute the same."""
+    names, out = ("groups", "height_m"), "network_g"
+    example = torch.zeros(2, 2 * NEIGHBOURS + CENTROIDS_2, 3), torch.zeros(2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the tracing exporter, as in regressor/network/export.py
+        torch.onnx.export(
+            ExportedPointRaft(model),
+            example,
+            str(path),
+            input_names=list(names),
+            output_names=[out],
+            dynamic_axes={name: {0: "batch"} for name in (*names, out)},
+            opset_version=OPSET,
+            dynamo=False,
+        )
+    return path
 
 
 def _reference(model: PointRaft, clouds: Clouds, *, inside: Sampler = farthest_points) -> Runner:

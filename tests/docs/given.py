@@ -190,7 +190,7 @@ def packs(stage: Stage) -> None:
 
 def twin(stage: Stage) -> None:
     """A folder in 3DPotatoTwin's layout under its name: the data themselves are not ours to hand out."""
-    stage.type("tuberline simulate-views --layout potatotwin --out 3DPotatoTwin --tubers 15 --views 6 --seed 5")
+    stage.type("tuberline simulate-views --layout potatotwin --out 3DPotatoTwin --tubers 30 --views 3 --seed 5")
 
 
 def apples(stage: Stage) -> None:
