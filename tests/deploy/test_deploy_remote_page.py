@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import subprocess
 import sys
@@ -57,8 +58,8 @@ def test_a_browser_shows_a_real_line_through_tls_and_the_password(tmp_path: Path
 
 
 def proxy_count(snapshot_json: bytes) -> str:
-    """The load's count as the page writes it."""
-    return re.findall(r'"count":(\d+)', snapshot_json.decode())[0]
+    """The load's count as the page writes it; `snapshot_json` as the proxy sends it, packed."""
+    return re.findall(r'"count":(\d+)', gzip.decompress(snapshot_json).decode())[0]
 
 
 def _text(browser: Browser) -> str:

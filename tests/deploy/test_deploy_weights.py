@@ -35,7 +35,7 @@ def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_weights_change_while_a_belt_passes(belt: Path, tmp_path: Path) -> None:
     newer = scaled_weights(tmp_path / "newer.safetensors", 1.06)
     broken = scaled_weights(tmp_path / "broken.safetensors", 3.0)
-    line_site = site(belt, tmp_path / "run", speed=0.3)
+    line_site = site(belt, tmp_path / "run", speed=0.1)
     (camera,) = line_site.config.cameras
     with at_work(line_site) as line, open_client(line_site.config.link, name="keeper") as keeper:
         line.wait_count("views_weighed", 4)
