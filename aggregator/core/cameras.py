@@ -146,7 +146,7 @@ class Cameras:
         if state is None:
             return
         known = state.sight.published
-        first = known.first_ns is None and info.first_captured_ns is not None
+        first, before_ns = known.first_ns is None and info.first_captured_ns is not None, known.last_ns
         known.take(info)
         if first and info.live and self._began_s is not None:
             state.lead_until_s, known.lead_s = now_s + LEAD_WITHIN_S, math.inf
@@ -154,8 +154,10 @@ class Cameras:
             # What it said may have come late, and been old when it came: the least of some is the truth.
             published_s = ((info.last_captured_ns or 0) - (known.first_ns or 0)) / 1e9
             known.lead_s = min(known.lead_s, max(0.0, now_s - self._began_s - published_s))
-        if info.state == "streaming":
-            state.info_s = now_s
+        if info.state == "streaming" and (info.waits or before_ns is None or known.last_ns != before_ns):
+            state.info_s = (
+                now_s  # one that stood still repeats an old frame when it wakes: no word of where the belt is
+            )
         elif info.state == "ended":
             state.info_s = math.inf
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from aggregator.core.cameras import Cameras
-from aggregator.core.coverage import coverage
+from aggregator.core.coverage import Moment, coverage
 from aggregator.core.reasons import Unseen
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.check import check_file
@@ -64,6 +64,33 @@ def test_belt_that_ran_while_every_camera_was_down_is_told_by_an_encoder(encoder
     found = coverage(cameras.sights, seen_by={}, moment=cameras.moment(60.0, over=True))
     ran_m = 0.5 if encoder else 50 * 0.2
     assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(ran_m, abs=0.02)
+
+
+def test_a_camera_that_wakes_and_repeats_its_last_frame_says_nothing_of_the_belt_meanwhile() -> None:
+    """It was frozen 5 s before its line was stopped; let go to end, it said once more what it had said before."""
+    cameras = Cameras(("a",), stall_s=10.0, now_s=0.0)
+    for second in range(1, 11):
+        mark = Mark(
+            second * SECOND_NS, 0.2 * second, True, second * SECOND_NS, 0, False, 0.2 * second, 0.2 * second, {}, {}, {}
+        )
+        cameras.info(info(first_s=1.0, last_s=second), float(second))
+        cameras.heard("a", TrackEntry("a", "r", second, mark=mark), float(second))
+        cameras.marked("a", mark)
+    cameras.info(info(first_s=1.0, last_s=10.0), 15.0)
+    found = coverage(cameras.sights, seen_by={}, moment=cameras.moment(15.0, over=True))
+    assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(5 * 0.2, abs=0.02)
+
+
+def test_what_a_process_took_with_it_was_not_seen_where_the_next_one_only_ends_the_run() -> None:
+    """Killed with 90 tubers that waited for weights, started again after the last frame: 53 % seen, none counted."""
+    sight = CameraSight()
+    for second in range(1, 11):
+        s, complete_ns = 0.2 * second, min(second, 3) * SECOND_NS
+        sight.marked(Mark(second * SECOND_NS, s, True, complete_ns, 0.0, False, s, s, {}, {}, {}))
+    sight.marked(Mark(10 * SECOND_NS, 2.0, True, 3 * SECOND_NS, -2.0, True, 2.0, 2.0, {}, {}, {}))
+    found = coverage({"a": sight}, seen_by={}, moment=Moment(over=True))
+    assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(1.4)
+    assert found.share == pytest.approx(0.6 / 2.0)
 
 
 def test_the_end_by_a_process_that_saw_nothing_forgets_no_speed() -> None:
