@@ -154,10 +154,9 @@ class Cameras:
             # What it said may have come late, and been old when it came: the least of some is the truth.
             published_s = ((info.last_captured_ns or 0) - (known.first_ns or 0)) / 1e9
             known.lead_s = min(known.lead_s, max(0.0, now_s - self._began_s - published_s))
+        # One that stood still repeats an old frame when it wakes: no word of where the belt is.
         if info.state == "streaming" and (info.waits or before_ns is None or known.last_ns != before_ns):
-            state.info_s = (
-                now_s  # one that stood still repeats an old frame when it wakes: no word of where the belt is
-            )
+            state.info_s = now_s
         elif info.state == "ended":
             state.info_s = math.inf
 

@@ -9,8 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 LEVEL_MM = 0.25
-PER_MM = np.float32(1 / LEVEL_MM)
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
+PER_MM = np.float32(1 / LEVEL_MM)
 MOST_LEVELS = 65535
 """16 m of relief: what is higher is flooded as if it were as high."""
 BACKGROUND = np.float32(-1)
