@@ -83,6 +83,7 @@ class CameraRun:
         self._heard_s: float | None = None
         self._base_views: dict[str, int] = {}
         self._base_tracks: dict[str, int] = {}
+        self._lost_share = 0.0
 
     def open(self) -> None:
         """Open the log; where it holds a mark, carry on from there.
@@ -99,6 +100,7 @@ class CameraRun:
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = _views_left(mark.views, self.log.since_mark)
         self._base_tracks = _tracks_left(mark.tracks, self.log.since_mark)
+        self._lost_share = _lost_share(mark.tracks, self._base_tracks)
         self._done_seq = self.frames.newest_seq
 
     def close(self) -> None:
@@ -310,9 +312,10 @@ class CameraRun:
             complete_ns = min(complete_ns, waiting[0] - 1)
             complete_m = min(complete_m, math.nextafter(waiting[1], -math.inf))
         before = self.log.last_mark
-        captured_ns, estimated = self._newest_ns, self.core.estimated
+        captured_ns, estimated, looked_at_m = self._newest_ns, self.core.estimated, self.core.looked_at_m
         if before is not None and not captured_ns:  # started again after the camera had ended: it saw no frame
             captured_ns, estimated = before.captured_ns, before.travel_estimated
+            looked_at_m *= 1.0 - self._lost_share
         place_m = self.core.row_place_m(complete_m)
         if before is not None:
             complete_ns, place_m = max(complete_ns, before.complete_ns), min(place_m, before.complete_place_x_m)
@@ -324,7 +327,7 @@ class CameraRun:
             complete_ns=complete_ns,
             complete_place_x_m=place_m + 0.0,  # never -0.0, which SQLite gives back as 0.0
             final=final,
-            looked_at_m=self.core.looked_at_m,
+            looked_at_m=looked_at_m,
             travelled_m=self.core.travelled_m,
             frames=counts["frames"],
             views=counts["views"],
@@ -365,6 +368,14 @@ def _tracks_left(sheet: dict[str, int], tracks: list[Track]) -> dict[str, int]:
     if foreign:
         left["foreign"] = left.get("foreign", 0) + foreign
     return left
+
+
+def _lost_share(before: dict[str, int], left: dict[str, int]) -> float:
+    """Of a dead process's tubers, those that it took with it: where no frame comes any more, so much of its belt was
+    not seen."""
+    name = f"discarded_{TrackRefusal.RESTART}"
+    lost = left.get(name, 0) - before.get(name, 0)
+    return lost / (lost + left.get("counted", 0)) if lost > 0 else 0.0
 
 
 def _views_left(sheet: dict[str, int], logged: list[Track]) -> dict[str, int]:

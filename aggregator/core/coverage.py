@@ -149,9 +149,7 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
         running = not moment.over and name not in moment.away
         until_ns = None if sight.final or running else moment.until_ns.get(name)
         end = length if running else sight.end_m(until_ns=until_ns, ran_m=moment.ran_m.get(name))
-        # A process that was started again only to end its run has no frame, and lost what was not logged: it says so.
-        told = sight.final or moment.over
-        seen = min(length, max(0.0, sight.s_at(sight.complete_ns))) if told else length
+        seen = length if sight.final or not moment.over else min(length, max(0.0, sight.s_at(sight.complete_ns)))
         if moment.over:
             seen = max(0.0, seen - moment.waiting_m.get(name, 0.0))
         placed[name] = _Placed(sight, offset, offset - sight.missed_before_m(), offset + end, offset + seen)

@@ -211,7 +211,7 @@ def _mark(camera: Camera, at_s: float, estimated: bool, *, final: bool, tracks: 
         captured_ns=round((CLOCK_S + at_s) * 1e9),
         travel_m=_travel(camera, at_s),
         travel_estimated=estimated,
-        complete_ns=round((CLOCK_S + complete_s) * 1e9),
+        complete_ns=round((CLOCK_S + (at_s if final else complete_s)) * 1e9),
         complete_place_x_m=camera.x_m - _travel(camera, complete_s) + 0.012,
         final=final,
         looked_at_m=SPEED_MPS * at_s,

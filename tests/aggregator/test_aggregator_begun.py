@@ -85,12 +85,11 @@ def test_what_a_process_took_with_it_was_not_seen_where_the_next_one_only_ends_t
     """Killed with 90 tubers that waited for weights, started again after the last frame: 53 % seen, none counted."""
     sight = CameraSight()
     for second in range(1, 11):
-        s, complete_ns = 0.2 * second, min(second, 3) * SECOND_NS
-        sight.marked(Mark(second * SECOND_NS, s, True, complete_ns, 0.0, False, s, s, {}, {}, {}))
-    sight.marked(Mark(10 * SECOND_NS, 2.0, True, 3 * SECOND_NS, -2.0, True, 2.0, 2.0, {}, {}, {}))
+        s = 0.2 * second
+        sight.marked(Mark(second * SECOND_NS, s, True, 3 * SECOND_NS, 0.0, False, s, s, {}, {}, {}))
+    sight.marked(Mark(10 * SECOND_NS, 2.0, True, 3 * SECOND_NS, -2.0, True, 0.5, 2.0, {}, {}, {}))
     found = coverage({"a": sight}, seen_by={}, moment=Moment(over=True))
-    assert found.unseen_m["a"][Unseen.AFTER] == pytest.approx(1.4)
-    assert found.share == pytest.approx(0.6 / 2.0)
+    assert found.share == pytest.approx(0.25)
 
 
 def test_the_end_by_a_process_that_saw_nothing_forgets_no_speed() -> None:

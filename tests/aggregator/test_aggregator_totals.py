@@ -110,6 +110,13 @@ def test_missed_belt_raises_the_estimate_and_widens_its_interval() -> None:
     assert estimated_low_g >= low_g
 
 
+def test_where_no_tuber_was_counted_there_may_have_been_three() -> None:
+    """None on 1 % of the belt: by a normal law there were 163 at most, and a line told 26 kg of 41."""
+    told_g = [load(n).estimated(0.01)[2] for n in range(4)]
+    assert told_g[0] == pytest.approx(-math.log(0.05) * 99 * 172, rel=0.02)
+    assert told_g == sorted(told_g)
+
+
 def test_the_rate_is_that_of_the_last_seconds() -> None:
     assert load(500).message("r", coverage=None, cameras={}, final=False).tubers_per_s == pytest.approx(10.0)
     assert load(1).message("r", coverage=None, cameras={}, final=False).tubers_per_s == 0.0

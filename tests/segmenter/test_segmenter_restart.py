@@ -101,13 +101,17 @@ def test_belt_that_passes_a_segmenter_that_stood_still_is_told(
     assert mark.looked_at_m / mark.travelled_m == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
 
 
+@pytest.mark.parametrize("names", [{"a"}, set()], ids=["weighed", "no-regressor"])
 def test_a_segmenter_that_comes_back_after_its_camera_had_ended_keeps_what_was_known(
-    frames: list[Frame], tmp_path: Path
+    frames: list[Frame], tmp_path: Path, names: set[str]
 ) -> None:
-    """Its final mark had the time 0 and no estimated travel: the belt's speed was forgotten (83 % for 55 % counted)."""
+    """Its final mark had the time 0 and no estimated travel: the belt's speed was forgotten (83 % for 55 % counted).
+
+    And belt whose tubers had died with the first process, waiting for their weights, was told as looked at.
+    """
     first = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
     first.open()
-    play(first, frames[:90], names={"a"})
+    play(first, frames[:90], names=names)
     left = first.log.last_mark
     assert left is not None
     second = CameraRun("front", "r1", SETTINGS, tmp_path / "front.db")
@@ -119,6 +123,9 @@ def test_a_segmenter_that_comes_back_after_its_camera_had_ended_keeps_what_was_k
     assert mark.final
     assert (mark.captured_ns, mark.travel_estimated) == (left.captured_ns, True)
     assert (mark.travel_m, mark.travelled_m) == (left.travel_m, left.travelled_m)
+    logged, lost = mark.tracks["counted"], mark.tracks.get("discarded_restart", 0)
+    assert (logged > 0) == bool(names)
+    assert mark.looked_at_m == pytest.approx(left.looked_at_m * logged / (logged + lost))
 
 
 def test_a_belt_that_stood_while_nobody_looked_has_not_moved(frames: list[Frame], tmp_path: Path) -> None:
