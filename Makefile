@@ -75,8 +75,9 @@ endif
 TORCH = torch==2.13.0
 $(DEMO_STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	test -n "$(TORCH_INDEX)" && $(BIN)/pip install --quiet --timeout 5 --retries 0 --no-deps --index-url $(TORCH_INDEX) $(TORCH) || \
-		$(BIN)/pip install --quiet --constraint constraints.txt $(TORCH)
+	test -n "$(TORCH_INDEX)" && $(BIN)/pip install --quiet --timeout 5 --retries 0 --no-deps --index-url $(TORCH_INDEX) $(TORCH) || { \
+		test -z "$(TORCH_INDEX)" || echo "$(TORCH_INDEX) cannot be reached: torch from the package index instead"; \
+		$(BIN)/pip install --quiet --constraint constraints.txt $(TORCH); }
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[viewer]'
 	touch $@
 

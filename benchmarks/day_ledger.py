@@ -96,7 +96,7 @@ def write_day(plan: DayPlan, belts: Path, out: Path) -> None:
     """Write ledger, summary, tubers.csv, positions and config of the day's run into `out`, which must hold none."""
     out.mkdir(parents=True, exist_ok=True)
     (out / "contract.toml").write_text(CONTRACT, encoding="utf-8")
-    config = line_config(out, contract=str(out / "contract.toml"))
+    config = line_config(out, contract=str((out / "contract.toml").resolve()))
     (out / "line.toml").write_text(tomli_w.dumps(_stated(config.model_dump(mode="json", exclude_defaults=True))))
     _write_positions(plan, out)
     start_ns = int(plan.loads[0].crossed_ns[0]) - 60 * 10**9
