@@ -75,7 +75,7 @@ def test_a_viewer_draws_the_field_while_the_machine_drives(run: Path, tmp_path: 
     )
     with line.router() as link, line.viewer(link, tmp_path, "--rrd", str(rrd), more=more) as watcher:
         info = KeptPublisher(watcher.observer, topics.CAMERA_INFO, camera="front")
-        frames = LatestPublisher(watcher.observer, topics.FRAME, camera="front")
+        frames = LatestPublisher(watcher.observer, topics.FRAME_FEW, camera="front")
         told = ReliablePublisher(watcher.observer, topics.POSITION, receiver="roof")
         info.put(line.camera_info())
         line.within(10, lambda: frames.has_listener, "the viewer subscribes to frames")

@@ -39,11 +39,11 @@ def values(path: Path, entity: str, component: str) -> list[float]:
     return [float(value[0]) for _, value in column(path, entity, component)]
 
 
-def show_a_load(watcher: line.ViewerProcess, tubers: list[line.Potato]) -> None:
+def show_a_load(watcher: line.ViewerProcess, tubers: list[line.Potato], by: topics.Topic = topics.FRAME) -> None:
     """Publish frames, views, tubers and totals, and wait until the viewer has taken them in."""
     node = watcher.observer
     info = KeptPublisher(node, topics.CAMERA_INFO, camera="front")
-    frames = LatestPublisher(node, topics.FRAME, camera="front")
+    frames = LatestPublisher(node, by, camera="front")
     views = LatestPublisher(node, topics.VIEW, regressor="r1")
     counted = ReliablePublisher(node, topics.TUBER)
     totals = KeptPublisher(node, topics.TOTALS)
@@ -105,7 +105,7 @@ def check_file(path: Path, tubers: list[line.Potato], *, shown: int, superseded:
 def test_the_file_holds_weights_totals_and_pictures(tmp_path: Path) -> None:
     rrd, tubers = tmp_path / "load.rrd", line.potatoes(4, seed=11)
     with line.router() as link, line.viewer(link, tmp_path, "--rrd", str(rrd), "--profile", "remote") as watcher:
-        show_a_load(watcher, tubers)
+        show_a_load(watcher, tubers, by=topics.FRAME_FEW)
         shown, superseded = check_conservation(watcher), watcher.counter("file_dropped_superseded")
         assert 0 < shown <= FRAMES / 6 + 2
         assert watcher.counter("frame_skipped_rate") > 0

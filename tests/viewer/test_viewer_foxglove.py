@@ -220,7 +220,7 @@ def test_the_app_sees_the_line_live_and_one_that_comes_late_gets_the_scene(tmp_p
         line.within(10, lambda: watcher.gauge("foxglove_port") > 0, "the server listens")
         port = int(watcher.gauge("foxglove_port"))
         info = KeptPublisher(node, topics.CAMERA_INFO, camera="front")
-        frames = LatestPublisher(node, topics.FRAME, camera="front")
+        frames = LatestPublisher(node, topics.FRAME_FEW, camera="front")
         counted = ReliablePublisher(node, topics.TUBER)
         totals = KeptPublisher(node, topics.TOTALS)
         info.put(line.camera_info())
