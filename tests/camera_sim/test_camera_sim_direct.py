@@ -109,8 +109,9 @@ def test_frames_flow_on_while_the_router_is_dead(
         wait_until(lambda: side.take(0.1) is not None and side.seen[-1] >= dead_at + 4, what="frames without a router")
         router = start_router(endpoint)
         side.wait_for_state("ended")
-        side.take(0.1)
-        assert side.seen == list(range(side.seen[0], _frames(small_recording)))
+        last = _frames(small_recording) - 1
+        wait_until(lambda: side.take(0.1) is not None and side.seen[-1] == last, what="the last frame")
+        assert side.seen == list(range(side.seen[0], last + 1))
     router.terminate()
     router.wait(30)
 

@@ -19,9 +19,10 @@ from camera_sim.sim.scenes import SceneSettings
 from conveyor.config import LinkConfig, load_config
 from conveyor.errors import InputError
 from tests.camera_sim.ros2_publisher import Ros2Camera, ros2_session
+from tests.conftest import wait_until
 from tests.small_recordings import SMALL
 from tuberline.cli.init import init
-from tuberline.setup.found import found_recordings
+from tuberline.setup.found import found_recordings, found_ros2
 
 HERE = Path(__file__).resolve().parents[1]
 
@@ -124,6 +125,7 @@ def test_depth_topics_of_a_ros_system(link: LinkConfig, tmp_path: Path) -> None:
     with ros2_session(link) as session:
         topics = ("/rear/depth/image_rect_raw", "/rear/color/image_raw")
         cameras = [Ros2Camera(session, topic, gid=topic.encode()[:16]) for topic in topics]
+        wait_until(lambda: found_ros2(link.router, 0), what="the router knows of both topics")
         init(tmp_path / "ros.toml", ros_router=link.router, belt_distance_m=0.46)
         for one in cameras:
             one.stop()
