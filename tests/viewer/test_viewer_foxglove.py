@@ -166,6 +166,11 @@ class App:
         self._channels: dict[int, dict[str, Any]] = {}
         self.found: Decoded = defaultdict(list)
 
+    def heard(self, seconds: float) -> Decoded:
+        """What was found until so much later."""
+        self.listen(seconds)
+        return self.found
+
     def listen(self, seconds: float) -> None:
         """Take what comes within so many seconds."""
         deadline = time.monotonic() + seconds
@@ -234,6 +239,7 @@ def test_the_app_sees_the_line_live_and_one_that_comes_late_gets_the_scene(tmp_p
         totals.put(line.totals(tubers, final=True))
         line.within(10, lambda: watcher.counter("tuber_shown") == len(tubers), "all tubers are shown")
         line.within(10, lambda: watcher.settled("foxglove"), "the server has everything")
+        line.within(10, lambda: "/load/weight_kg" in app.heard(0.1), "the load's weight is there")
         app.listen(0.5)
         late = App(apps, port)
         late.listen(1.5)
