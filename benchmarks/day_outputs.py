@@ -18,6 +18,7 @@ from aggregator.ledger.totals_by import ALL, totals_by
 from benchmarks.day_belts import RUN, Belt
 from benchmarks.day_stitch import BETWEEN_ROWS_M
 from benchmarks.day_world import PLOT, DayPlan
+from conveyor.geometry import EARTH_M_PER_DEG
 
 CELL_M = 2.25
 
@@ -76,8 +77,8 @@ def map_table(plan: DayPlan, belts: Sequence[Belt], out: Path, how: MapOptions) 
 
 def _east_north(cell: dict[str, float]) -> tuple[float, float]:
     """Metres from the first plot's corner."""
-    north = (cell["lat_deg"] - PLOT.origin_lat_deg) * 111_320.0
-    return (cell["lon_deg"] - PLOT.origin_lon_deg) * 111_320.0 * np.cos(np.radians(PLOT.origin_lat_deg)), north
+    north = (cell["lat_deg"] - PLOT.origin_lat_deg) * EARTH_M_PER_DEG
+    return (cell["lon_deg"] - PLOT.origin_lon_deg) * EARTH_M_PER_DEG * np.cos(np.radians(PLOT.origin_lat_deg)), north
 
 
 def _true_t_ha(

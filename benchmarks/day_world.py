@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from benchmarks.sizes_belts import MAYQUEEN
 from camera_sim.sim.conditions import Conditions
 from camera_sim.sim.cultivars import STOCKS, Stock
-from camera_sim.sim.field import EARTH_M_PER_DEG, FieldWorld, MachineDay, SimulatedField, simulate_field
+from camera_sim.sim.field import FieldWorld, MachineDay, SimulatedField, simulate_field
 from camera_sim.sim.placement import CROWDED
 from camera_sim.sim.presets import FIELD_PRESET
 from camera_sim.sim.scenes import Layout, SceneSettings, layout_named
+from conveyor.geometry import EARTH_M_PER_DEG
 
 SEED = 8801
 """Fixed before anything was run."""

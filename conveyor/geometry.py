@@ -18,6 +18,8 @@ from conveyor.ranges import Range
 MAX_SIDE_PIXELS = 16384
 TYPICAL_BELT_SD_M = 0.002
 """How well a belt's height is known where nothing says it, standard deviation: measured once, worn and soiled since."""
+EARTH_M_PER_DEG = 111_320.0
+"""Metres of a degree of latitude; of longitude, times the cosine of the latitude."""
 
 
 @dataclass(frozen=True, slots=True)

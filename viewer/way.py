@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
+from conveyor.geometry import EARTH_M_PER_DEG
+
 MOST_PLACES = 4000
 STEP_M = 1.0
-M_PER_DEG = 111_320.0
 
 
 class Way:
@@ -27,5 +28,5 @@ class Way:
 
 def _metres(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Between two places (lon, lat) that are near each other."""
-    east = (a[0] - b[0]) * math.cos(math.radians(a[1])) * M_PER_DEG
-    return math.hypot(east, (a[1] - b[1]) * M_PER_DEG)
+    east = (a[0] - b[0]) * math.cos(math.radians(a[1])) * EARTH_M_PER_DEG
+    return math.hypot(east, (a[1] - b[1]) * EARTH_M_PER_DEG)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-EARTH_M_PER_DEG = 111_320.0
+from conveyor.geometry import EARTH_M_PER_DEG
 
 
 @dataclass(frozen=True, slots=True)

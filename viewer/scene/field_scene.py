@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.geometry import EARTH_M_PER_DEG
 from conveyor.messages import Position
 from viewer.scene.primitives import Color, Entry, Ground, Moment, Page, YieldCells
-from viewer.way import M_PER_DEG, Way
+from viewer.way import Way
 
 WAY_COLOR: Color = (150, 150, 150)
 HERE_COLOR: Color = (220, 60, 40)
@@ -68,7 +69,7 @@ class FieldScene:
     def on_cells(self, cells: Sequence[Mapping[str, Any]], about: Mapping[str, float], moment: Moment) -> list[Entry]:
         """The yield, cell by cell, and what its colours mean."""
         corners = np.array([cell["geometry"]["coordinates"][0][:4] for cell in cells])  # (N, 4, 2) lon, lat
-        side_m = float(np.median(np.ptp(corners[:, :, 1], axis=1)) * M_PER_DEG)
+        side_m = float(np.median(np.ptp(corners[:, :, 1], axis=1)) * EARTH_M_PER_DEG)
         drawn = YieldCells(
             lat_lon_deg=corners.mean(axis=1)[:, ::-1],
             t_ha=_column(cells, "t_ha"),
