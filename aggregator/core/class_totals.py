@@ -47,12 +47,13 @@ def classes_together(
     sized = sum(found.count for load, _, _ in known for found in load.sums.sizes.bins[contract.measure].values())
     counts = [float(load.sums.count) for load, _, _ in known]
     grams = [times * load.weight_g for load, times, _ in known]
+    intervals_g = [load.interval_g() for load in loads]
     seen = _Seen(
         count=count,
         unsized=1 - sized / count,
         weight_g=sum(load.weight_g for load in loads),
-        low_g=sum(load.interval_g()[0] for load in loads),
-        high_g=sum(load.interval_g()[1] for load in loads),
+        low_g=sum(low_g for low_g, _ in intervals_g),
+        high_g=sum(high_g for _, high_g in intervals_g),
     )
     return tuple(
         _total(seen, each, _mean([shares[k] for _, _, shares in known], counts, grams))
