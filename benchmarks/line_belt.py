@@ -14,9 +14,9 @@ from conveyor.errors import TuberlineError
 
 Load = Literal["even", "bursts"]
 SCENES = {1: "touching", 2: "two-cameras"}
-SPEED_MPS = 0.31
 SLOWEST_MPS, FASTEST_MPS = 0.05, 1.2
-LOOSE = Packing(tries=3, touching=0.3, gap_m=0.0, aside_m=0.0)
+APART = Packing(tries=3, touching=0.3, gap_m=0.0, aside_m=0.0)
+"""Its gap is the one that a rate needs."""
 WIDEST_GAP_M = 2.0
 """Between two tubers that do not touch, in the mean."""
 HALVINGS = 12
@@ -28,21 +28,19 @@ def simulated_belt(
     """Record a belt that brings `tubers_per_s` in the mean when it is repeated.
 
     Args:
-        tubers: of one lap. `even`: they lie as far apart as a belt of 0.31 m/s needs; all that is bare is a view's
-            length between the laps. `bursts`: they lie as on a full belt, which is as slow or fast as it has to be, so
-            that more than the mean come while they come, and none for a view's length.
+        tubers: of one lap. `even`: they lie as far apart as the rate needs at the simulator's own speed; all that is
+            bare is a view's length between the laps. `bursts`: they lie as on a full belt, which is as slow or fast as
+            it has to be, so that more than the mean come while they come, and none for a view's length.
 
     Raises:
         TuberlineError: no belt brings that rate.
     """
     layout = layout_named(SCENES[cameras])
-    settings = SceneSettings(
-        scene=SCENES[cameras], seed=seed, tubers=tubers, preset=PRESETS["easy"], fps=fps, speed_mps=SPEED_MPS
-    )
+    settings = SceneSettings(scene=SCENES[cameras], seed=seed, tubers=tubers, preset=PRESETS["easy"], fps=fps)
     if load == "even":
         record_scene(path, settings, layout=spread(layout, settings, tubers_per_s))
         return
-    speed_mps = SPEED_MPS * tubers_per_s / rate_per_s(layout, settings)
+    speed_mps = settings.speed_mps * tubers_per_s / rate_per_s(layout, settings)
     if not SLOWEST_MPS <= speed_mps <= FASTEST_MPS:
         raise TuberlineError(
             f"--tubers-per-s {tubers_per_s:g} needs a belt of {speed_mps:.2f} m/s; allowed are {SLOWEST_MPS:g} to "
@@ -76,5 +74,5 @@ def spread(layout: Layout, settings: SceneSettings, tubers_per_s: float) -> Layo
 
 
 def with_gap(layout: Layout, gap_m: float) -> Layout:
-    """The layout, loose, with this mean gap ahead of a tuber that touches none."""
-    return replace(layout, packing=replace(LOOSE, gap_m=gap_m))
+    """The layout with its tubers apart, with this mean gap ahead of a tuber that touches none."""
+    return replace(layout, packing=replace(APART, gap_m=gap_m))
