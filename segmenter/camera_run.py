@@ -251,6 +251,7 @@ class CameraRun:
             if not self.early.lost(loss):
                 self.weighing.lost(loss)
         wanted = self._views_wanted() if closed else 0
+        in_time = self.weighing.waits_for(self.dispatcher.in_flight.usual_s)
         for track in closed:
             early = self.early.closed(track.track.track_id)
             self.weighing.add(track, now_s)
@@ -261,7 +262,7 @@ class CameraRun:
                 elif (lost := early.losses.get(view.view_id)) is not None:
                     self.weighing.lost(lost)
                 else:
-                    spare = n >= wanted
+                    spare = n >= wanted or (weighed and not in_time)
                     self.dispatcher.offer(view, now_s=now_s, spare=spare, weighed=weighed)
             for view_id in sorted(early.sent - {view.view_id for view in track.views}):
                 self.dispatcher.give_up(view_id, ViewLoss.NOT_CHOSEN)

@@ -78,6 +78,11 @@ class InFlight:
         """The regressor left, and what it held with it."""
         self._by_name.pop(name, None)
 
+    @property
+    def usual_s(self) -> float:
+        """How long the quickest regressor takes for an answer as a rule; 0 where nothing is known."""
+        return min((sent.smoothed_s for sent in self._by_name.values() if sent.smoothed_s is not None), default=0.0)
+
     def patience_s(self, name: str, *, at_most_s: float) -> float:
         """How long to wait for its next answer; `at_most_s` where nothing is known of it."""
         sent = self._by_name.get(name)

@@ -106,6 +106,10 @@ class Weighing:
             if waiting.first_answer_s is not None and now_s - waiting.first_answer_s >= self._spare_grace_s
         ]
 
+    def waits_for(self, answer_s: float) -> bool:
+        """A view that is sent when its weighed track closes is waited for, if its answer takes `answer_s`."""
+        return self._spare_grace_s is None or answer_s <= self._spare_grace_s
+
     def take_done(self) -> list[Track]:
         """Tracks whose views are all weighed or lost, in the order in which they were closed; each comes out once."""
         if not self._touched:

@@ -115,6 +115,18 @@ def test_grace_counts_from_the_moment_it_closes() -> None:
     assert (len(track.views), track.views_lost, line.balanced()) == (1, {"late": 1}, True)
 
 
+@pytest.mark.parametrize(("answer_s", "sent"), [(0.9 * GRACE_S, 1), (1.1 * GRACE_S, 0)])
+def test_no_spare_view_is_weighed_for_nothing(answer_s: float, sent: int) -> None:
+    """Answers that take longer than a weighed tuber waits: on a full machine one view in five was weighed too late."""
+    line = Line()
+    line.step(0.0, early=VIEWS[:1])
+    line.tick(answer_s)
+    line.answer(VIEWS[0].view_id)
+    assert len(line.step(1.0, closed=VIEWS[:2])) == sent
+    assert (len(line.logged()), line.run.counts()["views"].get("lost_shed", 0)) == (1 - sent, 1 - sent)
+    assert line.balanced()
+
+
 def test_views_that_are_not_chosen_count_for_nothing_and_are_in_the_books() -> None:
     line = Line()
     line.step(0.0, early=(VIEWS[1], VIEWS[2]))
