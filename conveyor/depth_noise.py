@@ -9,6 +9,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.camera_range import BASELINE_M
@@ -51,9 +52,7 @@ def window_residuals_px(d: Disparity, *, stride: int = STRIDE) -> NDArray[np.flo
     """
     if min(d.shape) < SIDE:
         return np.zeros(0)
-    windows = np.lib.stride_tricks.sliding_window_view(d, (SIDE, SIDE))[::stride, ::stride].reshape(-1, SIDE, SIDE)
-    windows = windows[(windows > 0).mean(axis=(1, 2)) >= LEAST_SEEN]
-    windows = windows[_on_one_surface(windows)].reshape(-1, SIDE * SIDE).astype(np.float64)
+    windows = _windows(d, stride)
     if not len(windows):
         return np.zeros(0)
     seen = (windows > 0).astype(np.float64)
@@ -102,13 +101,35 @@ def neighbour_steps_px(d: Disparity) -> NDArray[np.float32]:
     return np.concatenate(steps)
 
 
-def _on_one_surface(windows: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """(n,) which windows hold no jump between two neighbours that are seen."""
-    whole = np.ones(len(windows), np.bool_)
-    for one, other in ((windows[:, 1:], windows[:, :-1]), (windows[:, :, 1:], windows[:, :, :-1])):
-        step = np.where((one > 0) & (other > 0), np.abs(one - other), 0)
-        whole &= step.max(axis=(1, 2), initial=0) < JUMP_PX
-    return whole
+@njit(cache=True, nogil=True)
+def _windows(d: Disparity, stride: int) -> NDArray[np.float64]:
+    """(n, 121) every window of which enough is seen, and no two neighbours lie a jump apart, in raster order."""
+    rows, columns = (d.shape[0] - SIDE) // stride + 1, (d.shape[1] - SIDE) // stride + 1
+    windows = np.empty((rows * columns, SIDE * SIDE))
+    n = 0
+    for row in range(rows):
+        for column in range(columns):
+            if _smooth(d[row * stride : row * stride + SIDE, column * stride : column * stride + SIDE], windows[n]):
+                n += 1
+    return windows[:n]
+
+
+@njit(cache=True, nogil=True)
+def _smooth(window: Disparity, out: NDArray[np.float64]) -> bool:
+    """Copy a window, row by row; False where too little of it is seen or it lies across an outline."""
+    seen = 0
+    for v in range(SIDE):
+        for u in range(SIDE):
+            here = window[v, u]
+            out[v * SIDE + u] = here
+            if here <= 0:
+                continue
+            seen += 1
+            if u > 0 and window[v, u - 1] > 0 and abs(here - window[v, u - 1]) >= JUMP_PX:
+                return False
+            if v > 0 and window[v - 1, u] > 0 and abs(here - window[v - 1, u]) >= JUMP_PX:
+                return False
+    return seen >= LEAST_SEEN * SIDE * SIDE
 
 
 @lru_cache

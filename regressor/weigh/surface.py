@@ -7,6 +7,7 @@ the tuber lies (undercut, tilted, standing).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -87,16 +88,16 @@ def surface_features(
         distance_m: of the optical centre above the resting level.
     """
     heights = distance_m - level[:, 2]
-    height_m = max(float(np.quantile(heights, 0.99)), 1e-3)
+    height_m = max(_quantiles(np.sort(heights), (0.99,))[0], 1e-3)
     area_m2 = float(areas_m2.sum())
     xy = level[:, :2]
     length_m, width_m = _axes(xy)
     at_rim = _rim(inside)[inside]
     rim = heights[at_rim] / height_m
-    low, middle, high = np.quantile(rim, (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
+    low, middle, high = _quantiles(np.sort(rim), (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
     centre = areas_m2 @ xy / area_m2
     top = heights >= min(LEVELS[-1] * height_m, float(heights.max()))  # never empty: all may lie below the level
-    off_top = np.average(xy[top], axis=0, weights=areas_m2[top]) - centre
+    off_top = (xy[top] * areas_m2[top, None]).sum(0) / areas_m2[top].sum() - centre
     away = centre / max(float(np.linalg.norm(centre)), 1e-6)
     radius_m = float(np.sqrt(area_m2 / np.pi))
     sections = [float(areas_m2[heights > share * height_m].sum()) for share in LEVELS]
@@ -111,9 +112,9 @@ def surface_features(
         area70_cm2=sections[1] * 1e4,
         area85_cm2=sections[2] * 1e4,
         curvature_cm2=_curvature_m2(xy, heights, height_m, area_m2) * 1e4,
-        rim=float(middle),
-        rim_low=float(low),
-        rim_high=float(high),
+        rim=middle,
+        rim_low=low,
+        rim_high=high,
         tilt=float(np.linalg.norm(off_top)) / radius_m,
         lean=float(off_top @ away) / radius_m,
         hole_share=holes / len(heights),
@@ -170,6 +171,16 @@ def _widths(along: NDArray[np.float64], trimmed: float) -> NDArray[np.float64]:
         above = _between(high[n - 1 - last], high[n - 1 - min(last + 1, n - 1)], at_high - last)
         widths[row] = above - below
     return widths
+
+
+def _quantiles(ordered: NDArray[np.float64], shares: Sequence[float]) -> list[float]:
+    """Of sorted values: NumPy's numbers, without what it does around them."""
+    found, last = [], len(ordered) - 1
+    for share in shares:
+        at = share * last
+        below = int(at)
+        found.append(float(_between(ordered[below], ordered[min(below + 1, last)], at - below)))
+    return found
 
 
 @njit(cache=True, nogil=True)

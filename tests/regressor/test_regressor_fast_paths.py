@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _windows
 from regressor.weigh.completed import _directions, _extremes, _reach_mm, _turned
 from regressor.weigh.prepare import _centred
-from regressor.weigh.surface import _quadric
+from regressor.weigh.surface import _quadric, _quantiles
 
 RNG = np.random.default_rng(7)
 
@@ -47,3 +48,26 @@ def test_a_cloud_is_centred_on_the_mean_of_its_points() -> None:
     np.testing.assert_array_equal(centre, middle)
     np.testing.assert_array_equal(points, plain - middle)
     np.testing.assert_array_equal(box, np.ptp(plain - middle, axis=0))
+
+
+def test_quantiles_are_those_of_numpy() -> None:
+    for n in (1, 2, 3, 11, 400, 1501):
+        values = RNG.normal(size=n)
+        shares = (0.0, 0.005, 0.1, 0.5, 0.9, 0.99, 1.0)
+        np.testing.assert_array_equal(_quantiles(np.sort(values), shares), np.quantile(values, shares))
+
+
+def test_windows_are_those_that_lie_on_one_surface() -> None:
+    d = (30 + RNG.normal(0, 0.2, (90, 70))).astype(np.float32)
+    d[RNG.random(d.shape) < 0.3] = 0
+    d[:30, :30] = 0
+    d[60:, 40:] += 2.0  # an outline
+    plain = []
+    for window in np.lib.stride_tricks.sliding_window_view(d, (SIDE, SIDE))[::7, ::7].reshape(-1, SIDE, SIDE):
+        seen = window > 0
+        down, across = np.abs(np.diff(window, axis=0)), np.abs(np.diff(window, axis=1))
+        jump = max(down[seen[1:] & seen[:-1]].max(initial=0), across[seen[:, 1:] & seen[:, :-1]].max(initial=0))
+        if seen.mean() >= LEAST_SEEN and jump < JUMP_PX:
+            plain.append(window.ravel())
+    assert 10 < len(plain) < 90
+    np.testing.assert_array_equal(_windows(d, 7), np.array(plain, np.float64))
