@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.calibration.align import Alignment, align
+from aggregator.calibration.part import Part
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
 from aggregator.core.totals import LoadTotals
@@ -25,41 +26,6 @@ MISCOUNTED = 0.002
 MOST_MISCOUNTED = 0.1
 LEAST_SD = 0.01
 """Of a tuber's weight: a ledger's interval is never narrower."""
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Which tubers of a run met the scale: by id, or by place on the belt; all of them by default.
-
-    Places fall as the belt runs: from -1.5 m on is what passed after the tuber at -1.5 m. Two places may stand in any
-    order.
-    """
-
-    first: int | None = None
-    last: int | None = None
-    from_x_m: float | None = None
-    to_x_m: float | None = None
-
-    @property
-    def name(self) -> str:
-        """In words; '' for the whole run."""
-        ids = f"tubers {self.first or 1} to {self.last or 'the last'}" if self.first or self.last else ""
-        if self.from_x_m is None and self.to_x_m is None:
-            return ids
-        ends = [f"{x:g} m" if x is not None else "the end" for x in (self.from_x_m, self.to_x_m)]
-        return ", ".join(filter(None, (ids, f"places {ends[0]} to {ends[1]}")))
-
-    def holds(self, tuber: Tuber) -> bool:
-        """The tuber belongs to it."""
-        ends = [x for x in (self.from_x_m, self.to_x_m) if x is not None]
-        low = min(ends) if len(ends) == 2 else self.to_x_m
-        high = max(ends) if len(ends) == 2 else self.from_x_m
-        return (
-            (self.first is None or tuber.tuber_id >= self.first)
-            and (self.last is None or tuber.tuber_id <= self.last)
-            and (low is None or tuber.place_x_m >= low)
-            and (high is None or tuber.place_x_m <= high)
-        )
 
 
 @dataclass(frozen=True, slots=True)

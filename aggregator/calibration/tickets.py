@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from aggregator.calibration.part import Part
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.ledger.files import write_whole
 from conveyor.errors import InputError
@@ -49,7 +50,7 @@ class Ticket:
     """Tubers that met a scale.
 
     Attributes:
-        run: of the ledger; the same kind and part of a run counts once.
+        run: of the ledger; a tuber of it counts once in each kind.
         model: weights that weighed it, name@digest.
         ticket_g, ticket_sd_g: what the scale said, net, and its standard deviation.
         estimated_g, estimated_sd_g: what Tuberline said before any calibration, for the whole belt, and its random
@@ -137,15 +138,31 @@ def check_ticket(ticket: Ticket) -> Ticket:
 
 
 def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tuple[Ticket, ...]:
-    """`tickets` with one more; the same kind and part of a run has one.
+    """`tickets` with one more; no tuber is in two tickets of a kind, else what a scale said of it counts twice.
 
     Raises:
-        InputError: there is one already and `again` is not given.
+        InputError: some of its tubers have one already and `again`, which replaces it, is not given.
     """
-    others = tuple(known for known in tickets if known.key != ticket.key)
-    if len(others) < len(tickets) and not again:
-        raise InputError(f"{ticket.name} has a ticket already; give --again to replace it")
-    return (*others, ticket)
+    of_same = [known for known in tickets if _same_tubers(known, ticket)]
+    if of_same and not again:
+        found = of_same[0]
+        if found.key == ticket.key:
+            raise InputError(f"{ticket.name} has a ticket already; give --again to replace it")
+        raise InputError(
+            f"{ticket.name} and the ticket {found.name} hold the same tubers, which would count twice; name the part "
+            f"that none was weighed of before, or give --again to replace {'it' if len(of_same) == 1 else 'them'}"
+        )
+    return (*(known for known in tickets if known not in of_same), ticket)
+
+
+def _same_tubers(one: Ticket, other: Ticket) -> bool:
+    """Of a kind and a run, and the same or overlapping parts of it."""
+    if one.key == other.key:
+        return True
+    if (one.kind, one.run) != (other.kind, other.run):
+        return False
+    parts = Part.named(one.part), Part.named(other.part)
+    return parts[0] is not None and parts[1] is not None and parts[0].overlaps(parts[1])
 
 
 def set_aside(

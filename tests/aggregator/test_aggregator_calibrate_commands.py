@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from aggregator.calibration.align import align
-from aggregator.calibration.load import Part
+from aggregator.calibration.part import Part
 from aggregator.calibration.tickets import read_tickets
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals

@@ -13,6 +13,7 @@ import pytest
 from aggregator.calibration.apply import load_factor
 from aggregator.calibration.correction import LOAD_SDS
 from aggregator.calibration.load import ticket_of
+from aggregator.calibration.part import Part
 from aggregator.calibration.tickets import Ticket, check_ticket, read_tickets, set_aside, with_ticket, write_tickets
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
@@ -179,3 +180,30 @@ def test_a_ticket_of_a_ledger_knows_its_run_weights_and_coverage(tmp_path: Path)
     assert {found.model} == models
     assert found.estimated_g == pytest.approx(weighed_g / found.coverage, rel=1e-6)
     assert 0 < found.estimated_sd_g < 0.2 * weighed_g
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (Part(), Part(first=3, last=9), True),
+        (Part(first=1, last=12), Part(first=12, last=20), True),
+        (Part(first=1, last=12), Part(first=13, last=20), False),
+        (Part(first=13), Part(first=1, last=12), False),
+        (Part(from_x_m=-1.0, to_x_m=-2.5), Part(from_x_m=-2.4, to_x_m=-9.0), True),
+        (Part(from_x_m=-1.0, to_x_m=-2.5), Part(from_x_m=-2.5), False),
+        (Part(first=1, last=12), Part(from_x_m=-2.4), False),  # not known
+    ],
+)
+def test_no_tuber_counts_in_two_tickets_of_a_kind(one: Part, other: Part, same: bool) -> None:
+    """Two buckets, the second one told as reaching back into the first, counted their common tubers twice."""
+    assert (Part.named(one.name), Part.named(other.name)) == (one, other)
+    assert one.overlaps(other) == other.overlaps(one) == same
+    first, second = (replace(ticket(0.95), kind="bucket", part=part.name) for part in (one, other))
+    if not same:
+        assert len(with_ticket((first,), second, again=False)) == 2
+        return
+    with pytest.raises(InputError, match="the same tubers"):
+        with_ticket((first,), second, again=False)
+    assert with_ticket((first,), second, again=True) == (second,)
+    assert len(with_ticket((first,), replace(second, run="another"), again=False)) == 2
+    assert len(with_ticket((first,), replace(second, kind="tubers", singles=()), again=False)) == 2

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
-    from aggregator.calibration.load import Part
+    from aggregator.calibration.part import Part
     from aggregator.calibration.tickets import Ticket
 
 
@@ -25,7 +25,7 @@ class TicketOptions:
     run
         Which run, where the ledger holds several.
     again
-        Replace the ticket that this run or part has already.
+        Replace the ticket that this run or part has already, and those of parts that overlap with it.
     cultivar
         Name of the cultivar; each gets a factor of its own. Name it as aggregator.cultivar for runs to come.
     resting_offset_mm
@@ -76,7 +76,7 @@ class PartOptions:
 
     def part(self) -> Part:
         """As the calibration takes it."""
-        from aggregator.calibration.load import Part
+        from aggregator.calibration.part import Part
 
         return Part(self.first, self.last, self.from_x, self.to_x)
 
