@@ -105,8 +105,8 @@ class AggregatorNode:
                 now_s=time.monotonic(),
                 count=self._node.counters.add,
             )
-            if (age_s := self._age_s(begun=restored.begun)) is not None:
-                self._core.cameras.began(opened_s - age_s)
+            if (began_s := self._began_s(opened_s if not restored.begun else None)) is not None:
+                self._core.cameras.began(began_s)
             self._reporter = Reporter(self._ledger, self._core, config=self._config, counters=self._node.counters)
             self._open_topics()
             self._stack = stack.pop_all()
@@ -118,13 +118,15 @@ class AggregatorNode:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def _age_s(self, *, begun: bool) -> float | None:
-        """Seconds since the run began when this process opened it; None where the clock of the day cannot say."""
+    def _began_s(self, opened_s: float | None) -> float | None:
+        """When the run began, by the steady clock: as this process opened it, else by the day's clock; None where that
+        cannot say.
+        """
         row = self._ledger.run_row(self._run)
-        if not begun or row is None:
-            return 0.0
+        if opened_s is not None or row is None:
+            return opened_s
         age_s = (time.time_ns() - row.started_ns) / 1e9
-        return age_s if 0 <= age_s <= STANDS_AFTER_S else None
+        return time.monotonic() - age_s if 0 <= age_s <= STANDS_AFTER_S else None
 
     def _open_topics(self) -> None:
         node = self._node

@@ -54,7 +54,7 @@ class Part:
         return low <= tuber.tuber_id < high and low_m <= tuber.place_x_m <= high_m
 
     def overlaps(self, other: Part) -> bool:
-        """Some tubers belong to both; where one goes by numbers and the other by places nothing is known, and none do."""
+        """Some tubers belong to both; false also where one goes by numbers, the other by places: it cannot be told."""
         if Part() in (self, other):
             return True
         pairs = ((self._ids(), other._ids()), (self._places_m(), other._places_m()))

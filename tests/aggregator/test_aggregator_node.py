@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,9 @@ from typing import Any
 
 import pytest
 
+from aggregator.ledger.writer import Ledger
+from aggregator.node import AggregatorNode
+from aggregator.opening import open_run
 from conveyor import __version__, topics
 from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
@@ -23,7 +27,7 @@ from conveyor.node import Node
 from conveyor.observer import Observer
 from conveyor.wire import pack, unpack
 from tests.aggregator.belt_story import CLOCK_S, Story, tell
-from tests.conftest import ROOT, wait_until
+from tests.conftest import ROOT, start_router, wait_until
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
@@ -244,6 +248,29 @@ def test_nothing_seen_is_never_a_number(line: tuple[LineConfig, Path], process: 
     summary = json.loads((config.aggregator.out / "summary.json").read_text())
     assert (summary["state"], summary["reason"]) == ("nothing seen", "no camera was heard of")
     assert summary["totals"]["weight_g"] is summary["totals"]["low_g"] is summary["totals"]["estimated_high_g"] is None
+
+
+def test_a_run_began_when_it_did_however_long_the_router_is_away(free_port: int, tmp_path: Path) -> None:
+    """Killed while the router stood still for 12 s, it took the run for 10 s older, and coverage was 10 points low."""
+    link = {"router": f"tcp/127.0.0.1:{free_port}"}
+    cameras = {"cam0": {"path": "x"}}
+    raw = {"name": "t", "link": link, "cameras": cameras, "aggregator": {"out": str(tmp_path)}}
+    config = parse_config(raw, where="test")
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        began_s = time.monotonic()
+        open_run(ledger, "story", config=config, cameras=["cam0"], may_be_finished=True)
+    routers = []
+    late = threading.Timer(2.0, lambda: routers.append(start_router(link["router"])))
+    late.start()
+    try:
+        with AggregatorNode(config, run="story") as node:
+            assert time.monotonic() - began_s > 2.0
+            assert node._core.cameras._began_s == pytest.approx(began_s, abs=0.5)
+    finally:
+        late.join()
+        for router in routers:
+            router.terminate()
+            router.wait(30)
 
 
 FIRST_S = CLOCK_S + 0.5 - 2.0
