@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -24,6 +24,7 @@ from tuberline.replayer import fingerprint, prepare_out, recording_cameras, repl
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 STARTS = "starts_at_s = "
+RAISING = Path(__file__).parent / "raising"
 Disturbance = Callable[["DisturbedLine"], None]
 
 
@@ -231,3 +232,15 @@ def live_run(
 def canonical(out: Path) -> str:
     """The canonical export of a finished run's ledger; asked for once."""
     return tuberline("ledger", "export", out / "ledger.db", "--canonical").stdout
+
+
+def inject(faults: Sequence[str], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """From here on processes raise; the folder remembers what was raised."""
+    raised = folder / "raised"
+    raised.mkdir()
+    monkeypatch.setenv("TUBERLINE_RAISE", "\n".join(faults))
+    monkeypatch.setenv("TUBERLINE_RAISED", str(raised))
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join([str(RAISING), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    )
+    return raised

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
-from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay
+from tests.chaos.harness import DisturbedLine, canonical, disturbed_replay, inject
 
-pytestmark = [pytest.mark.graph, pytest.mark.timeout(400)]
-HERE = Path(__file__).parent / "raising"
+pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(400)]
 
 MAIN_LOOPS = (
     "router tuberline.cli.router notify 4",
@@ -37,27 +35,18 @@ CALLBACKS = (
 )
 
 
-FEW = (*MAIN_LOOPS[1:3], MAIN_LOOPS[4], CALLBACKS[1])
-"""Of those that do not send the replay back to its first frame: a test that takes a third of the time."""
-
-
 @pytest.mark.parametrize(
     "faults",
     [
-        pytest.param(FEW, id="few"),
-        pytest.param((*MAIN_LOOPS, *CALLBACKS), id="loops-and-callbacks", marks=pytest.mark.slow),
-        pytest.param(THREADS, id="threads", marks=pytest.mark.slow),
+        pytest.param((*MAIN_LOOPS, *CALLBACKS), id="loops-and-callbacks"),
+        pytest.param(THREADS, id="threads"),
     ],
 )
 def test_every_one_ends_the_node_and_nothing_is_lost(
     faults: tuple[str, ...], recording: Path, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A regressor's thread waited for a stop that nobody set: 12 of 102 views were weighed, and its token lived."""
-    raised = tmp_path / "raised"
-    raised.mkdir()
-    monkeypatch.setenv("TUBERLINE_RAISE", "\n".join(faults))
-    monkeypatch.setenv("TUBERLINE_RAISED", str(raised))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep))
+    raised = inject(faults, tmp_path, monkeypatch)
     wanted = {f"{role} {function}" for role, _, function, _ in (fault.split() for fault in faults)}
 
     def all_raised(line: DisturbedLine) -> None:
@@ -73,7 +62,7 @@ def test_every_one_ends_the_node_and_nothing_is_lost(
         recording,
         out,
         all_raised,
-        speed=0.5 if faults is FEW else 0.25,
+        speed=0.25,
         rrd=tmp_path / "x.rrd",
         settings=settings,
         timeout_s=250,

@@ -14,7 +14,8 @@ import pytest
 
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import FAULT
-from tests.chaos.test_chaos_raising_watchers import answer, inject
+from tests.chaos.harness import inject
+from tests.chaos.test_chaos_raising_watchers import answer
 from tests.chaos.test_chaos_resume import child
 from tests.conftest import wait_until
 from tuberline.replayer import free_port

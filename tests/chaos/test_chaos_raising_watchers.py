@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -16,7 +15,7 @@ import pytest
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import FAULT
 from conveyor.formats import open_source
-from tests.chaos.test_chaos_raising import HERE
+from tests.chaos.harness import inject
 from tests.conftest import wait_until
 from tuberline.replayer import free_port
 from tuberline.supervisor import ProcessSpec, Supervisor
@@ -79,16 +78,6 @@ def camera(line: Path, tmp_path: Path) -> Iterator[None]:
     ]
     with Supervisor(specs, log_dir=tmp_path / "logs"):
         yield
-
-
-def inject(faults: tuple[str, ...], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """From here on processes raise; the folder remembers what was raised."""
-    raised = folder / "raised"
-    raised.mkdir()
-    monkeypatch.setenv("TUBERLINE_RAISE", "\n".join(faults))
-    monkeypatch.setenv("TUBERLINE_RAISED", str(raised))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep))
-    return raised
 
 
 def answer(port: int, path: str) -> str:
