@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import threading
 import traceback
 
 from conveyor.errors import FAULT
+from conveyor.logs import flush_outputs, say
 
 leaving = threading.Event()
 """Set once the process stops: what its threads meet while their session is closed under them is no fault."""
@@ -28,7 +28,7 @@ def _thread_fault(fault: threading.ExceptHookArgs) -> None:
     if fault.exc_type is SystemExit or leaving.is_set():
         return
     name = fault.thread.name if fault.thread is not None else "?"
-    traceback.print_exception(fault.exc_type, fault.exc_value, fault.exc_traceback)
+    say("".join(traceback.format_exception(fault.exc_type, fault.exc_value, fault.exc_traceback)))
     _end(f"thread '{name}' failed: {fault.exc_value!r}")
 
 
@@ -38,12 +38,11 @@ class _CallbackFault(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         if record.exc_info is None or leaving.is_set():
             return
-        traceback.print_exception(record.exc_info[1])
+        say("".join(traceback.format_exception(record.exc_info[1])))
         _end(f"a Zenoh callback failed: {record.exc_info[1]!r}")
 
 
 def _end(why: str) -> None:
     logging.getLogger("crash").error("%s: ending with code %d", why, FAULT)
-    sys.stdout.flush()
-    sys.stderr.flush()
+    flush_outputs()
     os._exit(FAULT)

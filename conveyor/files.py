@@ -7,6 +7,7 @@ a fault leaves nothing half-written that looks like a result.
 from __future__ import annotations
 
 import errno
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -30,6 +31,9 @@ _FIXES = {
     errno.EMFILE: "too many files are open: raise the limit (ulimit -n)",
     errno.EIO: "the disk reports a fault: check it before you go on",
 }
+
+LEAST_FREE_BYTES = 256 * 1024
+"""With less a database cannot even be opened, though a few bytes still fit."""
 
 
 def told(error: OSError, where: Path | str | None = None) -> str:
@@ -71,6 +75,35 @@ def cause(error: OSError) -> str:
     """Why the operating system refused, and how to fix it."""
     fix = _FIXES.get(error.errno or 0, "")
     return (error.strerror or str(error) or type(error).__name__) + (f"; {fix}" if fix else "")
+
+
+def check_place(target: Path, *, option: str) -> None:
+    """Refuse before minutes of work what could not be written after them; the folder of `target` is made.
+
+    Raises:
+        InputError: the folder cannot be made, or there is no room on its disk; named by `option`.
+    """
+    folder = target.absolute().parent
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option} {target}: its folder cannot be made: {cause(error)}") from error
+    if trouble := unwritable(folder):
+        raise InputError(f"{option} {target} cannot be written: {trouble}")
+
+
+def unwritable(folder: Path) -> str:
+    """Why nothing more goes onto the disk of `folder`, and how to fix it; empty where there is room."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError as error:
+        return cause(error)
+    free_blocks = disk.f_bavail if os.geteuid() else disk.f_bfree  # some of it may be kept for root
+    if disk.f_flag & os.ST_RDONLY:
+        return cause(OSError(errno.EROFS, os.strerror(errno.EROFS)))
+    if free_blocks * disk.f_frsize < LEAST_FREE_BYTES:
+        return cause(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    return ""
 
 
 def _move(made: Path, to: Path) -> None:

@@ -13,6 +13,7 @@ import re
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TextIO
@@ -150,3 +151,17 @@ def setup_logs(level: str | None = None) -> None:
     root.setLevel((level or os.environ.get("TUBERLINE_LOG_LEVEL", "info")).upper())
     for chatty in ("numba", "matplotlib", "asyncio"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
+
+
+def say(text: str) -> None:
+    """Write to stderr now, where it takes it: a full disk under a log must not keep a process from ending."""
+    with suppress(OSError, ValueError):
+        sys.stderr.write(text)
+    flush_outputs()
+
+
+def flush_outputs() -> None:
+    """What stdout and stderr still hold goes out, where they take it."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()

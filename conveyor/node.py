@@ -28,6 +28,7 @@ from conveyor.counters import CounterSet
 from conveyor.delivery.kept import KeptPublisher
 from conveyor.errors import FAULT, PERMANENT
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back, resident_mib
+from conveyor.logs import flush_outputs
 from conveyor.messages import Counters
 from conveyor.notify import notify
 from conveyor.session import join_router
@@ -215,6 +216,5 @@ class Node:
 
     @staticmethod
     def _end(code: int) -> None:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        flush_outputs()
         os._exit(code)

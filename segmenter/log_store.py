@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Self
 
 from conveyor.errors import LedgerError, MessageError, StorageError
+from conveyor.files import unwritable
 from conveyor.messages import TrackEntry
 from segmenter.old_log import read_old_log
 
@@ -37,6 +38,7 @@ _FIXES = (
     ("readonly", "give the user write access to the file and to its folder"),
     ("unable to open", "see that the folder exists and that this user may read and write there"),
     ("locked", "another process uses it; stop that one first"),
+    ("I/O error", "the disk reports errors; check it, or name another folder in segmenter.state_dir"),
 )
 DAMAGED = "Move the file away to go on without the entries that were not committed"
 
@@ -203,6 +205,8 @@ class LogStore:
             yield
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
             fix = next((text for sign, text in _FIXES if sign in str(error)), None)
+            if fix is not None and "locked" not in str(error):
+                fix = unwritable(self.path.parent) or fix
             kind = LedgerError if fix is None else StorageError
             raise kind(f"cannot {doing} the track log {self.path}: {error}: {fix or DAMAGED}") from error
 

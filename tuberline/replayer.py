@@ -7,14 +7,16 @@ import json
 import socket
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aggregator.ledger.files import write_whole
 from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
-from conveyor.errors import InputError, LinkError, TuberlineError
+from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
+from conveyor.files import cause, unwritable
 from conveyor.observer import Observer, observer_when_there
 from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
@@ -81,9 +83,20 @@ def replay_recording(
         ignore_masks=ignore_masks,
     )
     run = run_id(recording)
-    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
-    (out / RUN_FILE).write_text(run + "\n", encoding="utf-8")
+    _keep(config, out=out, run=run)
     return _count(config, out=out, run=run, show=show)
+
+
+def _keep(config: LineConfig, *, out: Path, run: str) -> None:
+    """Write down what is begun, so that it can be resumed; nothing stays where that cannot be written."""
+    try:
+        write_whole(out / CONFIG_FILE, dump_toml(config))
+        write_whole(out / RUN_FILE, run + "\n")
+    except StorageError:
+        with suppress(OSError):
+            (out / CONFIG_FILE).unlink(missing_ok=True)
+            out.rmdir()
+        raise
 
 
 def _refuse_early(weights: Path | None, contract: Path | None) -> None:
@@ -116,7 +129,7 @@ def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str
         return _summary(out)
     link = config.link.model_copy(update={"router": f"tcp/127.0.0.1:{free_port()}"})
     config = config.model_copy(update={"link": link})
-    (out / CONFIG_FILE).write_text(dump_toml(config), encoding="utf-8")
+    write_whole(out / CONFIG_FILE, dump_toml(config))
     return _count(config, out=out, run=run, show=show)
 
 
@@ -174,10 +187,15 @@ def prepare_out(out: Path) -> None:
         raise InputError(
             f"{ledger} already holds a run; give another --out, remove that folder first, or go on with it by --resume"
         )
+    made = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out {out} cannot be made: {error.strerror or error}") from error
+        raise InputError(f"--out {out} cannot be made: {cause(error)}") from error
+    if trouble := unwritable(out):
+        if made:
+            out.rmdir()
+        raise InputError(f"--out {out} cannot be written: {trouble}")
 
 
 def stated_belt(recording: Path, cameras: list[str], offset_mm: float | None, sd_mm: float | None) -> dict[str, float]:
@@ -257,14 +275,15 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
         from tuberline.cli.replay_table import replay_table
 
         showing = replay_table(_frames(config))
+    out = config.aggregator.out
     observing = observer_when_there(
-        config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor), within_s=START_LIMIT_S
+        config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor, out), within_s=START_LIMIT_S
     )
     with observing as observer, showing as table:
         moved, last = time.monotonic(), -1
         findings: dict[str, str] = {}
         while not supervisor.finished("aggregator"):
-            _raise_failures(supervisor)
+            _raise_failures(supervisor, out)
             nodes = observer.nodes()
             for name, counters in nodes.items():
                 told = belt_findings(counters.name, counters.gauges) if counters.role == "segmenter" else {}
@@ -305,7 +324,12 @@ def _stands_still(supervisor: Supervisor, config: LineConfig, limit_s: float) ->
     )
 
 
-def _raise_failures(supervisor: Supervisor) -> None:
+def _raise_failures(supervisor: Supervisor, out: Path) -> None:
+    if supervisor.stumbled and (trouble := unwritable(out)):
+        names = ", ".join(sorted(supervisor.stumbled))
+        raise StorageError(
+            f"{names} can write nothing more into {out}: {trouble}; then --resume goes on, nothing counted is lost"
+        )
     for name, crashes in supervisor.crashes.items():
         if crashes >= MOST_CRASHES:
             raise TuberlineError(f"{name} crashed {crashes} times; it last said:\n{supervisor.log_tail(name)}")

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from conveyor.direct import ENVIRONMENT as DIRECT
 from conveyor.errors import PASSING, PERMANENT
+from conveyor.files import unwritable
 from tuberline.direct_folder import DirectFolder
 from tuberline.heartbeat import Heartbeat
 from tuberline.orphan import ENVIRONMENT
@@ -31,6 +32,8 @@ STOP_WITHIN_S = 4.0
 LOOK_EVERY_S = 0.1
 MOST_PATIENCE = 8
 """Each standstill doubles the time for the next one up to this factor: what only is slow gets done at last."""
+WORD = "tuberline: "
+"""A sentence that a process ends with begins so."""
 NOT_LOOKED_S = 2.0
 """This process itself stood still for longer: that says nothing about the others."""
 
@@ -145,6 +148,17 @@ class Supervisor:
         """Process id of a running child."""
         return next((c.process.pid for c in self._children if c.spec.name == name and c.process), None)
 
+    @property
+    def stumbled(self) -> set[str]:
+        """Children that ended other than well, or had to be ended, at least once."""
+        return {child.spec.name for child in self._children if any(child.exits)}
+
+    @property
+    def disk_trouble(self) -> str:
+        """Why nothing more goes onto the disk of the logs, and how to fix it; empty where it can, and without a log."""
+        trouble = unwritable(self._log_dir) if self._log_dir else ""
+        return trouble and f"{self._log_dir}: {trouble}"
+
     def log_tail(self, name: str, lines: int = 12) -> str:
         """The last lines a child wrote, where logs go to files."""
         path = self._log_dir / f"{name}.log" if self._log_dir else None
@@ -155,8 +169,8 @@ class Supervisor:
     def last_words(self, name: str) -> str:
         """The error that a child ended with, without its 'tuberline: '; else the last lines it wrote."""
         tail = self.log_tail(name)
-        said = [line for line in tail.splitlines() if line.startswith("tuberline: ")]
-        return tail[tail.rindex(said[-1]) + len("tuberline: ") :] if said else tail
+        said = [line for line in tail.splitlines() if line.startswith(WORD)]
+        return tail[tail.rindex(said[-1]) + len(WORD) :] if said else tail
 
     def stop(self) -> None:
         """SIGTERM to all, last started first; SIGKILL to those still there after 4 s."""
@@ -254,13 +268,20 @@ class Supervisor:
         passing = code == PASSING
         child.crashes += not passing
         log.error(
-            "%s %s; restart %d in %.1f s",
+            "%s %s%s; restart %d in %.1f s",
             child.spec.name,
             "cannot work now" if passing else f"ended with code {code}",
+            self._why(child) if passing or self.disk_trouble else "",
             child.restarts + 1,
             child.backoff_s,
         )
         self._put_off(child, now, limit_s=PASSING_LIMIT_S if passing else BACKOFF_LIMIT_S)
+
+    def _why(self, child: _Child) -> str:
+        """Its own last sentence; where its log could not take that, what is wrong with the log's disk."""
+        said = [line for line in self.log_tail(child.spec.name).splitlines() if line.startswith(WORD)]
+        told = self.disk_trouble or (said[-1].removeprefix(WORD) if said else "")
+        return told and f": {told}"
 
     @staticmethod
     def _put_off(child: _Child, now: float, *, limit_s: float) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from conveyor.errors import LedgerError, StorageError
+from conveyor.files import unwritable
 
 _PASSING = (
     ("disk is full", "the disk is full; free some space and start again, nothing acknowledged is lost"),
@@ -17,6 +18,8 @@ _PASSING = (
     ("I/O error", "the disk reports errors; copy the folder to another disk, then `tuberline ledger check`"),
 )
 """What may be gone at the next start: the ledger itself is as it was."""
+_OF_THE_DISK = ("readonly", "unable to open", "I/O error")
+"""What SQLite says of a full disk too, where not even the memory that it shares finds room on it."""
 _FIXES = (
     ("not a database", "it is not an SQLite file, or its header is damaged; `tuberline ledger check` says more"),
     ("malformed", "its pages are damaged; `tuberline ledger check` lists the damage, `repair` saves what is intact"),
@@ -38,7 +41,8 @@ def explained(path: Path, doing: str) -> Iterator[None]:
     except sqlite3.Error as error:
         for sign, fix in _PASSING:
             if sign in str(error):
-                raise StorageError(f"ledger {path} ({doing}): {error}: {fix}") from error
+                why = (unwritable(path.parent) if sign in _OF_THE_DISK else "") or fix
+                raise StorageError(f"ledger {path} ({doing}): {error}: {why}") from error
         fix = next((text for sign, text in _FIXES if sign in str(error)), "see `tuberline ledger check`")
         raise LedgerError(f"ledger {path} ({doing}): {error}: {fix}") from error
     except UnicodeDecodeError as error:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances, full_resolution
@@ -56,9 +56,10 @@ def save_picture(path: Path, image: NDArray[np.uint8]) -> None:
     Raises:
         InputError: it cannot be written there.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), image):
-        raise InputError(f"picture {path} cannot be written: is it a .png in a folder that may be written to?")
+    # Encoded in memory: of a disk cv2 says only that it did not work.
+    _, encoded = cv2.imencode(".png", image)
+    with whole_output(path) as partial:
+        partial.write_bytes(encoded.tobytes())
 
 
 def _colours(n: int) -> NDArray[np.float64]:

@@ -64,7 +64,7 @@ def proxy_count(snapshot_json: bytes) -> str:
 
 def _text(browser: Browser) -> str:
     found = browser.page("Runtime.evaluate", expression="document.body?.innerText", returnByValue=True)
-    return re.sub(r"[\u2009\s]+", " ", str(found["result"].get("value") or ""))
+    return re.sub(r"\s+", " ", str(found["result"].get("value") or ""))
 
 
 def _tubers(browser: Browser) -> int:

@@ -149,6 +149,13 @@ def test_health_says_as_json_why_not(free_port: int) -> None:
     assert report["why"]
 
 
+COMPLETED = {
+    "zsh": ("source {}; print ${{_comps[tuberline]}}", "_cyclopts_tuberline"),
+    "fish": ("source {}; complete -C 'tuberline simul'", "simulate-views"),
+}
+"""What a shell is asked once it has read its script, as the help says, and its answer."""
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_knows_commands_and_options(shell: str, tmp_path: Path) -> None:
     script = tuberline("completion", shell).stdout
@@ -161,6 +168,12 @@ def test_completion_knows_commands_and_options(shell: str, tmp_path: Path) -> No
         pytest.skip(f"{shell} is not installed: its script was made and not run")
     done = subprocess.run([program, "-n", str(path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    if (ask := COMPLETED.get(shell)) is not None:
+        words = [program, "-c", ask[0].format(path)] if shell == "fish" else [program, "-f", "-c", ask[0].format(path)]
+        done = subprocess.run(
+            words, capture_output=True, text=True, check=False, env={**os.environ, "HOME": str(tmp_path)}
+        )
+        assert ask[1] in done.stdout, done.stdout + done.stderr
 
 
 def test_bash_completes_what_is_begun(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import resource
@@ -16,9 +17,10 @@ import pytest
 
 from aggregator.ledger.files import write_whole
 from conveyor.errors import InputError, StorageError
-from conveyor.files import told, whole_output
+from conveyor.files import check_place, told, unwritable, whole_output
 from tuberline.export.binary_files import write_xlsx
 from tuberline.export.table import Column, Table
+from tuberline.replayer import prepare_out
 
 ROOT = Path(__file__).resolve().parents[2]
 ENV = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "TQDM_DISABLE": "1"}
@@ -135,6 +137,68 @@ def test_an_output_that_takes_nothing_is_told(tmp_path: Path) -> None:
             code, said = tuberline(*command, stdout=full.fileno())
             assert code == 1, said
             assert_one_sentence(code, said, "output: No space left on device; free space")
+
+
+CRASHES = """
+import threading
+from conveyor.crash import end_on_faults
+end_on_faults()
+threading.Thread(target=lambda: 1 / 0).start()
+threading.Event().wait()
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "code"), [(("-m", "tuberline", "info", "no-such-place"), 2), (("-c", CRASHES), 70)]
+)
+def test_a_full_disk_under_the_log_lets_a_process_end(command: tuple[str, ...], code: int) -> None:
+    """Its last words could not be written, and it stayed until it was killed: 'ended with code -9', for ever."""
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, *command], stderr=full, env=ENV, check=False, timeout=60)
+    assert done.returncode == code
+
+
+def test_a_disk_without_room_is_known_before_the_work(tiny_disk: Path) -> None:
+    assert unwritable(tiny_disk) == ""
+    ballast = tiny_disk / "ballast"
+    ballast.write_bytes(bytes(100_000))
+    try:
+        assert re.match("No space left on device; free space", unwritable(tiny_disk))
+        with pytest.raises(InputError, match=f"--out {tiny_disk}/run cannot be written: No space left"):
+            prepare_out(tiny_disk / "run")
+        with pytest.raises(InputError, match=f"--picture {tiny_disk}/p.png cannot be written: No space left"):
+            check_place(tiny_disk / "p.png", option="--picture")
+        assert [*tiny_disk.iterdir()] == [ballast]
+    finally:
+        ballast.unlink()
+    assert "check the name" in unwritable(tiny_disk / "nothing")
+
+
+@pytest.mark.slow
+@pytest.mark.graph
+@pytest.mark.timeout(300)
+def test_a_replay_whose_disk_fills_up_ends_and_is_resumed(tmp_path: Path, belt: Path) -> None:
+    """Nodes were started again for ever, each 'ended with code -9', and no one said why."""
+    small, out = tmp_path / "small", tmp_path / "small" / "run"
+    small.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(small)], check=False)
+    if mounted.returncode != 0:
+        pytest.skip("no file system may be mounted here")
+    try:
+        (small / "ballast").write_bytes(bytes((4 << 20) - 280_000))
+        code, said = tuberline("replay", belt, "--out", out, "--regressors", "1")
+        assert code == 75, said
+        assert "Traceback" not in said
+        assert "code -" not in said, "no node was killed"
+        (last,) = [line for line in said.splitlines() if line.startswith("tuberline: ")]
+        assert re.search(rf"into {out}: No space left on device; free space .* --resume goes on", last), said
+        (small / "ballast").unlink()
+        code, said = tuberline("replay", belt, "--out", out, "--resume")
+        assert code == 0, said
+        summary = json.loads((out / "summary.json").read_text())
+        assert (summary["final"], summary["balanced"], summary["tubers"]["committed"]) == (True, True, 2)
+    finally:
+        subprocess.run(["umount", "-l", str(small)], check=True)
 
 
 def test_a_workbook_on_a_full_disk_is_a_fault_of_the_disk() -> None:

@@ -92,6 +92,25 @@ def test_a_replay_says_how_long_its_frames_still_take() -> None:
     assert re.search(r"75% 0:00:0\d", out.getvalue()), out.getvalue()
 
 
+def test_what_a_resumed_replay_found_done_is_no_pace() -> None:
+    """Two cameras of 1000 frames each; half of it was done when they are first heard, one after the other."""
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=80, color_system=None)
+    with replay_table(2000, on=console) as show:
+        for front, rear in ((500, None), (500, 500), (502, 500), (502, 501), (504, 502)):
+            counts = {"front": front} | ({} if rear is None else {"rear": rear})
+            nodes = {
+                f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 1.0, {"frames_processed": n}, {})
+                for name, n in counts.items()
+            }
+            show(None, nodes, set(nodes))
+            time.sleep(0.05)
+    left = re.findall(r"50% (\d):(\d\d):(\d\d)", out.getvalue())
+    assert left, out.getvalue()
+    hours, minutes, seconds = map(int, left[-1])
+    assert 3600 * hours + 60 * minutes + seconds >= 15, "994 frames at 40 a second at most; it said 2 s"
+
+
 METHODS = ("PointRAFT with visible volume (as weighed)", "linear on box L, W, h (the paper's baseline)")
 
 

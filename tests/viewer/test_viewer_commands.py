@@ -110,7 +110,7 @@ def test_watch_serves_a_page_on_this_machine_and_feeds_its_hub(tmp_path: Path) -
         watching.send_signal(signal.SIGTERM)
         _, said = watching.communicate(timeout=60)
         assert watching.returncode == 0, said
-        assert f"open http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{hub}%2Fproxy" in said
+        assert f"open http://127.0.0.1:{page}/?theme=dark&url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{hub}%2Fproxy" in said
         with pytest.raises(OSError):
             urllib.request.urlopen(f"http://127.0.0.1:{page}/", timeout=2)
 

@@ -50,7 +50,7 @@ def until(true: Callable[[], object], *, what: str, within_s: float = 60) -> Non
 
 def text(browser: Browser) -> str:
     """Everything a person can read."""
-    return re.sub(r"[\u2009\s]+", " ", js(browser, "document.body?.innerText") or "")
+    return re.sub(r"\s+", " ", js(browser, "document.body?.innerText") or "")
 
 
 def until_told(browser: Browser, board: Board, shown: dict[str, Any], *words: str) -> None:
@@ -88,6 +88,8 @@ def test_figures_alarms_and_lost_contact(browser: Browser) -> None:
             "1 530 kg",
         )
         assert js(browser, "document.querySelectorAll('.histogram rect').length") == 12
+        alarms = js(browser, "document.querySelector('.alarms').textContent")
+        assert "for 12\u00a0s" in alarms, "a figure and its unit stand on one line"
         assert "Camera left is dark, for …." in js(browser, "document.getElementById('spoken').textContent")
     until(lambda: "No contact: last heard" in text(browser), what="the page says that it lost contact")
     assert "Old figures: last heard" in text(browser)
@@ -111,7 +113,7 @@ def test_figures_of_a_line_that_fell_silent_are_shown_as_old(browser: Browser) -
             time.sleep(0.5)
         found = js(browser, "[...document.querySelectorAll('.line')].map((line) => [line.dataset.old, line.innerText])")
     assert [old for old, _ in found] == ["yes", "no"]
-    seconds = int(re.findall(r"last heard (\d+) s ago", found[0][1])[0])
+    seconds = int(re.findall(r"last heard (\d+)\ss ago", found[0][1])[0])
     assert 16 <= seconds <= 40, "the age goes on though the watcher of that line says nothing more"
 
 

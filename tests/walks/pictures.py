@@ -166,7 +166,7 @@ def _rerun(browser: Browser, rrd: Path, out: Path) -> None:
     program = subprocess.Popen([str(native_program()), *words, str(rrd)], stdout=subprocess.DEVNULL)
     try:
         time.sleep(3)
-        url = f"http://127.0.0.1:{page}/?url=" + quote(f"rerun+http://127.0.0.1:{hub}/proxy", safe="")
+        url = f"http://127.0.0.1:{page}/?theme=dark&url=" + quote(f"rerun+http://127.0.0.1:{hub}/proxy", safe="")
         _look(browser, url + "&renderer=webgl", out, seconds=8, colours=RERUN_COLOURS)
     finally:
         program.terminate()

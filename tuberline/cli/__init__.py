@@ -14,6 +14,7 @@ from types import FrameType
 from conveyor.crash import end_on_faults
 from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
+from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
 
 __all__ = ["build_app", "main"]
@@ -24,7 +25,6 @@ MACHINE_FAULT = 1
 
 def main() -> None:
     """Entry point: a fault of input or machine becomes one sentence and an exit code; bugs keep their traceback."""
-    from conveyor.logs import setup_logs
     from tuberline.orphan import watch_supervisor
 
     setup_logs()
@@ -52,28 +52,28 @@ def _run() -> int:
     except SystemExit as done:
         return done.code if isinstance(done.code, int) else int(done.code is not None)
     except TuberlineError as error:
-        sys.stderr.write(f"tuberline: {error}\n")
+        say(f"tuberline: {error}\n")
         return error.exit_code
     except BrokenPipeError:
         return MACHINE_FAULT
     except OSError as error:
-        sys.stderr.write(f"tuberline: {told(error, 'the output')}\n")
+        say(f"tuberline: {told(error, 'the output')}\n")
         logging.getLogger("tuberline").debug("where it happened", exc_info=True)
         return MACHINE_FAULT
     except KeyboardInterrupt:
         return 130
     except ModuleNotFoundError as error:
         if error.name != "torch":
-            traceback.print_exc()
+            say(traceback.format_exc())
             return FAULT
         command = " ".join(sys.argv[1:2])
-        sys.stderr.write(
+        say(
             f"tuberline: `{command}` needs torch, which is not installed here (an edge host has none): run it where "
             "torch is, in the image tuberline, or install it there: pip install torch\n"
         )
         return PERMANENT
     except Exception:
-        traceback.print_exc()
+        say(traceback.format_exc())
         return FAULT
     return 0
 
@@ -84,11 +84,11 @@ def _flushed(code: int) -> int:
         sys.stdout.flush()
     except OSError as error:
         if not isinstance(error, BrokenPipeError):
-            sys.stderr.write(f"tuberline: {told(error, 'the standard output')}\n")
+            say(f"tuberline: {told(error, 'the standard output')}\n")
         # The interpreter would try again on its way out, and complain in words of its own.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = code or MACHINE_FAULT
-    sys.stderr.flush()
+    flush_outputs()
     return code
 
 

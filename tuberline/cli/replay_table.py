@@ -25,10 +25,17 @@ def replay_table(frames: int | None, *, on: Console | None = None) -> Iterator[S
     """
     bar = progress_bar()
     task = bar.add_task("frames", total=frames)
+    before: dict[str, int] = {}
     with Live(console=on or console(), refresh_per_second=4, transient=True) as live:
 
         def show(totals: Totals | None, nodes: Mapping[str, Counters], alive: set[str]) -> None:
-            bar.update(task, completed=sum(of.count("frames_processed") for of in nodes.values()))
+            nonlocal before
+            done = {name: of.count("frames_processed") for name, of in nodes.items() if of.role == "segmenter"}
+            # What a camera had done when it is first heard, before a --resume for one, says nothing of the pace.
+            if done.keys() != before.keys() or any(done[name] < count for name, count in before.items()):
+                bar.reset(task, completed=sum(done.values()))
+            bar.update(task, completed=sum(done.values()))
+            before = done
             live.update(Group(line_table(totals, nodes, alive=alive), bar.get_renderable()))
 
         yield show

@@ -62,14 +62,14 @@ def segment(
     json
         Print the counted tracks as JSON on stdout.
     """
+    from conveyor.files import check_place
     from segmenter.studies.offline import segment_recording
     from tuberline.cli.progress import frames_bar
 
     if picture is not None:
-        try:  # before a minute's work, not after it
-            picture.absolute().parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"--picture {picture}: its folder cannot be made: {error.strerror}") from error
+        if picture.suffix != ".png":
+            raise InputError(f"--picture is {picture}; the picture's name must end in .png")
+        check_place(picture, option="--picture")
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:

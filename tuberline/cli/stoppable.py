@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
@@ -11,6 +10,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
+
+from conveyor.logs import flush_outputs
 
 STOPPED = 130
 """Exit code after Ctrl-C, as shells give it: 128 + SIGINT."""
@@ -64,9 +65,7 @@ def _was_interrupt(error: BaseException | None) -> bool:
 
 def leave() -> NoReturn:
     """End the process after a stop. A library whose import was broken off may crash in the interpreter's goodbye."""
-    with contextlib.suppress(OSError):
-        sys.stdout.flush()
-    sys.stderr.flush()
+    flush_outputs()
     os._exit(STOPPED)
 
 

@@ -30,7 +30,7 @@ def weigh(
     resting_sd_mm: float = 0.0,
     instances: Path | None = None,
     weights: Path | None = None,
-    depth_scale_m: float | None = None,
+    depth_scale_m: Annotated[float | None, Parameter(name=["--depth-scale-m", "--depth-unit"])] = None,
     intrinsics: Path | None = None,
     json: bool = False,
     csv: bool = False,

@@ -47,7 +47,10 @@ def write_parquet(table: Table, path: Path, *, geometry: bool = False) -> None:
         arrays.append(pa.array([None if shape is None else _wkb(shape) for shape in shapes], type=pa.binary()))
         told["geo"] = json.dumps(_geo(shapes))
     made = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=told))
-    parquet.write_table(made, path, compression="zstd")
+    # Packed in memory, as a workbook is: what a full disk says is then Python's own word, and one sentence.
+    packed = BytesIO()
+    parquet.write_table(made, packed, compression="zstd")
+    path.write_bytes(packed.getvalue())
 
 
 def write_xlsx(tables: Sequence[Table], path: Path) -> None:

@@ -41,8 +41,9 @@ class Ports:
 
     @property
     def link(self) -> str:
-        """What a person opens in a browser on this machine."""
-        return f"http://{THIS_MACHINE}:{self.page}/?url=rerun%2Bhttp%3A%2F%2F{THIS_MACHINE}%3A{self.hub}%2Fproxy"
+        """What a person opens in a browser on this machine; dark, for weights on the light theme's labels are pale."""
+        hub = f"rerun%2Bhttp%3A%2F%2F{THIS_MACHINE}%3A{self.hub}%2Fproxy"
+        return f"http://{THIS_MACHINE}:{self.page}/?theme=dark&url={hub}"
 
 
 class RerunProgram:

@@ -4,6 +4,7 @@ export const LANGUAGES = { en: "English", de: "Deutsch", nl: "Nederlands", ja: "
 export const UNITS = ["kg", "t", "lb"];
 const GRAMS = { kg: 1e3, t: 1e6, lb: 453.59237 };
 const COMMA = new Set(["de", "nl"]);
+const BEFORE_UNIT = /(\d) (?=(?:%|[smhgtu]|min|mm|ms|kg|lb|oz|days|Tagen|dagen)(?!\p{L}))/gu;
 const VALUE = /\{(\w+)(?::([^}]+))?\}/g;
 let language = firstOf(new URLSearchParams(location.search).get("lang"), remembered("language"), ...(navigator.languages ?? [])) ?? "en";
 let unit = UNITS.includes(remembered("unit")) ? remembered("unit") : "kg";
@@ -41,7 +42,8 @@ export function remember(name, value) {
 // The text `key`; `values` fill its {places}. A key without words is shown by its own last part.
 export function t(key, values = {}) {
   const text = TABLE[key]?.[language] ?? key.split(".").pop().replaceAll("_", " ");
-  return text.replace(VALUE, (_, name, how) => told(values[name] ?? "", how));
+  // A figure and its unit stay on one line.
+  return text.replace(VALUE, (_, name, how) => told(values[name] ?? "", how)).replace(BEFORE_UNIT, "$1\u00a0");
 }
 
 export const known = (key) => key in TABLE;
@@ -62,9 +64,9 @@ export function ago(seconds) {
 
 export function number(value, digits = 0) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  // Thin spaces between thousands: neither comma nor point, which mean different things in different countries.
+  // Thin spaces between thousands, which do not break: neither comma nor point, which differ between countries.
   const [whole, rest] = Math.abs(value).toFixed(digits).split(".");
-  const grouped = whole.replace(/\B(?=(\d{3})+(?!\d))/g, "\u2009");
+  const grouped = whole.replace(/\B(?=(\d{3})+(?!\d))/g, "\u202f");
   return (value < 0 ? "−" : "") + grouped + (rest ? `${COMMA.has(language) ? "," : "."}${rest}` : "");
 }
 
