@@ -6,6 +6,10 @@ from pydantic import Field, field_validator
 
 from conveyor.config_base import Section, checked_name
 
+LUMP_FILLED = 0.72
+"""Of the volume under the visible surface of a clod or a stone, the part that is lump and not the air under its flanks.
+Median over refused lumps of simulated belts with seeds 61000 and on."""
+
 
 class GnssConfig(Section):
     """The machine's GNSS receiver, and how the machine harvests: what a map of the field needs."""
