@@ -44,7 +44,8 @@ def main(arguments: Sequence[str]) -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     groups: dict[str, list[dict[str, Any]]] = {}
     for plan in fewer(PLANS[given.belts], only=given.only, tubers=given.tubers):
-        groups.setdefault(f"{plan.preset}, {plan.others:g} others a tuber", []).append(kept(given.out, plan))
+        crowded = ", crowded" if plan.scene == "crowded" else ""
+        groups.setdefault(f"{plan.preset}, {plan.others:g} others a tuber{crowded}", []).append(kept(given.out, plan))
     text = table(groups)
     print(text)
     if given.docs:
@@ -108,7 +109,7 @@ def add(sums: LoadSums, belt: dict[str, Any]) -> None:
 
 
 def filling(belts: Sequence[dict[str, Any]]) -> float:
-    """Median of true volume over visible volume, of lumps that were refused: what `FILLED` was set by."""
+    """Median of true volume over visible volume, of lumps that were refused: what `LUMP_FILLED` was set by."""
     ratios = [
         track["true_volume_ml"] / track["visible_volume_ml"]
         for belt in belts

@@ -21,13 +21,14 @@ WITHIN_M = 0.025
 
 @dataclass(frozen=True, slots=True)
 class ForeignPlan:
-    """One belt: so many others per tuber, 'share' of all bodies in the mean."""
+    """One belt: so many others per tuber in the mean."""
 
     name: str
     preset: str
     seed: int
     tubers: int
     others: float
+    scene: str = "distractors"
 
 
 LEARNED: tuple[tuple[str, int, tuple[str, ...], tuple[float, ...], int], ...] = (
@@ -35,6 +36,9 @@ LEARNED: tuple[tuple[str, int, tuple[str, ...], tuple[float, ...], int], ...] = 
     ("judge", 63000, ("field", "easy"), (0.0, 0.05, 0.15, 0.3), 80),
 )
 """By name: first seed, presets, others a tuber, tubers. The second judged one rule, the next learned by them."""
+
+JUDGED = (("distractors", 0.0), ("distractors", 0.05), ("distractors", 0.15), ("distractors", 0.3), ("crowded", 0.15))
+"""Scene, others a tuber; those of seeds 65000 and on judged the share before crumbs were left out of it."""
 
 PLANS: dict[str, tuple[ForeignPlan, ...]] = {
     "fit": tuple(
@@ -45,8 +49,8 @@ PLANS: dict[str, tuple[ForeignPlan, ...]] = {
         for n in range(2)
     ),
     "judge": tuple(
-        ForeignPlan(f"fresh-field-{others:g}-{n}", "field", 65000 + 10 * j + n, 80, others)
-        for j, others in enumerate((0.0, 0.05, 0.15, 0.3))
+        ForeignPlan(f"load-{scene}-{others:g}-{n}", "field", 67000 + 10 * j + n, 160, others, scene)
+        for j, (scene, others) in enumerate(JUDGED)
         for n in range(2)
     ),
 }
@@ -56,10 +60,10 @@ SPEED_MPS = 0.45
 
 def measured(plan: ForeignPlan) -> dict[str, Any]:
     """Tracks counted and refused, with what each truly is, and the truth of the belt."""
-    layout = replace(layout_named("distractors"), distractors=plan.others)
+    layout = replace(layout_named(plan.scene), distractors=plan.others)
     settings = in_its_world(
         SceneSettings(
-            scene="distractors", seed=plan.seed, tubers=plan.tubers, preset=PRESETS[plan.preset], speed_mps=SPEED_MPS
+            scene=plan.scene, seed=plan.seed, tubers=plan.tubers, preset=PRESETS[plan.preset], speed_mps=SPEED_MPS
         ),
         layout,
     )

@@ -1,21 +1,46 @@
-"""Recording a line: frames of all its cameras to one MCAP file, by a process of its own that none waits for."""
+"""Recording a line: frames of all its cameras to one MCAP file and the machine's positions beside it, by a process of
+its own that none waits for."""
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from conveyor import topics
 from conveyor.config import LineConfig
-from conveyor.delivery import KeptSubscriber, LatestSubscriber
+from conveyor.delivery import KeptSubscriber, LatestSubscriber, ReliableSubscriber
 from conveyor.errors import StorageError
 from conveyor.files import told
+from conveyor.formats.beside import positions_beside
 from conveyor.formats.mcap.writer import CHUNK_BYTES, SYNC_EVERY_S, McapFrameWriter
-from conveyor.messages import CameraInfo, Frame
+from conveyor.formats.positions import PositionsWriter
+from conveyor.messages import CameraInfo, Frame, Position
 from conveyor.node import Node
 
 RING_FRAMES = 48
 """Newest frames kept while the disk is slow: 0.8 s of two cameras at 30 frames/s, 40 MB at 848x480."""
+
+
+MOST_POSITIONS = 1024
+"""Kept while the disk is slow: 100 s of a receiver with 10 positions a second."""
+
+
+class _Positions:
+    """The machine's positions, as `positions.csv` of a run has them; there is no file before the first one."""
+
+    def __init__(self, node: Node, path: Path, files: ExitStack) -> None:
+        self._heard = ReliableSubscriber(node, topics.POSITION, Position, capacity=MOST_POSITIONS, receiver="*")
+        self._counters, self._path, self._files = node.counters, path, files
+        self._writer: PositionsWriter | None = None
+        self._counters.add("positions_written", 0)
+
+    def keep(self) -> None:
+        """Write what has come, without waiting for more."""
+        while (at := self._heard.get(0.0)) is not None:
+            if self._writer is None:
+                self._writer = self._files.enter_context(PositionsWriter(self._path))
+            self._writer.write((at.time_ns, at.fix_ns, at.lat_deg, at.lon_deg, at.quality, at.hdop, at.satellites))
+            self._counters.add("positions_written")
 
 
 class _Gaps:
@@ -64,16 +89,22 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple
 def _record(config: LineConfig, part: Path, *, run: str, name: str, began_as: Path) -> int:
     """Record into `part` until stopped; returns how many frames were written."""
     gaps = _Gaps()
-    with Node("recorder", name, config=config, run=run) as node, McapFrameWriter(part) as writer:
+    with (
+        Node("recorder", name, config=config, run=run) as node,
+        McapFrameWriter(part) as writer,
+        ExitStack() as files,
+    ):
         if part != began_as:
             node.log.warning("%s holds a recording: going on in %s", began_as, part)
         infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
         frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
+        positions = _Positions(node, positions_beside(part), files)
         for counter in ("frames_written", "frames_missing", "frames_duplicate"):
             node.counters.add(counter, 0)
         while not node.stop.is_set() or len(frames):
             frame = frames.get(0.0 if node.stop.is_set() else SYNC_EVERY_S / 2)
             node.progress()
+            positions.keep()
             if frame is None:
                 writer.sync()
                 continue

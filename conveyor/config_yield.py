@@ -6,11 +6,17 @@ from pydantic import Field, field_validator
 
 from conveyor.config_base import Section, checked_name
 
+LUMP_FILLED = 0.72
+"""Of the volume under the visible surface of a clod or a stone, the part that is lump and not the air under its flanks.
+Median over refused lumps of simulated belts with seeds 61000 and on."""
+
 
 class GnssConfig(Section):
     """The machine's GNSS receiver, and how the machine harvests: what a map of the field needs."""
 
-    source: str = Field(description="serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host or file:recorded.nmea")
+    source: str = Field(
+        description="serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host, file:recorded.nmea or simulated:"
+    )
     name: str = Field("gnss", description="the receiver's name on the line")
     width_m: float = Field(1.5, ge=0.2, le=50, description="working width of the share")
     overlap_m: float = Field(0.0, ge=0, le=5, description="by how much a pass is meant to overlap the one before")

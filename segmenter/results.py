@@ -23,7 +23,7 @@ class ClosedTrack:
 
 @dataclass(frozen=True, slots=True)
 class RefusedTrack:
-    """A track that does not count; `foreign` where it is a clod, a stone or haulm, and kept as that."""
+    """A track that does not count; `foreign` where it is kept as a clod, a stone or haulm of a tuber's size."""
 
     reason: TrackRefusal
     foreign: Track | None = None

@@ -67,6 +67,7 @@ def replay_recording(
     cameras = recording_cameras(recording)
     _refuse_early(weights, contract)
     prepare_out(out)
+    take_positions(recording, out)
     belt = stated_belt(recording, cameras, resting_offset_mm, resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     if contract is not None:
@@ -196,6 +197,16 @@ def prepare_out(out: Path) -> None:
         if made:
             out.rmdir()
         raise InputError(f"--out {out} cannot be written: {trouble}")
+
+
+def take_positions(recording: Path, out: Path) -> None:
+    """The machine's positions, where the recording has them: its frames keep their times, so a map finds the tubers."""
+    from conveyor.formats.beside import recording_files
+    from conveyor.formats.positions import POSITIONS_FILE
+
+    positions = recording_files(recording).get(POSITIONS_FILE)
+    if positions is not None:
+        (out / POSITIONS_FILE).write_bytes(positions)
 
 
 def stated_belt(recording: Path, cameras: list[str], offset_mm: float | None, sd_mm: float | None) -> dict[str, float]:

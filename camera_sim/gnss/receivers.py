@@ -1,4 +1,4 @@
-"""Where sentences come from: a serial port, a TCP server, gpsd, or a recorded file played at its own pace."""
+"""Where sentences come from: a serial port, a TCP server, gpsd, a recorded file at its pace, or a simulated machine."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol
 from urllib.parse import parse_qs, urlsplit
 
+from camera_sim.gnss.simulated import SimulatedReceiver, simulated_drive
 from conveyor.errors import ConfigError, DeviceError, InputError
 from conveyor.extras import install_hint
 from conveyor.formats.nmea import MOST_BYTES, NmeaFixes
@@ -52,9 +53,11 @@ def open_receiver(source: str, *, wait: Callable[[float], bool]) -> Receiver:
         return _Serial(parts.path, int(baud) if baud.isdigit() else 9600)
     if parts.scheme == "file" and parts.path:
         return _Recorded(Path(parts.path), wait=wait)
+    if parts.scheme == "simulated":
+        return SimulatedReceiver(simulated_drive(parts.query), wait=wait)
     raise ConfigError(
-        f"gnss.source is '{source}'; allowed are serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host[:port] "
-        "and file:PATH of recorded NMEA"
+        f"gnss.source is '{source}'; allowed are serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host[:port], "
+        "file:PATH of recorded NMEA and simulated:?row_m=200"
     )
 
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from conveyor.formats.beside import recording_files
 from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
+from conveyor.formats.positions import POSITIONS_FILE
 from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
 from conveyor.messages import Frame
@@ -56,11 +58,12 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """A recording of one or more cameras."""
+    """A recording of one or more cameras; `positions`: of the machine, beside the frames."""
 
     path: str
     kind: str
     cameras: tuple[CameraReport, ...]
+    positions: int = 0
 
 
 def inspect_recording(path: Path) -> RecordingReport:
@@ -71,7 +74,8 @@ def inspect_recording(path: Path) -> RecordingReport:
     """
     kind = recording_kind(path)
     cameras = tuple(_inspect(open_unchecked(path, kind, name)) for name in camera_names(path))
-    return RecordingReport(str(path), kind, cameras)
+    positions = recording_files(path).get(POSITIONS_FILE, b"")
+    return RecordingReport(str(path), kind, cameras, max(positions.count(b"\n") - 1, 0))
 
 
 def _inspect(source: RecordedSource) -> CameraReport:

@@ -17,7 +17,7 @@ from segmenter.perception import Perception
 from segmenter.results import ClosedTrack, Decision, RefusedTrack
 from segmenter.track.counting import CountSettings, Crossing, class_refusal, crossing, refusal, shape_refusal
 from segmenter.track.follow import BeltFollower
-from segmenter.track.foreign import foreign_kind
+from segmenter.track.foreign import foreign_kind, is_crumb
 from segmenter.track.layers import AROUND_M, MOST_OF_TOP, SUPPORT_SD_M, BeltLayers
 from segmenter.track.track import State, TrackState
 from segmenter.track.tracker import Tracker
@@ -154,7 +154,8 @@ class TrackDecider:
         except UnsendableError:
             return RefusedTrack(reason or TrackRefusal.OUT_OF_RANGE)  # a mat of haulm may be longer than any tuber
         if reason is not None:
-            return RefusedTrack(reason, message)
+            crumb = is_crumb(message, least_ml=self._settings.min_volume_m3 * 1e6)
+            return RefusedTrack(reason, None if crumb else message)
         return ClosedTrack(message, views, track.answer)
 
     def _book(self, track: TrackState, decision: Decision) -> None:

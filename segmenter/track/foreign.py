@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from conveyor.config_yield import LUMP_FILLED
+from conveyor.messages import Track
 from conveyor.reasons import TrackRefusal
 
 HAULM_SLENDER = 4.0
@@ -17,3 +19,11 @@ def foreign_kind(reason: TrackRefusal | None, *, length_m: float, width_m: float
     if reason is not TrackRefusal.DISTRACTOR:
         return None
     return "haulm" if length_m >= HAULM_SLENDER * width_m else "lump"
+
+
+def is_crumb(refused: Track, *, least_ml: float) -> bool:
+    """A lump smaller than a tuber of `least_ml`: it looks as large as one by the air under its flanks.
+
+    A share of foreign matter is one of bodies of a tuber's size; crumbs would swell it.
+    """
+    return refused.kind == "lump" and LUMP_FILLED * refused.visible_volume_ml < least_ml

@@ -17,10 +17,12 @@ import pytest
 pytest.importorskip("pynmeagps")
 
 from camera_sim.gnss.receivers import open_receiver
+from camera_sim.gnss.simulated import simulated_drive
 from conveyor.config import LineConfig, LinkConfig, dump_toml
 from conveyor.errors import ConfigError, DeviceError, InputError, StorageError
 from conveyor.formats.nmea import NmeaFixes
 from conveyor.formats.positions import COLUMNS, PositionsWriter, read_positions
+from conveyor.geometry import EARTH_M_PER_DEG
 from conveyor.observer import Observer
 from tests.conftest import wait_until
 
@@ -117,6 +119,24 @@ def test_a_source_that_is_none_or_not_there_is_told() -> None:
         open_receiver("bluetooth:gps", wait=lambda s: False)
     with pytest.raises(DeviceError, match="cannot be opened"):
         open_receiver("serial:/dev/no-such-port", wait=lambda s: False)
+
+
+def test_a_simulated_machine_drives_row_by_row() -> None:
+    drive = simulated_drive("row_m=70&width_m=3&turn_s=10&hz=5")
+    north_m = [round((drive.at(s)[0] - drive.lat) * EARTH_M_PER_DEG, 3) for s in (0, 25, 50, 60, 85, 110)]
+    assert north_m == [0, 35, 70, 70, 35, 0], "up at 1.4 m/s, 10 s for the turn, down"
+    aside = [drive.at(s)[1] - drive.lon for s in (50, 60, 110, 120)]
+    assert aside == pytest.approx([0, aside[1], aside[1], 2 * aside[1]])
+    waited: list[float] = []
+    source = open_receiver("simulated:?row_m=70&hz=5", wait=lambda s: bool(waited.append(s)))
+    fixes = NmeaFixes()
+    found = [fix for _ in range(4) if (fix := fixes.push(source.read() or b"")) is not None]
+    assert [(fix.quality, round(fix.lon_deg, 7)) for fix in found] == [(8, 5.75)] * 2
+    assert (found[1].lat_deg - found[0].lat_deg) * EARTH_M_PER_DEG == pytest.approx(0.28, abs=0.01)
+    assert waited == [pytest.approx(0.2, abs=0.1)]
+    for wrong in ("rows=3", "hz=0", "lat=north"):
+        with pytest.raises(ConfigError, match=f"{wrong}; allowed are row_m"):
+            open_receiver(f"simulated:?{wrong}", wait=lambda s: False)
 
 
 @contextmanager

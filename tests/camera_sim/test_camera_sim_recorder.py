@@ -12,15 +12,22 @@ import pytest
 from camera_sim.recorder import next_part
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
+from conveyor import topics
 from conveyor.config import LinkConfig
+from conveyor.delivery import ReliablePublisher
 from conveyor.errors import PASSING
 from conveyor.formats import describe_recording, open_source
+from conveyor.formats.conversion import convert_recording
 from conveyor.formats.mcap.recovery import recover
-from conveyor.messages import Frame
+from conveyor.formats.positions import read_positions
+from conveyor.messages import Frame, Position
+from conveyor.node import Node
 from tests.camera_sim.camera_process import OtherSide, line, other_side, process
 from tests.conftest import wait_until
+from tuberline.replayer import take_positions
 
 pytestmark = pytest.mark.graph
+POSITIONS = [Position("gnss", "r", n, 10**18 + n * 10**9, 10**18, 52.7 + n * 1e-5, 5.75, 4, 0.7, 14) for n in range(3)]
 
 
 def _always_ready(side: OtherSide) -> None:
@@ -36,12 +43,22 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
     config, out = line(link, path=small_recording, speed=2.0, waits=True), tmp_path / "line.mcap"
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
         wait_until(lambda: side.counters("recorder"), what="the recorder")
-        with process(config, tmp_path, "camera", "--camera", "front"):
+        with (
+            process(config, tmp_path, "camera", "--camera", "front"),
+            Node("gnss", "gnss", config=config, run="r") as gnss,
+        ):
+            drive = ReliablePublisher(gnss, topics.POSITION, receiver="gnss")
+            for at in POSITIONS:
+                drive.put(at)
             _always_ready(side)
             info = side.wait_for_state("ended")
             wait_until(
                 lambda: (c := side.counters("recorder")) and c.values.get("frames_written") == info.published,
                 what="all frames on disk",
+            )
+            wait_until(
+                lambda: (c := side.counters("recorder")) and c.values["positions_written"] == len(POSITIONS),
+                what="all positions on disk",
             )
         counters = side.counters("recorder")
         recorder.send_signal(signal.SIGTERM)
@@ -52,6 +69,20 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
     original = [frame for frame in open_source(small_recording).frames(run="r") if isinstance(frame, Frame)]
     assert [frame.encode() for frame in recorded] == [frame.encode() for frame in original]
     assert describe_recording(out).cameras[0].fps == 10.0
+    _positions_go_with_it(out, tmp_path)
+
+
+def _positions_go_with_it(recorded: Path, folder: Path) -> None:
+    """Into other formats, through a repair, and into the run that replays it."""
+    places = [(at.time_ns, at.lat_deg, at.lon_deg, at.quality) for at in POSITIONS]
+    convert_recording(recorded, folder / "plain")
+    convert_recording(folder / "plain", folder / "again.mcap")
+    recover(recorded, folder / "repaired.mcap")
+    for source in (recorded, folder / "plain", folder / "again.mcap", folder / "repaired.mcap"):
+        (out := folder / f"run of {source.name}").mkdir()
+        take_positions(source, out)
+        found = read_positions(out / "positions.csv")
+        assert [(at.time_ns, at.lat_deg, at.lon_deg, at.quality) for at in found] == places, source
 
 
 def test_a_killed_recorder_loses_at_most_its_last_chunk(

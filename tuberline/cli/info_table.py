@@ -20,6 +20,8 @@ def print_report(report: RecordingReport) -> None:
     # As it is: not cut to the table's width, and brackets in a name are no markup.
     console.print(Text(f"{report.path} ({report.kind})"), soft_wrap=True)
     console.print(table)
+    if report.positions:
+        console.print(f"{report.positions} positions of the machine")
     for camera in report.cameras:
         for warning in camera.warnings:
             console.print(Text(f"warning: camera '{camera.name}': {warning}"), soft_wrap=True)

@@ -1,8 +1,8 @@
 """Our MCAP recordings: a channel per camera, a message per frame, as it goes over the wire.
 
 Topic `camera/<camera>/frame`, message encoding `tuberline`, log time = capture time, MCAP sequence = frame number.
-Chunks are compressed with zstd. `truth.json` and `line.json` of a folder recording travel as attachments. The metadata
-record `tuberline.format` states the format's version; a file without one is version 1.
+Chunks are compressed with zstd. `truth.json`, `line.json` and `positions.csv` of a folder recording travel as
+attachments. The metadata record `tuberline.format` states the format's version; a file without one is version 1.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ depth unit), intrinsics {width, height, fx, fy, cx, cy} in pixels, belt_distance
 arrays: depth u2 (H, W), 0 = no depth; optional belt_from_camera f8 (4, 4), mask u2 (H, W), color_jpeg u1 (n,).
 Little-endian, C order.
 """
-ATTACHMENTS = ("truth.json", "line.json")
+ATTACHMENTS = ("truth.json", "line.json", "positions.csv")
 _TOPIC = re.compile(r"camera/([A-Za-z0-9][A-Za-z0-9._-]{0,63})/frame")
 
 

@@ -90,7 +90,7 @@ def foreign_channels(path: Path) -> bool:
 
 
 def mcap_attachments(path: Path) -> dict[str, bytes]:
-    """The recording's own JSON files by name."""
+    """The recording's own files by name."""
     with open_mcap(path) as reader:
         return {a.name: bytes(a.data) for a in reader.iter_attachments() if a.name in ATTACHMENTS}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.formats.beside import positions_beside
 from conveyor.formats.mcap.reader import DAMAGE
 from conveyor.formats.mcap.writer import CHUNK_BYTES
 
@@ -52,6 +54,8 @@ def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lam
             result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
             target.flush()
             os.fsync(target.fileno())
+        if (positions := positions_beside(path)).is_file():
+            shutil.copyfile(positions, positions_beside(out))
     except (InvalidMagic, _Nothing) as error:
         out.unlink(missing_ok=True)
         raise InputError(

@@ -88,8 +88,9 @@ class McapFrameWriter:
             self.sync()
 
     def attach(self, name: str, data: bytes) -> None:
-        """Add a JSON file that belongs to the recording."""
-        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type="application/json", data=data)
+        """Add a file that belongs to the recording: JSON, or a table."""
+        kind = "text/csv" if name.endswith(".csv") else "application/json"
+        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)
 
     def sync(self) -> None:
         """Bring all full chunks to the disk."""

@@ -66,8 +66,9 @@ class Ros2McapWriter:
         self._cameras[name] = camera_json(description)
 
     def attach(self, name: str, data: bytes) -> None:
-        """Add a JSON file that belongs to the recording."""
-        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type="application/json", data=data)
+        """Add a file that belongs to the recording: JSON, or a table."""
+        kind = "text/csv" if name.endswith(".csv") else "application/json"
+        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)
 
     def write(self, frame: Frame) -> None:
         """Append `frame`: travel, mask, colour and calibration first, its depth last."""
