@@ -167,10 +167,10 @@ def test_the_three_kinds_share_a_file_and_the_table_names_who_contradicts(
     folder, tubers = line
     weighed_kg = sum(tuber.weight_g for tuber in tubers) / 1000
     path = tmp_path / "tickets.json"
-    options, first_20 = TicketOptions(path), [t.weight_g for t in tubers if t.tuber_id <= 20]
+    options, first_20_kg = TicketOptions(path), sum(t.weight_g for t in tubers if t.tuber_id <= 20) / 1000
     calibrate_load(folder, ticket_kg=1.25 * weighed_kg, options=options)
-    calibrate_bucket(folder, kg=weighed_kg, options=options)
-    calibrate_bucket(folder, kg=sum(first_20) / 1000, weighed=PartOptions(last=20), options=options)
+    calibrate_bucket(folder, kg=weighed_kg - first_20_kg, weighed=PartOptions(first=21), options=options)
+    calibrate_bucket(folder, kg=first_20_kg, weighed=PartOptions(last=20), options=options)
     calibrate_tubers(folder, weights_file(tmp_path / "w.csv", [t.weight_g for t in tubers]), options=options)
     assert "contradicts all else that is known: load of run" in capsys.readouterr().out
     show(path, json=True)
@@ -178,7 +178,7 @@ def test_the_three_kinds_share_a_file_and_the_table_names_who_contradicts(
     verdicts = {(row["kind"], row["part"]): row["contradicts"] for row in table["tickets"]}
     assert verdicts == {
         ("load", ""): True,
-        ("bucket", ""): False,
+        ("bucket", "tubers 21 to the last"): False,
         ("bucket", "tubers 1 to 20"): False,
         ("tubers", ""): False,
     }
