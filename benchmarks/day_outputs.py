@@ -116,7 +116,7 @@ def export_table(out: Path, how: MapOptions) -> str:
         "csv": ("tubers.export.csv", "Python's csv", _of_csv),
         "parquet": ("tubers.parquet", "DuckDB", _of_parquet),
         "geoparquet": ("tubers.geo.parquet", "pyarrow", _of_geoparquet),
-        "geojson": ("tubers.geojson", "Python's json", _of_geojson),
+        "geojson": ("tubers.geojson", "GDAL", _of_geojson),
         "xlsx": ("tubers.xlsx", "openpyxl", _of_xlsx),
         "isoxml": ("taskdata.zip", "its own reader", _of_isoxml),
     }
@@ -152,8 +152,10 @@ def _of_geoparquet(path: Path) -> tuple[int, float]:
 
 
 def _of_geojson(path: Path) -> tuple[int, float]:
-    features = json.loads(path.read_text())["features"]
-    return len(features), sum(feature["properties"]["weight_g"] for feature in features) / 1000
+    from pyogrio.raw import read
+
+    _, _, _, (grams,) = read(path, columns=["weight_g"], read_geometry=False)
+    return len(grams), float(grams.sum()) / 1000
 
 
 def _of_xlsx(path: Path) -> tuple[int, float]:

@@ -34,25 +34,34 @@ class ForeignPlan:
 LEARNED: tuple[tuple[str, int, tuple[str, ...], tuple[float, ...], int], ...] = (
     ("fit", 61000, ("field", "easy"), (0.1, 0.4), 60),
     ("judge", 63000, ("field", "easy"), (0.0, 0.05, 0.15, 0.3), 80),
+    ("fresh", 65000, ("field",), (0.0, 0.05, 0.15, 0.3), 80),
 )
-"""By name: first seed, presets, others a tuber, tubers. The second judged one rule, the next learned by them."""
+"""By name: first seed, presets, others a tuber, tubers. All but the first judged a rule; the next learned by them."""
 
-JUDGED = (("distractors", 0.0), ("distractors", 0.05), ("distractors", 0.15), ("distractors", 0.3), ("crowded", 0.15))
-"""Scene, others a tuber; those of seeds 65000 and on judged the share before crumbs were left out of it."""
+SCENES = (("distractors", 0.0), ("distractors", 0.05), ("distractors", 0.15), ("distractors", 0.3), ("crowded", 0.15))
+"""Scene and others a tuber of belts that are as long as half a load."""
+
+
+def _long(first: int) -> tuple[ForeignPlan, ...]:
+    return tuple(
+        ForeignPlan(f"load-{first}-{scene}-{others:g}-{n}", "field", first + 10 * j + n, 160, others, scene)
+        for j, (scene, others) in enumerate(SCENES)
+        for n in range(2)
+    )
+
 
 PLANS: dict[str, tuple[ForeignPlan, ...]] = {
-    "fit": tuple(
-        ForeignPlan(f"{name}-{preset}-{others:g}-{n}", preset, first + 100 * i + 10 * j + n, tubers, others)
-        for name, first, presets, shares, tubers in LEARNED
-        for i, preset in enumerate(presets)
-        for j, others in enumerate(shares)
-        for n in range(2)
+    "fit": (
+        *(
+            ForeignPlan(f"{name}-{preset}-{others:g}-{n}", preset, first + 100 * i + 10 * j + n, tubers, others)
+            for name, first, presets, shares, tubers in LEARNED
+            for i, preset in enumerate(presets)
+            for j, others in enumerate(shares)
+            for n in range(2)
+        ),
+        *_long(67000),
     ),
-    "judge": tuple(
-        ForeignPlan(f"load-{scene}-{others:g}-{n}", "field", 67000 + 10 * j + n, 160, others, scene)
-        for j, (scene, others) in enumerate(JUDGED)
-        for n in range(2)
-    ),
+    "judge": _long(69000),
 }
 SPEED_MPS = 0.45
 """Seeds fixed before any was run; `benchmarks clods` has others."""
