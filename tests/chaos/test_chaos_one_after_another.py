@@ -32,7 +32,7 @@ def test_everybody_but_the_segmenters_ended_in_turn_changes_nothing(
         line.kill("router")
 
     # At half speed: all of it falls into the belt's 6 s.
-    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.5)
+    summary = disturbed_replay(recording, tmp_path / "run", disturb, speed=0.5, regressors=1)
     assert summary["balanced"]
     assert sorted(name.split("-")[0] for name, n in summary["restarts"].items() if n) == [
         "aggregator", "camera", "regressor", "router",

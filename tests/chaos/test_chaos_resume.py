@@ -49,7 +49,7 @@ def test_a_router_that_dies_while_the_line_starts_changes_nothing(
 ) -> None:
     """It was never started again: nobody looked after it before an observer had connected."""
     out = tmp_path / "run"
-    replay = begin(recording, out)
+    replay = begin(recording, out, "--regressors", "1")
     for after_s in (0.0, 1.0):
         wait_until(lambda: child(replay.pid, "router") is not None, what="a router", timeout_s=30)
         time.sleep(after_s)
