@@ -144,5 +144,7 @@ def test_what_grew_old_while_the_segmenter_stood_still_is_not_processed(live_rec
     frames, _, _ = sheet_of(summary)
     assert frames.get("dropped_too_old", 0) + frames.get("dropped_overwritten", 0) + frames["gaps"] > 0
     assert max(ages) <= MAX_AGE_MS
-    assert summary["totals"]["coverage"] < 1.0
-    assert score_of(tmp_path / "run", live_recording)["double_counted"] == 0
+    score = score_of(tmp_path / "run", live_recording)
+    assert score["double_counted"] == 0
+    # What passed in so short a time may have been seen before it and after it.
+    assert summary["totals"]["coverage"] == pytest.approx(score["count"] / score["true_count"], abs=0.12)
