@@ -22,7 +22,7 @@ pytestmark = pytest.mark.graph
 FRAMES = 30
 
 
-LABELS = "Boxes3D:labels"
+LABELS = "Points3D:labels"
 
 
 def entities(path: Path) -> Counter[str]:

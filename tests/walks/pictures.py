@@ -2,8 +2,9 @@
 
     python -m tests.walks.pictures RECORDING OUT
 
-plays the recording of a camera `front` as a line, slowly, and writes terminal.png, page-phone.png, page-panel.png,
-page-desk.png, rerun.png and foxglove.png into OUT. Needs Chromium and the extras `viewer`, `foxglove` and `dev`.
+plays the recording of a camera `front` as a line, slowly, and writes terminal.png, rerun.png, foxglove.png and
+the page by day and by night (page-panel.png, page-panel-night.png ...) at four widths into OUT. Needs Chromium and the
+extras `viewer`, `foxglove` and `dev`.
 Everything is shown as it stood in the middle of the run, while potatoes were in view that were not counted yet.
 """
 
@@ -35,8 +36,9 @@ LASTS_S = 150.0
 """The belt is slowed to run so long: pictures are taken by software rendering on a busy machine meanwhile."""
 LEAST_TUBERS, LEAST_SHOWN = 6, 5
 """Tubers that are counted, and frames that Rerun has, before pictures are taken."""
-SIZES = {"phone": (390, 844), "panel": (1280, 800), "desk": (1680, 1050)}
+SIZES = {"phone": (390, 844), "cab": (800, 480), "panel": (1280, 800), "desk": (1680, 1050)}
 """Of the page, in pixels; each picture is the whole page at that width."""
+SCHEMES = {"": "light", "-night": "dark"}
 LIMIT_S = 400
 RERUN_COLOURS = 400
 """Rerun's window without data has fewer; software rendering of it takes seconds a frame."""
@@ -133,7 +135,7 @@ def _look(browser: Browser, url: str, out: Path, *, seconds: float, colours: int
 
 
 def _page(browser: Browser, url: str, size: tuple[int, int], out: Path) -> None:
-    """The whole page at a width: pictures of the belt are only fetched for what is on the screen."""
+    """The whole page at a width, by day and by night. Pictures of the belt come only for what is on the screen."""
     width, height = size
 
     def resize(high: int) -> None:
@@ -144,9 +146,12 @@ def _page(browser: Browser, url: str, size: tuple[int, int], out: Path) -> None:
     _look(browser, url, out, seconds=3)
     asked = browser.page("Runtime.evaluate", expression="document.documentElement.scrollHeight", returnByValue=True)
     resize(int(asked["result"]["value"]))
-    time.sleep(3)
-    if picture := browser.png():
-        out.write_bytes(picture)
+    for ending, scheme in SCHEMES.items():
+        browser.page("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        time.sleep(3)
+        if picture := browser.png():
+            out.with_stem(out.stem + ending).write_bytes(picture)
+    browser.page("Emulation.setEmulatedMedia", features=[])
 
 
 def _terminal(browser: Browser, said: str, folder: Path, out: Path) -> None:

@@ -55,6 +55,7 @@ _STATE_COLORS = {
     "stalled": (220, 150, 40),
     "gone": (200, 60, 50),
 }
+_LABEL_RGB = (255, 255, 255)
 _YIELD_AT = (0.0, 0.5, 1.0)
 _YIELD_RGB = ((247, 120, 0), (252, 198, 69), (185, 121, 41))
 """Red, green and blue over the yield's range: light to dark, as `tuberline map` draws it."""
@@ -128,16 +129,19 @@ def _depth(primitive: DepthPicture) -> list[Any]:
 
 def _box(primitive: Box) -> list[Any]:
     half = primitive.yaw_rad / 2
+    # A label of its own: Rerun writes a box's label in the box's colour, pale on what lies behind it.
+    label = rr.Points3D(
+        [primitive.center_m], radii=[0.0], colors=[_LABEL_RGB], labels=[primitive.label], show_labels=True
+    )
     return [
         rr.Boxes3D(
             centers=[primitive.center_m],
             half_sizes=[primitive.half_size_m],
             quaternions=[rr.Quaternion(xyzw=(0.0, 0.0, math.sin(half), math.cos(half)))],
             colors=[primitive.color],
-            labels=[primitive.label] if primitive.label else None,
-            show_labels=True if primitive.label else None,
             fill_mode="solid" if primitive.solid else "majorwireframe",
-        )
+        ),
+        *([label] if primitive.label else []),
     ]
 
 
