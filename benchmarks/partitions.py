@@ -12,12 +12,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -34,8 +35,8 @@ from tuberline.replayer import fingerprint, prepare_out, recording_cameras, repl
 
 ROLES = {"camera": "field", "segmenter": "field", "regressor": "weigh", "aggregator": "yard", "router": "yard"}
 FAR_HOSTS = ("field", "weigh")
-CUT_AFTER_BYTES = 3000
-"""A camera's log of this size has tubers in it: the line is at work."""
+CUT_AFTER_ENTRIES = 4
+"""A camera's log with so many entries has tubers in it: the line is at work."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +139,7 @@ def troubled_replay(recording: Path, out: Path, trouble: Trouble) -> Replayed:
                 if time.monotonic() > deadline:
                     raise TimeoutError(f"{trouble.name}: no summary after {trouble.timeout_s:g} s; see {out / 'logs'}")
                 _raise_failed(nodes, out)
-                if cut_due and any(log.stat().st_size > CUT_AFTER_BYTES for log in (out / "state").glob("*.log")):
+                if cut_due and any(_entries(log) > CUT_AFTER_ENTRIES for log in (out / "state").glob("*.db")):
                     _cut(links, trouble)
                     cut_due = False
                 time.sleep(0.05)
@@ -153,6 +154,13 @@ def _raise_failed(nodes: dict[str, subprocess.Popen[bytes]], out: Path) -> None:
     for name, process in nodes.items():
         if process.poll() or (process.returncode == 0 and name != "aggregator"):
             raise TuberlineError(f"{name} ended with code {process.returncode}; see {out / 'logs' / f'{name}.log'}")
+
+
+def _entries(log: Path) -> int:
+    """How many entries a segmenter has logged; 0 while its file is being made."""
+    with suppress(sqlite3.Error), closing(sqlite3.connect(f"file:{log}?mode=ro", uri=True)) as db:
+        return int(db.execute("SELECT coalesce(max(newest), 0) FROM state").fetchone()[0])
+    return 0
 
 
 def _cut(links: dict[str, EmulatedLink], trouble: Trouble) -> None:
