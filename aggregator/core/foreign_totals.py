@@ -13,7 +13,8 @@ HIDDEN_SD, OF_ALL_SD = 0.6, 0.004
 """Standard deviations from load to load of how many others are taken for tubers: as a share of those that their odds
 tell, and of all bodies. What sets a clod's odds apart differs from camera to camera and from clod to clod. On the
 simulated day a third of all less missed two varieties of three."""
-TUBER_G_ML = 1.07
+TUBER_G_ML, TUBER_FILLED = 1.07, 0.88
+"""Of a tuber: density, and the part of the volume under its visible surface that is tuber."""
 VOLUME_SD = 0.15
 """Of a load's foreign weight: standard deviation of filling, density and of what is clod and what is stone."""
 
@@ -35,8 +36,8 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig, *, weight_g: float
     lump_g_ml = _lump_density(densities)
     haulm_ml = found.bodies.get("haulm", [0, 0.0])[1]
     lump_ml = found.bodies.get("lump", [0, 0.0])[1] - doubt.spared_ml
-    # What was taken for a tuber and is a clod weighs by its volume too: its grams say that volume.
-    hidden_g = doubt.hidden_g * lump_g_ml / TUBER_G_ML
+    # What was taken for a tuber and is a clod weighs by its volume too: its grams say what lies under its surface.
+    hidden_g = LUMP_FILLED * lump_g_ml * doubt.hidden_g / (TUBER_FILLED * TUBER_G_ML)
     foreign_g = max(0.0, LUMP_FILLED * (lump_ml * lump_g_ml + haulm_ml * densities.haulm_density) + hidden_g)
     half_g = NORMAL_90 * math.hypot(VOLUME_SD * foreign_g, count_sd * foreign_g / max(count, 1.0))
     tubers_g = max(0.0, (load.weight_g if weight_g is None else weight_g) - doubt.hidden_g)
