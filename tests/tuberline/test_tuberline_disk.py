@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -196,6 +197,11 @@ def test_a_replay_whose_disk_fills_up_ends_and_is_resumed(tmp_path: Path, belt: 
         code, said = tuberline("replay", belt, "--out", out, "--resume")
         assert code == 0, said
         summary = json.loads((out / "summary.json").read_text())
+        shutil.rmtree(out)
+        (small / "ballast").write_bytes(bytes((4 << 20) - 400_000))
+        code, said = tuberline("replay", belt, "--out", tmp_path / "out", "--regressors", "1", "--rrd", small / "x.rrd")
+        assert code == 0, said
+        assert re.search("--rrd .* ends early, its disk takes no more: No space left", said), said
         assert (summary["final"], summary["balanced"], summary["tubers"]["committed"]) == (True, True, 2)
     finally:
         subprocess.run(["umount", "-l", str(small)], check=True)

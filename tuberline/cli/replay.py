@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from conveyor.errors import InputError, TuberlineError
+from conveyor.files import check_place, unwritable
 from tuberline.cli.weigh import check_resting
 from tuberline.replayer import replay_recording, resume_replay
 
@@ -57,6 +58,8 @@ def replay(
         Print the summary as JSON on stdout.
     """
     factor = parse_speed(speed)
+    if rrd is not None:
+        check_place(rrd, option="--rrd")
     check_resting(resting_offset_mm or 0.0, resting_sd_mm or 0.0)
     if resume:
         summary = resume_replay(recording, out=out, show=not json)
@@ -74,6 +77,8 @@ def replay(
             contract=contract,
             show=not json,
         )
+    if rrd is not None and (trouble := unwritable(rrd.absolute().parent)):
+        sys.stderr.write(f"warning: --rrd {rrd} ends early, its disk takes no more: {trouble}\n")
     if json:
         sys.stdout.write(json_module.dumps(summary, indent=2) + "\n")
     else:
