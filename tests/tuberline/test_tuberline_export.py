@@ -217,7 +217,9 @@ def test_a_log_that_is_cut_short_or_lies_is_an_error(run: Path, tmp_path: Path) 
         read_time_logs(tmp_path / "two")
 
 
-def test_what_needs_a_place_says_so_and_nothing_is_left(run: Path, tmp_path: Path) -> None:
+def test_what_needs_a_place_says_so_and_nothing_is_left(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bare = tmp_path / "bare"
     shutil.copytree(run, bare, ignore=shutil.ignore_patterns("positions.csv"))
     for form, what in (("geojson", "tubers"), ("isoxml", "tubers"), ("csv", "cells")):
@@ -228,6 +230,9 @@ def test_what_needs_a_place_says_so_and_nothing_is_left(run: Path, tmp_path: Pat
     assert not list(tmp_path.glob("*out*"))
     export([bare], format="csv", out=tmp_path / "tubers.csv")
     assert "lat_deg" not in (tmp_path / "tubers.csv").read_text().splitlines()[0]
+    export([run], format="csv", out=tmp_path / "unplaced.csv")  # positions, and nothing that says the working width
+    assert (tmp_path / "unplaced.csv").read_text() == (tmp_path / "tubers.csv").read_text()
+    assert "tubers without their places: a map needs the working width" in capsys.readouterr().err
 
 
 def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -> None:

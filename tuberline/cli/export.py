@@ -69,7 +69,7 @@ def export(
     from aggregator.ledger.reader import ledger_file
     from tuberline.cli.progress import ledger_bar
     from tuberline.export.tubers import read_all
-    from tuberline.export.write import ENDINGS, REPORTS, Format
+    from tuberline.export.write import ENDINGS, NEED_PLACES, REPORTS, Format
     from tuberline.export.write import export as write
 
     form = Format(format)
@@ -83,9 +83,11 @@ def export(
             with ledger_bar("positions"):
                 field = _field(runs, track, {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}, tubers)
         except InputError as error:
-            if form not in REPORTS or track:
+            if track or form in NEED_PLACES or what == "cells":
                 raise
-            no_map = str(error)  # positions were found, a map was not asked for: the report says why
+            no_map = str(error)  # positions were found, a map was not asked for
+            if form not in REPORTS:  # which says why itself
+                sys.stderr.write(f"tubers without their places: {error}\n")
     folder = ledger_file(runs[0]).parent
     if form in REPORTS:
         from tuberline.export.report.make import write_report
