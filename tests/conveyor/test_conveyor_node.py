@@ -19,17 +19,25 @@ from tuberline.supervisor import ProcessSpec, Supervisor
 pytestmark = pytest.mark.graph
 
 NODE = """
-    import sys, time
+    import os, sys, time
     from conveyor.config import LineConfig, LinkConfig
     from conveyor.node import Node
-    with Node("camera", "front", config=LineConfig(link=LinkConfig(router=sys.argv[1])), run="r1") as node:
-        node.counters.add("frames_published", 7)
-        if sys.argv[2] == "hang":
-            node.stop.wait()
-            time.sleep(60)
-        while not node.stop.wait(0.05):
-            if sys.argv[2] == "works":
-                node.progress()
+
+    def work():
+        with Node("camera", "front", config=LineConfig(link=LinkConfig(router=sys.argv[1])), run="r1") as node:
+            node.counters.add("frames_published", 7)
+            if sys.argv[2] == "hang":
+                node.stop.wait()
+                time.sleep(60)
+            while not node.stop.wait(0.05):
+                if sys.argv[2] == "works":
+                    node.progress()
+
+    try:
+        work()
+    except SystemExit as left:  # stopped while it waited for a router
+        sys.stderr.flush()
+        os._exit(left.code)  # as `tuberline` does: on a busy machine the end of an interpreter takes too long
 """
 
 
