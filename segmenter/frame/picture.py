@@ -51,13 +51,13 @@ def picture(
 
 
 def save_picture(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write a PNG, or a JPEG where the name says so.
+    """Write a PNG.
 
     Raises:
         InputError: it cannot be written there.
     """
     # Encoded in memory: of a disk cv2 says only that it did not work.
-    _, encoded = cv2.imencode(".jpg" if path.suffix.lower() in (".jpg", ".jpeg") else ".png", image)
+    _, encoded = cv2.imencode(".png", image)
     with whole_output(path) as partial:
         partial.write_bytes(encoded.tobytes())
 
