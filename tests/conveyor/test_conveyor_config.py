@@ -11,6 +11,7 @@ import pytest
 
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.errors import ConfigError
+from tuberline.cli.config import check
 
 
 def write(tmp_path: Path, text: str) -> Path:
@@ -77,3 +78,11 @@ def test_the_command_exits_2_with_one_clear_text(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "did you mean 'views_per_tuber'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_recording_that_is_not_here_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It may be on another computer of the line; `run` was the first to say so."""
+    check(write(tmp_path, '[cameras.front]\npath = "gone.mcap"\n[cameras.rear]\npath = "."'))
+    told = capsys.readouterr()
+    assert "is fine: line 'line', cameras front, rear" in told.out
+    assert told.err == f"warning: cameras.front.path: {tmp_path / 'gone.mcap'} is not on this computer\n"

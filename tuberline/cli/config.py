@@ -15,7 +15,7 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 
 @config.command
 def check(config: Path) -> None:
-    """Say whether a line's TOML file is accepted; every fault is named.
+    """Say whether a line's TOML file is accepted; every fault is named. Recordings that are not here are warned of.
 
     Parameters
     ----------
@@ -25,6 +25,9 @@ def check(config: Path) -> None:
     line = load_config(config)
     cameras = ", ".join(sorted(line.cameras)) or "none"
     sys.stdout.write(f"{config} is fine: line '{line.name}', cameras {cameras}\n")
+    for name, camera in sorted(line.cameras.items()):
+        if camera.path is not None and not camera.path.exists():
+            sys.stderr.write(f"warning: cameras.{name}.path: {camera.path} is not on this computer\n")
 
 
 @config.command
