@@ -7,11 +7,14 @@ import numpy as np
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
+from segmenter.classify.patch import Patch
 from segmenter.pipeline import Segmenter, Settings
 
 
 def warm_up(pixel_mm: float) -> None:
-    """Run the core over two frames of two touching boxes on a belt, with one thread per library."""
+    """Run the core over two frames of two touching boxes on a belt, with one thread per library: every kernel that
+    frames of a line call has been called then.
+    """
     cv2.setNumThreads(1)
     core = Segmenter(Settings())
     for seq, row in enumerate((60, 64)):
@@ -32,3 +35,5 @@ def warm_up(pixel_mm: float) -> None:
         )
         # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
         core.step(Frame.decode(frame.encode()))
+    # What is asked of a track at its end, which two frames have none of.
+    Patch(observations=1).channels()
