@@ -92,8 +92,9 @@ def test_a_camera_process_hears_ros_2_and_counts_what_is_lost(link: LinkConfig, 
             assert not skips
             for frame in got.values():
                 n = round((frame.captured_ns - stamp_ns(0)) / (stamp_ns(1) - stamp_ns(0)))
-                # The stamps go back to the first after 50 images; a camera steadies a clock that steps back.
-                assert np.array_equal(frame.depth, depth_mm(n % 50))
+                # The stamps go back to the first after 50 images; a clock that steps back is steadied, to a frame.
+                near = (n,) if n < 50 else (n - 1, n, n + 1)
+                assert any(np.array_equal(frame.depth, depth_mm(one % 50)) for one in near)
                 assert (frame.depth_scale_m, frame.belt_distance_m, frame.intrinsics.height) == (0.001, 0.46, HEIGHT)
             wait_until(lambda: (c := side.counters()) and c.gauges["source_silent_s"] > 1, what="the silence to show")
             running.send_signal(signal.SIGTERM)
