@@ -20,7 +20,6 @@ from conveyor.node import Node
 RING_FRAMES = 48
 """Newest frames kept while the disk is slow: 0.8 s of two cameras at 30 frames/s, 40 MB at 848x480."""
 
-
 MOST_POSITIONS = 1024
 """Kept while the disk is slow: 100 s of a receiver with 10 positions a second."""
 
@@ -39,7 +38,7 @@ class _Positions:
         while (at := self._heard.get(0.0)) is not None:
             if self._writer is None:
                 self._writer = self._files.enter_context(PositionsWriter(self._path))
-            self._writer.write((at.time_ns, at.fix_ns, at.lat_deg, at.lon_deg, at.quality, at.hdop, at.satellites))
+            self._writer.add(at)
             self._counters.add("positions_written")
 
 

@@ -90,8 +90,7 @@ class GnssNode:
             satellites=fix.satellites,
         )
         position.check()
-        row = (position.time_ns, fix.fix_ns, fix.lat_deg, fix.lon_deg, fix.quality, fix.hdop, fix.satellites)
-        file.write(row)
+        file.add(position)
         out.put(position)
         self._node.counters.add("positions")
         self._node.counters.add("no_fix", int(fix.quality == 0))

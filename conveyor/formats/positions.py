@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 from conveyor.errors import InputError, StorageError
 from conveyor.files import told
 from conveyor.formats.nmea import NmeaFixes
+from conveyor.messages import Position
 
 POSITIONS_FILE = "positions.csv"
 COLUMNS = ("n", "time_ns", "fix_ns", "lat_deg", "lon_deg", "quality", "hdop", "satellites", "crc")
@@ -94,6 +95,10 @@ class PositionsWriter:
         except OSError as error:
             raise StorageError(f"positions {told(error, self._path)}") from error
         self.rows += 1
+
+    def add(self, at: Position) -> None:
+        """Add a position of the line, as `write` does."""
+        self.write(getattr(at, name) for name in COLUMNS[1:-1])
 
     def _add(self, line: str) -> None:
         self._file.write(line.encode() + b"\n")
