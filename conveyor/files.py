@@ -92,6 +92,17 @@ def check_place(target: Path, *, option: str) -> None:
         raise InputError(f"{option} {target} cannot be written: {trouble}")
 
 
+def check_picture(target: Path, *, option: str) -> None:
+    """The same of a PNG.
+
+    Raises:
+        InputError: as `check_place`, or its name does not say what it is.
+    """
+    if target.suffix != ".png":
+        raise InputError(f"{option} is {target}; the picture's name must end in .png")
+    check_place(target, option=option)
+
+
 def unwritable(folder: Path) -> str:
     """Why nothing more goes onto the disk of `folder`, and how to fix it; empty where there is room."""
     try:

@@ -16,7 +16,7 @@ from conveyor.belt_findings import belt_findings
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
-from conveyor.files import cause, unwritable
+from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
 from conveyor.taken import check_port_free
 from tuberline.processes import line_processes
@@ -206,7 +206,8 @@ def take_positions(recording: Path, out: Path) -> None:
 
     positions = recording_files(recording).get(POSITIONS_FILE)
     if positions is not None:
-        (out / POSITIONS_FILE).write_bytes(positions)
+        with whole_output(out / POSITIONS_FILE) as part:
+            part.write_bytes(positions)
 
 
 def stated_belt(recording: Path, cameras: list[str], offset_mm: float | None, sd_mm: float | None) -> dict[str, float]:

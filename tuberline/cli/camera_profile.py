@@ -46,7 +46,7 @@ def profile(
 
     from conveyor.camera_range import camera_range
     from conveyor.extras import install_hint
-    from conveyor.files import check_place, whole_output
+    from conveyor.files import check_picture, whole_output
     from regressor.network.checkpoint import SHIPPED, read_checkpoint
     from segmenter.profile.recording import profile_recording
     from tuberline.cli.progress import frames_bar
@@ -57,10 +57,8 @@ def profile(
         raise InputError(f"--baseline-mm is {baseline_mm:g}; allowed are 1 to 1000")
     if out is not None and importlib.util.find_spec("matplotlib") is None:
         raise InputError(f"the picture needs matplotlib; {install_hint('train')}")
-    if out is not None and out.suffix != ".png":
-        raise InputError(f"--out is {out}; the picture's name must end in .png")
     if out is not None:
-        check_place(out, option="--out")
+        check_picture(out, option="--out")
     sidecar = read_checkpoint(weights or SHIPPED)[1]
     trained = camera_range(sidecar.worlds)
     baseline_m = None if baseline_mm is None else baseline_mm / 1000

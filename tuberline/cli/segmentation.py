@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from conveyor.errors import InputError
-
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -62,14 +60,12 @@ def segment(
     json
         Print the counted tracks as JSON on stdout.
     """
-    from conveyor.files import check_place
+    from conveyor.files import check_picture
     from segmenter.studies.offline import segment_recording
     from tuberline.cli.progress import frames_bar
 
     if picture is not None:
-        if picture.suffix != ".png":
-            raise InputError(f"--picture is {picture}; the picture's name must end in .png")
-        check_place(picture, option="--picture")
+        check_picture(picture, option="--picture")
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
