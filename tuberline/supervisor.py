@@ -168,9 +168,12 @@ class Supervisor:
 
     def last_words(self, name: str) -> str:
         """The error that a child ended with, without its 'tuberline: '; else the last lines it wrote."""
-        tail = self.log_tail(name)
-        said = [line for line in tail.splitlines() if line.startswith(WORD)]
-        return tail[tail.rindex(said[-1]) + len(WORD) :] if said else tail
+        return self._said(name) or self.log_tail(name)
+
+    def _said(self, name: str) -> str:
+        """What a child wrote from its last sentence on; empty where its last lines hold none."""
+        _, word, said = f"\n{self.log_tail(name)}".rpartition(f"\n{WORD}")
+        return said if word else ""
 
     def stop(self) -> None:
         """SIGTERM to all, last started first; SIGKILL to those still there after 4 s."""
@@ -279,8 +282,7 @@ class Supervisor:
 
     def _why(self, child: _Child) -> str:
         """Its own last sentence; where its log could not take that, what is wrong with the log's disk."""
-        said = [line for line in self.log_tail(child.spec.name).splitlines() if line.startswith(WORD)]
-        told = self.disk_trouble or (said[-1].removeprefix(WORD) if said else "")
+        told = self.disk_trouble or self._said(child.spec.name).partition("\n")[0]
         return told and f": {told}"
 
     @staticmethod
