@@ -28,9 +28,9 @@ from conveyor.messages import Frame
 from tuberline.demo import DEMO_LAYOUT, DEMO_SETTINGS
 
 VIEWS_BEFORE = {
-    "easy": "3457ba9837f21e4b9e30ee8ec92b13fab016f8b5352492164fea8b6049ed7028",
-    "field": "db1efebc6c07f09a99f91926e5afd4a4a92c165a15f2241731982ef23774ed6c",
-    "mixed": "8935bf9d5aab84b34e49ca6bcd35dcec83472b4da2cac3590e2ebc8e967b9b25",
+    "easy": "cd5b6688777f8669d43d0259ff697f0ff3de32264201fb0198511121c6852cca",
+    "field": "ec3633f888d8d8a003a25a132c45be00ffbaaeeff1e524a3deb22f67d5414cd5",
+    "mixed": "4c79ac42b81b3cc1bcdd09c37051a57ff4a459ee723a4f0442ed40b6980556c3",
 }
 """Of all arrays that packs had before recordings had worlds, as they were then."""
 ARRAYS_BEFORE = (
@@ -59,7 +59,10 @@ def test_views_of_the_old_presets_are_what_they_were(preset: str) -> None:
     arrays = pack_views([packed(view) for tuber in range(12) for view in simulator.views(tuber)])
     digest = hashlib.sha256()
     for name in ARRAYS_BEFORE:
-        digest.update(name.encode() + arrays[name].tobytes())
+        array = arrays[name]
+        # The last bits of a product of matrices differ between processors; no pixel does.
+        rounded = np.round(array, 6) if array.dtype.kind == "f" else array
+        digest.update(name.encode() + rounded.tobytes())
     assert digest.hexdigest() == VIEWS_BEFORE[preset]
 
 
