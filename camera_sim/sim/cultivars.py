@@ -120,6 +120,10 @@ STOCKS: tuple[Stock, ...] = (
 )
 
 
+ODD_STOCK = Stock("odd", "none", 0, STOCKS[0].mean, STOCKS[0].covariance, (1.07, 0.02))
+"""Shapes of no cultivar, drawn by `tubers.draw_odd_tuber`; only its names and its density are used."""
+
+
 @lru_cache(maxsize=32)
 def _root(covariance: tuple[float, ...]) -> NDArray[np.float64]:
     """(4, 4) lower Cholesky factor of a stock's covariance."""

@@ -41,7 +41,7 @@ class StereoNoise:
         drift_px: what every disparity is too large by; scale: what every depth is too large by, as a factor.
         islands: false matches per megapixel; island_px: by how much they are off, smallest and largest.
         rim_px, outline_px: width of the holes at outlines, on the nearer and on the farther surface's side.
-        blob_px: size of the spots without texture, 2 or 5.
+        blob_px: size of the spots without texture, 2 or 5. blur_px: of the matching window, sigma; 0 blurs nothing.
     """
 
     fine_px: float = 0.010
@@ -59,6 +59,7 @@ class StereoNoise:
     rim_px: float = 0.0
     outline_px: float = 0.0
     blob_px: int = 2
+    blur_px: float = BLUR_PX
 
     def seen_m(self, depth_m: float, *, focal_px: float) -> float:
         """What this camera takes the depth `depth_m` for, without noise, metres."""
@@ -72,6 +73,8 @@ class StereoNoise:
 
 
 EASY = StereoNoise()
+EXACT = StereoNoise(fine_px=0.0, mid_px=0.0, smooth_px=0.0, edge_px=0.0, steep=float("inf"), bare=0.0, blur_px=0.0)
+"""Nothing but steps of disparity, rounding, and what the right imager does not see."""
 FIELD = StereoNoise(fine_px=0.015, mid_px=0.018, smooth_px=0.085, edge_px=1.6, steep=0.5, bare=0.001)
 
 
@@ -118,7 +121,8 @@ def measure(
     strength = focal_px * BASELINE_M
     true = (strength / depth_m).astype(np.float32)
     d = _wander(true, noise.edge_px, bank, rng)
-    d = _as_field(cv2.GaussianBlur(d, (0, 0), BLUR_PX))
+    if noise.blur_px > 0:
+        d = _as_field(cv2.GaussianBlur(d, (0, 0), noise.blur_px))
     steepness = _steepness(d)
     worse = 1 + np.float32(2.5) * np.minimum(steepness, np.float32(2))
     d = d + np.float32(noise.fine_px) * bank.take(bank.white, rng, height, width) * worse

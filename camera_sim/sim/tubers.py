@@ -8,13 +8,18 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from camera_sim.sim.cultivars import Recipe, Stock, draw_recipe
+from camera_sim.sim.cultivars import ODD_STOCK, Recipe, Stock, draw_recipe
 from camera_sim.sim.mesh_size import square_mesh_m
 from camera_sim.sim.meshes import Faces, Vertices, icosphere, volume
 
 LEVEL = 4
 FULLNESS = (1.6, 3.2)
 """Allowed superellipsoid exponents: 2 is an ellipsoid, above 3.2 outlines look like boxes, below 1.6 like kites."""
+
+ODD_FULLNESS = (1.7, 2.8)
+ODD_WIDTH, ODD_DEPTH = (0.5, 1.0), (0.6, 1.0)
+"""Of odd tubers: width over length, depth over width."""
+ODD_WEIGHT_G = (20.0, 450.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,26 @@ def grow(recipe: Recipe, rng: Generator, *, level: int = LEVEL) -> Tuber:
     volume_ml = volume(vertices, faces) * 1e6
     length, width, depth = (scale * axis for axis in recipe.axes_mm)
     return Tuber(vertices, faces, (length, width, depth), volume_ml, volume_ml * recipe.density_g_ml, recipe.stock)
+
+
+def draw_odd_tuber(rng: Generator, *, level: int = LEVEL) -> Tuber:
+    """A tuber of no cultivar: any fullness, slimmer and flatter than real ones, half of them smooth and straight.
+
+    Ellipsoids and boxes of other simulators are like these; weights are uniform in their logarithm.
+    """
+    directions, faces = icosphere(level)
+    width, depth = rng.uniform(*ODD_WIDTH), rng.uniform(*ODD_DEPTH)
+    half = np.array([1.0, width, width * depth])
+    density = ODD_STOCK.density_g_ml[0] + ODD_STOCK.density_g_ml[1] * float(np.clip(rng.standard_normal(), -2.5, 2.5))
+    weight_g = float(np.exp(rng.uniform(*np.log(ODD_WEIGHT_G))))
+    recipe = Recipe(ODD_STOCK, (2.0, 2 * width, 2 * width * depth), weight_g / density, density, 0.0)
+    form = _draw_form(recipe, rng, directions)
+    if rng.random() < 0.5:
+        form = _Form(np.zeros(len(directions)), form.lobes, 0.0, 0.0, 0.0)
+    vertices = _shape(directions, form, float(rng.uniform(*ODD_FULLNESS)), half)
+    vertices *= (recipe.volume_ml * 1e-6 / volume(vertices, faces)) ** (1 / 3)
+    length, width_mm, depth_mm = (float(1000 * extent) for extent in np.ptp(vertices, axis=0))
+    return Tuber(vertices, faces, (length, width_mm, depth_mm), recipe.volume_ml, weight_g, ODD_STOCK)
 
 
 def with_jacket(tuber: Tuber, rng: Generator, *, mean_m: float) -> Tuber:

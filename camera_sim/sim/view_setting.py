@@ -25,7 +25,8 @@ class ViewPlan:
     """What a pack of views shall hold.
 
     Attributes:
-        preset: 'easy', 'field', 'harsh', 'mixed' (easy or field by tuber) or 'worlds' (any, by recording).
+        preset: 'easy', 'field', 'harsh', 'exact', 'mixed' (easy or field by tuber) or 'worlds' (any but exact, by
+            recording).
         optics: None is either D405 resolution.
     """
 

@@ -16,10 +16,10 @@ from camera_sim.sim.lowering import settled, underside_of
 from camera_sim.sim.meshes import Vertices, inverse_rigid, rotation_about
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.poses import free_rotation, rest_on_belt
-from camera_sim.sim.presets import initial_rotation
+from camera_sim.sim.presets import PRESETS, initial_rotation
 from camera_sim.sim.raster import Canvas, Window, canvas_over, draw
 from camera_sim.sim.stereo import NoiseBank, measure
-from camera_sim.sim.tubers import Tuber, draw_tuber
+from camera_sim.sim.tubers import Tuber, draw_odd_tuber, draw_tuber
 from camera_sim.sim.view_setting import (
     TUBERS_PER_RECORDING,
     Recording,
@@ -97,7 +97,7 @@ class ViewSimulator:
         plan = self._plan
         rng = np.random.default_rng([plan.seed, 1, tuber_id])
         recording = self._recording_of(tuber_id)
-        tuber = draw_tuber_of(recording.conditions, rng) if recording.conditions else draw_tuber(rng)
+        tuber = _draw_tuber(plan, recording, rng)
         setting = draw_setting(plan, recording, self._belts, rng)
         preset = setting.preset
         start = initial_rotation(tuber.vertices, preset, rng)
@@ -176,6 +176,13 @@ class ViewSimulator:
             conditions=conditions,
             stated=setting.recording.stated,
         )
+
+
+def _draw_tuber(plan: ViewPlan, recording: Recording, rng: Generator) -> Tuber:
+    if recording.conditions is not None:
+        return draw_tuber_of(recording.conditions, rng)
+    odd = PRESETS[plan.preset].odd_share if plan.preset in PRESETS else 0.0
+    return draw_odd_tuber(rng) if odd > 0 and rng.random() < odd else draw_tuber(rng)
 
 
 def _lie(tuber: Tuber, rotation: Vertices, setting: Setting, rng: Generator, *, lift_m: float) -> _Lying:

@@ -2,7 +2,7 @@
 
 Inputs (B clouds): `groups` (B, 256, 3) float32: 64 neighbours, 64 first-stage and 128 second-stage centroids, centred,
 metres, as `regressor.network.fast.groups_tensor` lays them out; `height_m` (B,) float32 above the resting level;
-`features` (B, 17) float64 of the visible surface; `belt_sd_m` and `noise_px` (B,) float64. Outputs, (B,) float64
+`features` (B, 35) float64 of the visible surface; `belt_sd_m` and `noise_px` (B,) float64. Outputs, (B,) float64
 grams: `weight_g` with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of, `network_g`
 and `volume_g`.
 Clouds whose radius binds (`grouping.GatheredGroups`) are not for this form.

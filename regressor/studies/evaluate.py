@@ -179,7 +179,7 @@ def _groups(views: list[LabelledView]) -> dict[str, NDArray[np.str_]]:
 
     world = {
         name: labels
-        for name in ("preset", "pose", "rim", "surface", "calibrated")
+        for name in ("preset", "pose", "rim", "surface", "soil", "calibrated")
         if not ((labels := np.array([getattr(view, name) for view in views])) == UNKNOWN).all()
     }
     return {

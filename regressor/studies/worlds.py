@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from regressor.studies.evaluate import SHIPPED, Evaluation, fused_tubers, load_half_share
 
-BY = ("pose", "rim", "weight", "season", "belt distance", "surface")
+BY = ("pose", "rim", "weight", "season", "belt distance", "surface", "soil")
 WEIGHT_EDGES_G = (0, 50, 100, 200, 300)
 DRAWS = 400
 LEVEL = 0.9
@@ -60,7 +60,7 @@ def by_class(result: Evaluation, by: tuple[str, ...] = BY, *, seed: int = 0) -> 
     rows = []
     for name, labels in _labels(result, by):
         for label in np.unique(labels):
-            for preset, inside in _presets(result):
+            for preset, inside in _worlds(result):
                 chosen = inside & (labels == label)
                 if chosen.sum() < FEWEST_VIEWS:
                     continue
@@ -87,7 +87,7 @@ def by_preset(result: Evaluation, *, seed: int = 0) -> list[PresetRow]:
     middle, truth, below, above = fused_tubers(result)
     _, first = np.unique(result.tuber, return_index=True)
     tubers_held = (truth >= middle - below) & (truth <= middle + above)
-    presets = list(_presets(result))
+    presets = list(_worlds(result))
     if len(presets) > 1:
         presets.append(("all", np.ones(len(held), np.bool_)))
     rows = []
@@ -142,6 +142,17 @@ def _presets(result: Evaluation) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     labels = result.groups.get("preset", np.full(len(result.weight_g), "all"))
     for preset in np.unique(labels):
         yield str(preset), labels == preset
+
+
+def _worlds(result: Evaluation) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+    """The presets, and of those with soil on some tubers the clean ones: no view shows what soil adds to a volume, and
+    the truth is without it.
+    """
+    soil = result.groups.get("soil")
+    for name, inside in _presets(result):
+        yield name, inside
+        if soil is not None and "soil" in soil[inside] and (inside & (soil == "clean")).any():
+            yield f"{name}, clean tubers", inside & (soil == "clean")
 
 
 def _labels(result: Evaluation, by: tuple[str, ...]) -> Iterator[tuple[str, NDArray[np.str_]]]:

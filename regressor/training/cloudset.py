@@ -25,7 +25,7 @@ from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
-from regressor.weigh import outline, prepare, surface
+from regressor.weigh import outline, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 from regressor.weigh.view_features import view_features
 
@@ -48,7 +48,7 @@ class CloudSet:
     Attributes:
         points: (n, `keep`, 3) float32, level frame, centred on the mean of all points, in sampling order; short clouds
             repeat their points.
-        height_m: (n,) float64, above the belt, not clamped. features: (n, 17) as in `surface.NAMES`.
+        height_m: (n,) float64, above the belt, not clamped. features: (n, 35) as in `surface.NAMES`.
         weight_g, volume_ml, length_mm, belt_distance_m, belt_sd_m, row_share: (n,) float64.
         rim_lost, shortest_deg, longest_deg, soil_mm: (n,) as in `LabelledView`, NaN where unknown.
         resting_sd_m: (n,) how well the resting offset is known; heights and features count from the stated level.
@@ -100,7 +100,7 @@ class CloudSet:
 
     @property
     def view_features(self) -> NDArray[np.float64]:
-        """(n, 19) what rules read, as in `view_features.VIEW_NAMES`."""
+        """(n, 37) what rules read, as in `view_features.VIEW_NAMES`."""
         return view_features(self.features, self.noise_px, self.level_sd_m)
 
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
@@ -185,7 +185,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     for path in labelled_files(folder):
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
-    for module in (labelled, prepare, sampling, outline, surface, depth_noise):
+    for module in (labelled, prepare, sampling, outline, surface, profile, depth_noise):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()[:16]
 

@@ -28,7 +28,7 @@ Resting = Literal["calibrated", "stated"]
 as a calibration finds it, the mean level of the recording's undersides, with soil under them and play between rods, and
 with that calibration's error. What no one can know is no part of a training."""
 CALIBRATED_SD_M = 0.001
-OWN_ERROR = ("easy", "field")
+OWN_ERROR = ("easy", "field", "exact")
 """Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
 UNKNOWN = "unknown"
 NUMBERS = ("rim_lost", "shortest_deg", "longest_deg", "soil_mm")
@@ -77,6 +77,13 @@ class LabelledView:
     shortest_deg: float = math.nan
     longest_deg: float = math.nan
     soil_mm: float = math.nan
+
+    @property
+    def soil(self) -> str:
+        """Whether soil sticks to the tuber: 'soil', 'clean' or 'unknown'."""
+        if math.isnan(self.soil_mm):
+            return UNKNOWN
+        return "soil" if self.soil_mm > 0 else "clean"
 
     @property
     def level_sd_m(self) -> float:

@@ -92,7 +92,7 @@ def restack(
 def cross_fitted(
     seen: CloudSet, views: CloudSet, *, with_seen: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """((n,) grams of the volume rule on `views`, (n, 3) what views show of `blend.SEEN`, or None).
+    """((n,) grams of the volume rule on `views`, (n, k) what views show of `blend.SEEN`, or None).
 
     Each by a fit on `seen` and on the other recordings of `views`.
     """

@@ -50,7 +50,7 @@ class WeighingGraph(nn.Module):
 
         Args:
             groups: (B, 256, 3) float32, as `groups_tensor` lays them out. height_m: (B,) float32 above the resting
-                level. features: (B, 17) float64 in the order of `surface.NAMES`. belt_sd_m, noise_px: (B,) float64; a
+                level. features: (B, 35) float64 in the order of `surface.NAMES`. belt_sd_m, noise_px: (B,) float64; a
                 noise of 0 is one that is not known.
         """
         network_g = self.network(groups, height_m.clamp(0.0, self._highest_m)).double()
@@ -84,7 +84,7 @@ class WeighingGraph(nn.Module):
 
 
 def view_features(features: Tensor, noise_px: Tensor, level_sd_m: Tensor) -> Tensor:
-    """(B, 19); as `view_features.view_features`, a noise of 0 being one that is not known."""
+    """(B, 37); as `view_features.view_features`, a noise of 0 being one that is not known."""
     noise = torch.where(noise_px > 0, noise_px, TYPICAL_NOISE_PX * _one(noise_px)).clamp(LEAST_NOISE_PX, MOST_NOISE_PX)
     level_sd_mm = (1e3 * level_sd_m).clamp(LEAST_SD_MM, MOST_SD_MM)
     return torch.cat([features, noise[:, None], level_sd_mm[:, None]], dim=1)

@@ -17,8 +17,10 @@ from scipy.spatial import cKDTree
 
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
+from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
+from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.surface import SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
@@ -140,6 +142,9 @@ def prepare_cloud(
 ) -> PreparedCloud:
     """A cloud that came without its image, from a camera that looks straight down.
 
+    Where its points are pixels of a camera, it is that camera's image again (`pixel_grid`); else it is laid on a grid
+    of about four points a cell.
+
     Args:
         points_in_camera: (N, 3), metres, one tuber. Millions are thinned out first.
         resting_offset_m: how far its underside lies below the belt.
@@ -154,6 +159,23 @@ def prepare_cloud(
         raise RefusedCloud("empty_cloud")
     if not np.isfinite(points).all():
         raise RefusedCloud("not_finite")
+    image = pixel_grid(points) if len(points) <= MAX_POINTS else None
+    if image is not None:
+        return prepare_depth(
+            image.depth,
+            depth_scale_m=image.depth_scale_m,
+            fx=image.fx,
+            fy=image.fy,
+            cx=image.cx,
+            cy=image.cy,
+            belt_from_camera=straight_down_belt_from_camera(belt_distance_m),
+            resting_offset_m=resting_offset_m,
+        )
+    return _prepare_points(points, belt_distance_m=belt_distance_m, resting_offset_m=resting_offset_m)
+
+
+def _prepare_points(points: NDArray[np.float64], *, belt_distance_m: float, resting_offset_m: float) -> PreparedCloud:
+    """A cloud without pixels."""
     points = thinned(points)
     points = points[_without_strays(points) & (points[:, 2] > 0)]
     if len(points) < MIN_POINTS:

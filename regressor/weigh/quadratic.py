@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.surface import NAMES
+from regressor.weigh.surface import FIRST_NAMES
 from regressor.weigh.view_features import VIEW_NAMES
 
 UNITS = ("_ml", "_cm2", "_mm", "_px")
@@ -85,26 +85,26 @@ class QuadraticRule:
     high: tuple[float, ...]
     least: float
     most: float
-    names: tuple[str, ...] = NAMES
+    names: tuple[str, ...] = FIRST_NAMES
 
-    def values(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) of (n, k) features in the order of `names`."""
+    def values(self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None) -> NDArray[np.float64]:
+        """(n,) of (n, k) features in the order of `known`, which is that of `names` where it is not given."""
         low, high = array_of(self.low), array_of(self.high)
-        terms = np.clip(terms_of(features, self.names, known=self.names), low, high)
+        terms = np.clip(terms_of(features, self.names, known=known or self.names), low, high)
         found = self.intercept + terms @ array_of(self.coefficients)
         found = found + pairs_of(terms, low, high) @ array_of(self.products)
         clipped: NDArray[np.float64] = np.clip(found, self.least, self.most)
         return clipped
 
     def to_json(self) -> dict[str, Any]:
-        """For the sidecar of a checkpoint; names only where they are not those of every surface."""
-        return {name: value for name, value in asdict(self).items() if name != "names" or self.names != NAMES}
+        """For the sidecar of a checkpoint; names only where they are not the first."""
+        return {name: value for name, value in asdict(self).items() if name != "names" or self.names != FIRST_NAMES}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> QuadraticRule:
         """From the sidecar of a checkpoint."""
         lists = {name: tuple(float(v) for v in data[name]) for name in ("coefficients", "products", "low", "high")}
-        names = tuple(str(name) for name in data.get("names", NAMES))
+        names = tuple(str(name) for name in data.get("names", FIRST_NAMES))
         least, most = float(data["least"]), float(data["most"])
         return cls(intercept=float(data["intercept"]), least=least, most=most, names=names, **lists)
 
@@ -113,7 +113,7 @@ def fit_quadratic(
     features: NDArray[np.float64],
     target: NDArray[np.float64],
     *,
-    names: tuple[str, ...] = NAMES,
+    names: tuple[str, ...] = FIRST_NAMES,
     weights: NDArray[np.float64] | None = None,
 ) -> QuadraticRule:
     """Ridge-regularised least squares of (n,) targets on (n, k) features in the order of `names`.

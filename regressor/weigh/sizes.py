@@ -29,7 +29,7 @@ from regressor.weigh.viewscale import ScaleRule, fit_scale
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-sizes.json"
 FORMAT = "tuberline-sizes/1"
-FEATURES = (*surface.NAMES, *completed.NAMES)
+FEATURES = (*surface.FIRST_NAMES, *completed.NAMES)
 """What the rules read."""
 LEAST_HEIGHT_M = 0.005
 
@@ -131,4 +131,4 @@ def size_features(cloud: PreparedCloud) -> NDArray[np.float64]:
     level = cloud.points.astype(np.float64) + np.array(cloud.centre_m)
     distance_m = cloud.belt_distance_m + cloud.resting_offset_m
     sizes = completed.completed_sizes_mm(level, distance_m=distance_m, height_m=max(cloud.height_m, LEAST_HEIGHT_M))
-    return np.array([*cloud.surface.as_array(), *sizes])
+    return np.array([*cloud.surface.as_array()[: len(surface.FIRST_NAMES)], *sizes])

@@ -2,7 +2,7 @@
 
 All heights count from the resting level, where its underside lies. Cross sections high up and the curvature of the top
 do not change when a camera loses the rim; the rim's height tells how much of it was lost, and rim and top together how
-the tuber lies (undercut, tilted, standing).
+the tuber lies (undercut, tilted, standing). How the surface falls in between is `profile`'s.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from regressor.weigh.profile import PROFILE_NAMES, rim_profile
 
 LEVELS = (0.50, 0.70, 0.85)
 """Of the height: where cross sections are taken."""
@@ -43,6 +45,7 @@ class SurfaceFeatures:
         tilt: how far the top lies off the outline's middle, over the outline's mean radius; lean: the part of it that
             points away from the camera.
         hole_share: share of the outline's inside that had no depth. off_axis: tangent of the angle it is seen under.
+        profile: (18,) as in `profile.PROFILE_NAMES`.
     """
 
     volume_ml: float
@@ -62,13 +65,16 @@ class SurfaceFeatures:
     lean: float
     hole_share: float
     off_axis: float
+    profile: tuple[float, ...]
 
     def as_array(self) -> NDArray[np.float64]:
-        """(17,) float64 in the order of `NAMES`."""
-        return np.array([getattr(self, name) for name in NAMES])
+        """(35,) float64 in the order of `NAMES`."""
+        return np.array([*(getattr(self, name) for name in FIRST_NAMES), *self.profile])
 
 
-NAMES = tuple(SurfaceFeatures.__dataclass_fields__)
+FIRST_NAMES = tuple(name for name in SurfaceFeatures.__dataclass_fields__ if name != "profile")
+"""What sizes read, and rules from before there was a profile."""
+NAMES = (*FIRST_NAMES, *PROFILE_NAMES)
 
 
 def surface_features(
@@ -119,6 +125,7 @@ def surface_features(
         lean=float(off_top @ away) / radius_m,
         hole_share=holes / len(heights),
         off_axis=float(np.linalg.norm(centre)) / distance_m,
+        profile=tuple(rim_profile(level, areas_m2, inside, heights=heights, height_m=height_m).tolist()),
     )
 
 

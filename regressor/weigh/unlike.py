@@ -31,7 +31,7 @@ def camera_terms(noise_px: NDArray[np.float64], features: NDArray[np.float64]) -
 
     Args:
         noise_px: (n,) local noise on the skin, pixels of disparity at a baseline of 18 mm; NaN: not known.
-        features: (n, 17) as in `surface.NAMES`.
+        features: (n, 17) or more, as in `surface.NAMES`.
     """
     noise = np.maximum(np.where(np.isfinite(noise_px), noise_px, TYPICAL_PX), LEAST_PX)
     much = np.log(np.maximum(noise / MUCH_PX, 1.0))

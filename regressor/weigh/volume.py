@@ -44,7 +44,7 @@ class VolumeRule:
     products: tuple[float, ...] = ()
 
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) grams of (n, 19) features in the order of `VIEW_NAMES`."""
+        """(n,) grams of (n, 37) features in the order of `VIEW_NAMES`."""
         terms = terms_of(features, self.names)
         ln_g = self.intercept + terms @ array_of(self.coefficients)
         if self.products:
@@ -91,7 +91,7 @@ def fit_volume_rule(
     Its relative errors are uncorrelated with every term: no bias over size, pose or rim as far as the terms show them.
 
     Args:
-        features: (n, 19) in the order of `VIEW_NAMES`. weight_g: (n,). squares: with products of terms.
+        features: (n, 37) in the order of `VIEW_NAMES`. weight_g: (n,). squares: with products of terms.
     """
     terms = terms_of(features, names)
     low, high = ranges_of(terms)

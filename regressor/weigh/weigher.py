@@ -210,7 +210,7 @@ class Weigher:
 
 
 def features_of(cloud: PreparedCloud, level_sd_m: float) -> NDArray[np.float64]:
-    """(1, 19) of `VIEW_NAMES`, over a resting level with that standard deviation."""
+    """(1, 37) of `VIEW_NAMES`, over a resting level with that standard deviation."""
     noise_px = np.nan if cloud.noise_px is None else cloud.noise_px
     return view_features(cloud.surface.as_array()[None], [noise_px], [level_sd_m])
 

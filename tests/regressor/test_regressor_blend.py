@@ -16,7 +16,7 @@ from regressor.weigh.blend import BlendRule, fit_blend
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.quadratic import fit_quadratic
 from regressor.weigh.surface import NAMES
-from regressor.weigh.view_features import TYPICAL_PX, view_features
+from regressor.weigh.view_features import TYPICAL_PX, VIEW_NAMES, view_features
 from regressor.weigh.volume import FIRST_NAMES, VolumeRule, fit_volume_rule
 from regressor.weigh.weigher import Weigher, features_of
 from tests.regressor.ellipsoids import ellipsoid_view
@@ -25,7 +25,7 @@ SEED = 7
 
 
 def _views(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(features (n, 19), weight_g, share of the rim lost): a lost rim takes area and volume and lifts the rim."""
+    """(features (n, 37), weight_g, share of the rim lost): a lost rim takes area and volume and lifts the rim."""
     weight = rng.lognormal(5.0, 0.6, count)
     size = np.cbrt(weight / 150)
     squat = np.exp(rng.normal(0, 0.12, count))
@@ -97,14 +97,14 @@ def test_a_rule_trusts_heights_as_far_as_the_level_is_known() -> None:
 
 
 def test_the_blend_leaves_no_bias_over_true_size_and_rim() -> None:
-    """Half of the correction for the rim is applied (STRENGTH); all of that for the weight."""
+    """A part of the correction for the rim is applied (STRENGTH); all of that for the weight."""
     rng = np.random.default_rng(SEED)
     features, weight, lost = _views(8000, rng)
     # Both parts shrink towards the middle, as what is fitted to noisy views does, and both lose with the rim.
     shrunk = np.exp(5.0 + 0.96 * (np.log(weight) - 5.0))
     network, volume = (shrunk * (1 - 0.4 * lost) * np.exp(rng.normal(0, sd, 8000)) for sd in (0.06, 0.08))
-    truth = np.column_stack([lost, rng.uniform(0, 90, 8000), rng.uniform(0, 90, 8000)])
-    seen = tuple(fit_quadratic(features, column) for column in truth.T)
+    truth = lost[:, None]
+    seen = (fit_quadratic(features, lost, names=VIEW_NAMES),)
     found = np.column_stack([rule.values(features) for rule in seen])
     assert np.corrcoef(found[:, 0], lost)[0, 1] > 0.9
     half = np.arange(8000) < 4000
@@ -125,7 +125,7 @@ def test_the_blend_leaves_no_bias_over_true_size_and_rim() -> None:
     for name in ("all", "small", "large"):
         assert abs(bias[name][1]) < 0.012, f"seed {SEED}, {name}: {bias[name]}"
     for name in ("poor rim", "exact rim"):
-        assert abs(bias[name][1]) < 0.7 * abs(bias[name][0]), f"seed {SEED}, {name}: {bias[name]}"
+        assert abs(bias[name][1]) < 0.8 * abs(bias[name][0]), f"seed {SEED}, {name}: {bias[name]}"
     assert BlendRule.from_json(json.loads(json.dumps(rule.to_json()))) == rule
     strange = features[:1].copy()
     strange[0, NAMES.index("rim")] = 40.0
@@ -209,3 +209,14 @@ def test_the_table_of_worlds_finds_the_class_that_is_biased() -> None:
     text = markdown(list(presets.values()), list(classes.values()))
     assert "| rim | poor |" in text
     assert "over 300 g" in text
+
+
+def test_between_what_the_fit_has_seen_the_shipped_rule_goes_straight() -> None:
+    """Its worlds know their belts to half a millimetre or hardly at all; a square between the two could be anything."""
+    rule = load_checkpoint()[1].fitted_volume_rule
+    assert rule is not None
+    cloud = prepare_view(ellipsoid_view())
+    known, hardly = (float(rule.weights_g(features_of(cloud, sd_m))[0]) for sd_m in (0.0005, 0.003))
+    for sd_m in (0.0006, 0.0007, 0.001, 0.0015, 0.002):
+        between = float(rule.weights_g(features_of(cloud, sd_m))[0])
+        assert min(known, hardly) - 0.5 < between < max(known, hardly) + 0.5, f"{sd_m}: {known}, {between}, {hardly}"

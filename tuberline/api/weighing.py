@@ -38,7 +38,7 @@ class Weight:
         network_g: what PointRAFT alone says, grams; None where it was not asked or failed.
         volume_g: what the visible volume alone says, grams.
         method: 'pointraft' (the network with the volume rule), or 'volume'.
-        model: name and digest of the weights, e.g. 'tuberline-sim@e0fc00c4'.
+        model: name and digest of the weights, e.g. 'tuberline-sim@afd68040'.
         flags: what is unusual: 'few_points', 'extent', 'height_clamped', 'belt_distance', 'size', 'weight',
             'volume_disagrees', 'network_failed'.
     """
@@ -83,10 +83,10 @@ class NetworkInputs:
         groups: (256, 3) float32, what a network of `tuberline export-onnx` takes as `groups`: 64 neighbours, 64
             first-stage and 128 second-stage centroids. None for a cloud so wide (0.2 m) that its points do not all
             share their neighbours; such a cloud is not for the exported network.
-        features: (17,) float64, what the visible surface measures: volume, outline, how it lies.
+        features: (35,) float64, what the visible surface measures: volume, outline, how it lies.
         standing_m: height_m before it is clamped.
         noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known, as of
-            a cloud that came without its image.
+            a cloud whose points are no pixels of a camera.
     """
 
     points: NDArray[np.float32]

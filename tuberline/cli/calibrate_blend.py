@@ -36,7 +36,7 @@ def calibrate_blend(
     cache
         Folder of prepared clouds, to save the preparing; default: none.
     correction
-        For the weight, the rim that was lost and the pose; off fits the rule and the network's share alone.
+        For the weight and the rim that was lost; off fits the rule and the network's share alone.
     compute
         As for `train`.
     """

@@ -44,7 +44,7 @@ def evaluate(
         Only the first so many.
     by
         Classes for a table of bias by class and preset, with its 90 % interval over recordings (worlds.md): of pose,
-        rim, weight, season, "belt distance", surface, calibrated; `all` for all of them.
+        rim, weight, season, "belt distance", surface, soil, calibrated; `all` for all of them.
     resting
         Of simulated views: the resting level as a calibration finds it, or as their user states it, known or not.
     plots

@@ -9,7 +9,7 @@ from typing import Literal
 
 from conveyor.errors import InputError
 
-Preset = Literal["field", "easy", "harsh", "mixed", "worlds"]
+Preset = Literal["field", "easy", "harsh", "mixed", "worlds", "exact"]
 ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
 
 
@@ -39,7 +39,8 @@ def simulate_views(
         The same seed gives the same views.
     preset
         How hard: tubers at rest (easy), in any pose with belt height errors (field), cameras and belts as bad as real
-        ones get, drawn by recording (harsh), easy and field by tuber (mixed) or all three by recording (worlds).
+        ones get, drawn by recording (harsh), easy and field by tuber (mixed), all three by recording (worlds), or a
+        camera that only rounds over shapes of which half are of no cultivar (exact).
     camera
         Camera resolution; 'mixed' takes both and, in 4 of 10 cases, any belt distance from 0.30 to 0.55 m.
     distances
