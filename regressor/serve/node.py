@@ -8,7 +8,6 @@ it comes to them, and would fall behind for ever if it weighed all of these.
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections import OrderedDict
@@ -41,7 +40,6 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
     Raises:
         InputError: weights that cannot be used, or a device that is not here.
     """
-    os.nice(config.regressor.nice)
     torch.set_num_threads(config.regressor.threads)
     weigher = Weigher.load(config.regressor.weights)
     warm_up(weigher)
