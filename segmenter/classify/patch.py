@@ -212,7 +212,10 @@ def _from_above(
             x, y = across_z[j] * z, along_z * z
             along = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + shift[0] - x_m
             across = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + shift[1] - y_m
-            row, column = np.floor(along * 1000.0 / CELL_MM + SIZE / 2.0), np.floor(across * 1000.0 / CELL_MM + SIZE / 2.0)
+            row, column = (
+                np.floor(along * 1000.0 / CELL_MM + SIZE / 2.0),
+                np.floor(across * 1000.0 / CELL_MM + SIZE / 2.0),
+            )
             rows[j] = np.int32(min(max(row, -1.0), float(SIZE)))
             columns[j] = np.int32(min(max(column, -1.0), float(SIZE)))
         for j in range(box[2], box[3]):
