@@ -113,7 +113,9 @@ class _Worker:
             self._count(weight)
         for key, view in zip(keys, views, strict=True):
             answer = answers.get(key) or Weight.decode(self._answered[key])
-            self._publisher(view.camera).put(answer.within(view.takes))
+            told = answer.within(view.takes)
+            data = self._answered[key] if told is answer else told.encode()
+            self._publisher(view.camera).put_encoded(data)
         while len(self._answered) > REMEMBERED_ANSWERS:
             self._answered.popitem(last=False)
 

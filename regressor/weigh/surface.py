@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -65,10 +66,11 @@ class SurfaceFeatures:
 
     def as_array(self) -> NDArray[np.float64]:
         """(17,) float64 in the order of `NAMES`."""
-        return np.array([getattr(self, name) for name in NAMES])
+        return np.array(_VALUES(self))
 
 
 NAMES = tuple(SurfaceFeatures.__dataclass_fields__)
+_VALUES = attrgetter(*NAMES)
 
 
 def surface_features(

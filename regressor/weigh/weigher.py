@@ -73,6 +73,7 @@ class Weigher:
             InputError: this machine does not have that device.
         """
         self.sidecar = sidecar
+        self._model_id = sidecar.model_id
         self.form = form
         self.device = device
         self._together = BatchedPointRaft(model, device=device) if model is not None and device is not None else None
@@ -162,7 +163,7 @@ class Weigher:
             network_g=round(network_g, 3),
             volume_g=round(by_volume_g, 3),
             method="pointraft",
-            model=self.sidecar.model_id,
+            model=self._model_id,
             flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *camera, *form),
             sizes=load_rules().sizes(size_features(cloud), terms),
         )

@@ -96,7 +96,7 @@ def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: flo
     for n in range(len(cell)):
         members[at[cell[n]]] = n
         at[cell[n]] += 1
-    far, found, low = np.empty(cells, np.int64), 0, np.empty(len(cell), np.int64)
+    far, low, found = np.empty(cells, np.int64), np.empty(len(cell), np.int64), 0
     for k in range(cells):
         count = ends[k + 1] - ends[k]
         if count >= LEAST_OF_CELL:
@@ -108,11 +108,11 @@ def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: flo
                     if value >= q[low[kept - 1]]:
                         continue
                     kept -= 1
-                at = kept
-                while at > 0 and q[low[at - 1]] > value:
-                    low[at] = low[at - 1]
-                    at -= 1
-                low[at] = members[n]
+                place = kept
+                while place > 0 and q[low[place - 1]] > value:
+                    low[place] = low[place - 1]
+                    place -= 1
+                low[place] = members[n]
                 kept += 1
             far[found] = low[wanted - 1]
             found += 1

@@ -14,9 +14,10 @@ RNG = np.random.default_rng(7)
 
 def test_extremes_and_reaches_are_those_of_numpy() -> None:
     """Also where several points lie equally far: the first one counts."""
-    along = np.round(RNG.normal(size=(400, 3)), 1) @ _directions()[0].T
+    points, directions = np.round(RNG.normal(size=(400, 3)), 1), _directions()[0].T
+    along = points @ directions
     extremes = np.unique(np.concatenate([along.argmax(axis=0), along.argmin(axis=0)]))
-    np.testing.assert_array_equal(np.flatnonzero(_extremes(along)), extremes)
+    np.testing.assert_array_equal(np.flatnonzero(_extremes(points, np.ascontiguousarray(directions))), extremes)
     np.testing.assert_array_equal(_reach_mm(along), 2000 * np.abs(along).max(axis=0))
 
 
