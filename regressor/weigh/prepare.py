@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
@@ -316,6 +315,8 @@ def _without_strays(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Mask of points whose eighth neighbour is no farther than five times the median: free of the cloud's density."""
     if len(points) < MIN_POINTS:
         return np.ones(len(points), np.bool_)
+    from scipy.spatial import cKDTree  # a fifth of a second: clouds from a camera do not come here
+
     distance = np.asarray(cKDTree(points).query(points, k=9)[0])[:, 8]
     kept: NDArray[np.bool_] = distance <= 5 * max(float(np.median(distance)), 1e-6)
     return kept

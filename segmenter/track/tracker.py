@@ -1,6 +1,6 @@
 """Tracks by place: a tuber's place on the belt is constant while it rides, so it is expected where it was seen last.
 
-Instances and tracks are assigned to one another by scipy's solver, over the distance to the expected place and the
+Instances and tracks are assigned to one another at the least cost, over the distance to the expected place and the
 change of visible area. A track that finds nothing waits at its place: it may be hidden, or taken for a part of its
 neighbour. Tracks that are decided go on absorbing what lies at their place until it left the view.
 """
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
+from segmenter.track.assignment import least_cost_pairs
 from segmenter.track.constants import STEADY_TRUST, SWALLOWED, VACANT_GONE
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import Hit, State, TrackState
@@ -71,9 +71,7 @@ class Tracker:
         growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
-        rows, columns = linear_sum_assignment(cost)
-        pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-        return [(i, j) for i, j in pairs if cost[i, j] < NO_MATCH]
+        return [(i, j) for i, j in least_cost_pairs(cost) if cost[i, j] < NO_MATCH]
 
     def residual_m(self, pairs: list[tuple[int, int]], instances: Instances, travel_m: float) -> float | None:
         """How much further the belt moved than `travel_m` says, by the well-known tubers in view; None without any."""

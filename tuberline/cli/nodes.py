@@ -79,10 +79,11 @@ def regressor(*, config: Path, name: str, run: str | None = None) -> None:
     """
     from conveyor.config import load_config
     from conveyor.heap import keep_buffers
-    from regressor.serve.node import run_regressor
 
     line = load_config(config)
-    os.nice(line.regressor.nice)
+    os.nice(line.regressor.nice)  # before torch is imported: cameras and segmenters come up first
+    from regressor.serve.node import run_regressor
+
     keep_buffers()
     run_regressor(line, name=name, run=run or _new_run())
 
