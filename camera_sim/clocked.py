@@ -27,6 +27,7 @@ class ClockedSource:
 
     def __init__(self, inner: RecordedSource, *, starts_at_s: float, speed: float) -> None:
         self._inner = inner
+        self._description = replace(inner.description, live=True)
         self._starts_s = time.monotonic() + starts_at_s - time.time()
         self._speed = speed
         self._poll: Callable[[float], bool] = lambda still_s: True
@@ -34,7 +35,7 @@ class ClockedSource:
     @property
     def description(self) -> CameraDescription:
         """As recorded, but live."""
-        return replace(self._inner.description, live=True)
+        return self._description
 
     def attach(self, poll: Callable[[float], bool]) -> None:
         """While nothing comes, `poll` is told several times a second for how long (seconds); False ends the frames."""

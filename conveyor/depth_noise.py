@@ -80,15 +80,11 @@ def crop_noise_px(
         depth: (h, w) uint16, units of `depth_scale_m` metres, zero outside the tuber. fx: focal length, pixels.
         baseline_m: distance of the imagers whose pixels are meant.
     """
-    rows, columns = np.nonzero(depth.any(axis=1))[0], np.nonzero(depth.any(axis=0))[0]
-    if not len(rows):
+    tuber, count = _tuber(np.ascontiguousarray(depth), fx * baseline_m / depth_scale_m)
+    if not count:
         return None
-    # Windows are counted from the tuber's own first pixel: the same in a crop as in the whole image.
-    tuber = depth[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    stride = max(STRIDE, int(np.sqrt(np.count_nonzero(tuber) / CROP_WINDOWS)))
-    found = window_residuals_px(
-        disparity(tuber, depth_scale_m=depth_scale_m, focal_baseline=fx * baseline_m), stride=stride
-    )
+    stride = max(STRIDE, int(np.sqrt(count / CROP_WINDOWS)))
+    found = window_residuals_px(tuber, stride=stride)
     return float(np.median(found)) if len(found) >= LEAST_CROP_WINDOWS else None
 
 
@@ -99,6 +95,29 @@ def neighbour_steps_px(d: Disparity) -> NDArray[np.float32]:
         both = (one > 0) & (other > 0)
         steps.append(np.abs(one[both] - other[both]))
     return np.concatenate(steps)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _tuber(depth: NDArray[np.uint16], strength: float) -> tuple[Disparity, int]:
+    """Disparity of a crop without the bare rows and columns at its ends, and how many of its pixels have depth.
+
+    Windows are counted from the tuber's own first pixel: the same in a crop as in the whole image.
+    """
+    rows, columns = depth.shape
+    top, bottom, left, right, count = rows, 0, columns, 0, 0
+    for v in range(rows):
+        for u in range(columns):
+            if depth[v, u] > 0:
+                top, bottom = min(top, v), max(bottom, v + 1)
+                left, right = min(left, u), max(right, u + 1)
+                count += 1
+    found = np.zeros((max(0, bottom - top), max(0, right - left)), np.float32)
+    for v in range(found.shape[0]):
+        for u in range(found.shape[1]):
+            d = depth[top + v, left + u]
+            if d > 0:
+                found[v, u] = np.float32(strength / d)
+    return found, count
 
 
 @njit(cache=True, nogil=True)

@@ -44,7 +44,11 @@ class ReliablePublisher:
 
     def put(self, message: Message) -> None:
         """Send `message`; it stays in the cache for those who missed it."""
-        self._publisher.put(message.encode())
+        self.put_encoded(message.encode())
+
+    def put_encoded(self, data: bytes) -> None:
+        """Send a message that is encoded already."""
+        self._publisher.put(data)
 
 
 class ReliableSubscriber(Inbox[M]):

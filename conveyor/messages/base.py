@@ -118,11 +118,11 @@ class Message:
 
     def _parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any] | None]]:
         header = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for name, optional in _header_fields(type(self)):
+            value = getattr(self, name)
             # What may be left out and is not known is left out, so that a version without that field can read the rest.
-            if field.name not in self.ARRAYS and not (value is None and field.default is None):
-                header[field.name] = plain(value)
+            if not (value is None and optional):
+                header[name] = plain(value)
         return header, {name: _as_spec(getattr(self, name), spec) for name, spec in self.ARRAYS.items()}
 
     def _check(self, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any] | None]) -> None:
@@ -133,6 +133,17 @@ class Message:
             _checked(type(self), header, arrays)
         except MessageError as error:
             raise UnsendableError(f"not sent: {error}", reason=error.reason) from error
+
+
+_HEADER_FIELDS: dict[type[Message], tuple[tuple[str, bool], ...]] = {}
+
+
+def _header_fields(cls: type[Message]) -> tuple[tuple[str, bool], ...]:
+    """Its fields that are no arrays, and which of them may be left out; looked up once."""
+    if cls not in _HEADER_FIELDS:
+        named = ((field.name, field.default is None) for field in fields(cls))
+        _HEADER_FIELDS[cls] = tuple((name, optional) for name, optional in named if name not in cls.ARRAYS)
+    return _HEADER_FIELDS[cls]
 
 
 T = TypeVar("T")
@@ -210,10 +221,26 @@ def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
     return _ADAPTERS[cls]
 
 
+_PLAIN = frozenset((str, int, float, bool, type(None)))
+
+
+_FIELD_NAMES: dict[type[Any], tuple[str, ...] | None] = {}
+
+
+def _field_names(kind: type[Any]) -> tuple[str, ...] | None:
+    """Of a dataclass; None for another class. Looked up once."""
+    if kind not in _FIELD_NAMES:
+        _FIELD_NAMES[kind] = tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
+    return _FIELD_NAMES[kind]
+
+
 def plain(value: Any) -> Any:
     """Dataclasses, tuples and numpy scalars as maps, lists and numbers."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
+    if (names := _field_names(kind)) is not None:
+        return {name: plain(getattr(value, name)) for name in names}
     if isinstance(value, tuple | list):
         return [plain(item) for item in value]
     if isinstance(value, dict):

@@ -8,7 +8,6 @@ it comes to them, and would fall behind for ever if it weighed all of these.
 
 from __future__ import annotations
 
-import os
 import time
 import zlib
 from collections import OrderedDict
@@ -41,7 +40,6 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
     Raises:
         InputError: weights that cannot be used, or a device that is not here.
     """
-    os.nice(config.regressor.nice)
     torch.set_num_threads(config.regressor.threads)
     weigher = Weigher.load(config.regressor.weights)
     warm_up(weigher)
@@ -115,7 +113,9 @@ class _Worker:
             self._count(weight)
         for key, view in zip(keys, views, strict=True):
             answer = answers.get(key) or Weight.decode(self._answered[key])
-            self._publisher(view.camera).put(answer.within(view.takes))
+            told = answer.within(view.takes)
+            data = self._answered[key] if told is answer else told.encode()
+            self._publisher(view.camera).put_encoded(data)
         while len(self._answered) > REMEMBERED_ANSWERS:
             self._answered.popitem(last=False)
 

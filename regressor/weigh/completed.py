@@ -35,14 +35,14 @@ def completed_sizes_mm(
         level: (N, 3) metres, level frame (z away from the camera), of the visible surface, evenly over the image.
         distance_m: of the optical centre above the resting level. height_m: of the top above that level.
     """
-    points = level[:: max(1, len(level) // MOST_POINTS)].copy()
+    points = level[:: max(1, len(level) // MOST_POINTS)]
     middle_z = distance_m - height_m / 2
     # The outline's middle leans outwards under a camera, the middle of the body does not (segmenter/frame/place.py).
     middle = (points[:, :2] / points[:, 2:]).mean(axis=0) * middle_z * (1 - (height_m / 2 / middle_z) ** 2)
     high = distance_m - points[:, 2] > LEAST_HEIGHT * height_m
     points = points[high] - np.array([middle[0], middle[1], middle_z])
     directions, frames = _directions()
-    hull = points[_extremes(points @ directions.T)]
+    hull = points[_extremes(points, np.ascontiguousarray(directions.T))]
     reach = _reach_mm(hull @ directions.T)
     longest = int(reach.argmax())
     around = _around_direction(longest)
@@ -83,22 +83,25 @@ def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDAr
     return turned
 
 
-@njit(cache=True, nogil=True)
-def _extremes(along: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) which points have the first highest or lowest of their (n, m) places along m directions.
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _extremes(points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) which of (n, 3) points lie first highest or lowest along any of (3, m) directions.
 
-    Point after point, all directions at once: NumPy would jump from row to row for each direction.
+    Point after point, all directions at once, and no (n, m) places are written down: they would not fit the cache.
     """
-    highest, lowest = along[0].copy(), along[0].copy()
-    last, first = np.zeros(along.shape[1], np.int64), np.zeros(along.shape[1], np.int64)
-    for n in range(1, len(along)):
-        for k in range(along.shape[1]):
-            value = along[n, k]
+    many = directions.shape[1]
+    x, y, z = directions[0], directions[1], directions[2]
+    highest, lowest = np.full(many, -np.inf), np.full(many, np.inf)
+    last, first = np.zeros(many, np.int64), np.zeros(many, np.int64)
+    for n in range(len(points)):
+        a, b, c = points[n, 0], points[n, 1], points[n, 2]
+        for k in range(many):
+            value = c * z[k] + (b * y[k] + a * x[k])  # contracted and rounded as in a matrix product
             last[k] = n if value > highest[k] else last[k]
             highest[k] = value if value > highest[k] else highest[k]
             first[k] = n if value < lowest[k] else first[k]
             lowest[k] = value if value < lowest[k] else lowest[k]
-    extreme = np.zeros(len(along), np.bool_)
+    extreme = np.zeros(len(points), np.bool_)
     extreme[last] = extreme[first] = True
     return extreme
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
@@ -119,22 +118,16 @@ def prepare_depth(
         RefusedCloud: empty, too few points.
     """
     kept = clean_depth(np.ascontiguousarray(depth), depth_scale_m)
-    measured = kept > 0
-    count = int(measured.sum())
-    if count < MIN_POINTS:
+    if np.count_nonzero(kept) < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
     filled = kept * np.float64(depth_scale_m)
     holes = fill_holes(filled)
-    inside = filled > 0
-    v, u = np.nonzero(inside)
-    z = filled[v, u]
-    in_camera = np.stack([(u - cx) * z / fx, (v - cy) * z / fy, z], axis=1)
+    inside, measured, in_camera = _points(filled, kept, fx, fy, cx, cy)
     level, distance_m = _level(in_camera, belt_from_camera)
-    # Area on the level plane that a pixel covers: smaller than z^2/(fx fy) where the ray meets the plane obliquely.
-    area = z * z / (fx * fy) / np.maximum(level[:, 2] / z, 0.2)
+    area = _areas(in_camera, level, fx * fy)
     surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
     noise_px = crop_noise_px(depth, depth_scale_m=depth_scale_m, fx=fx)
-    return replace(_finish(level[measured[v, u]], distance_m, resting_offset_m, surface), noise_px=noise_px)
+    return replace(_finish(level, measured, distance_m, resting_offset_m, surface), noise_px=noise_px)
 
 
 def prepare_cloud(
@@ -190,7 +183,7 @@ def _prepare_points(points: NDArray[np.float64], *, belt_distance_m: float, rest
     area = (z * image.pixel) ** 2 * np.where(image.share[v, u] > 0, image.share[v, u], 1.0)
     distance_m = belt_distance_m + resting_offset_m
     surface = surface_features(level, area, inside, distance_m=distance_m, holes=holes)
-    return _finish(points, belt_distance_m, resting_offset_m, surface)
+    return _finish(points, np.ones(len(points), np.bool_), belt_distance_m, resting_offset_m, surface)
 
 
 def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -223,11 +216,46 @@ def _level(
     return points_in_camera @ level_from_camera.T, float(belt_from_camera[2, 3])
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _points(
+    filled: NDArray[np.float64], kept: NDArray[np.uint16], fx: float, fy: float, cx: float, cy: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
+    """(h, w) which pixels have depth, filled ones included; of these, row by row, (n,) which were measured and (n, 3)
+    their places in the camera's frame, metres.
+    """
+    rows, columns = filled.shape
+    inside, measured = np.empty((rows, columns), np.bool_), np.empty(rows * columns, np.bool_)
+    places, n = np.empty((rows * columns, 3)), 0
+    for v in range(rows):
+        for u in range(columns):
+            z = filled[v, u]
+            inside[v, u] = z > 0
+            if z > 0:
+                places[n, 0], places[n, 1], places[n, 2] = (u - cx) * z / fx, (v - cy) * z / fy, z
+                measured[n] = kept[v, u] > 0
+                n += 1
+    return inside, measured[:n], places[:n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _areas(in_camera: NDArray[np.float64], level: NDArray[np.float64], fx_fy: float) -> NDArray[np.float64]:
+    """(n,) area on the level plane that a pixel covers: smaller than z^2/(fx fy) where the ray meets it obliquely."""
+    areas = np.empty(len(in_camera))
+    for n in range(len(in_camera)):
+        z = in_camera[n, 2]
+        areas[n] = z * z / fx_fy / max(level[n, 2] / z, 0.2)
+    return areas
+
+
 def _finish(
-    level: NDArray[np.float64], distance_m: float, resting_offset_m: float, surface: SurfaceFeatures
+    level: NDArray[np.float64],
+    measured: NDArray[np.bool_],
+    distance_m: float,
+    resting_offset_m: float,
+    surface: SurfaceFeatures,
 ) -> PreparedCloud:
-    height_m = distance_m + resting_offset_m - float(level[:, 2].min())
-    points, centre, box = _centred(level)
+    points, centre, box, nearest_m = _centred(level, measured)
+    height_m = distance_m + resting_offset_m - nearest_m
     flags = []
     if len(points) <= NETWORK_POINTS:
         flags.append("few_points")
@@ -239,22 +267,31 @@ def _finish(
 
 @njit(cache=True, nogil=True)
 def _centred(
-    level: NDArray[np.float64],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """(N, 3) float32 points about the mean of all of them, that mean, and the box around them."""
-    n = len(level)
+    level: NDArray[np.float64], measured: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float]:
+    """(N, 3) float32 points, those of `level` that were measured, about the mean of all of them; that mean, the box
+    around them, and the z of the nearest.
+    """
+    n, nearest_m = 0, np.inf
+    for k in range(len(level)):
+        n += measured[k]
     points, centre, box = np.empty((n, 3), np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
+    n = 0
+    for k in range(len(level)):
+        if measured[k]:
+            points[n, 0], points[n, 1], points[n, 2] = level[k, 0], level[k, 1], level[k, 2]
+            nearest_m = min(nearest_m, level[k, 2])
+            n += 1
     for axis in range(3):
         total, low, high = 0.0, np.float32(np.inf), np.float32(-np.inf)
         for k in range(n):
-            points[k, axis] = np.float32(level[k, axis])
             total += np.float64(points[k, axis])
         centre[axis] = np.float32(total / n)
         for k in range(n):
             points[k, axis] -= centre[axis]
             low, high = min(low, points[k, axis]), max(high, points[k, axis])
         box[axis] = high - low
-    return points, centre, box
+    return points, centre, box, nearest_m
 
 
 def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.uint16]:
@@ -300,6 +337,8 @@ def _without_strays(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Mask of points whose eighth neighbour is no farther than five times the median: free of the cloud's density."""
     if len(points) < MIN_POINTS:
         return np.ones(len(points), np.bool_)
+    from scipy.spatial import cKDTree  # a fifth of a second: clouds from a camera do not come here
+
     distance = np.asarray(cKDTree(points).query(points, k=9)[0])[:, 8]
     kept: NDArray[np.bool_] = distance <= 5 * max(float(np.median(distance)), 1e-6)
     return kept

@@ -51,9 +51,15 @@ def array_of(values: tuple[float, ...]) -> NDArray[np.float64]:
     return array
 
 
+def within(values: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:
+    """Values clipped to low..high: as `np.clip`, without what that does around it."""
+    clipped: NDArray[np.float64] = np.minimum(np.maximum(values, low), high)
+    return clipped
+
+
 def pairs_of(terms: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, k (k + 1) / 2) products of all pairs of terms, clipped to low..high and scaled to -1..1."""
-    scaled = 2 * (np.clip(terms, low, high) - low) / np.maximum(high - low, 1e-9) - 1
+    scaled = 2 * (within(terms, low, high) - low) / np.maximum(high - low, 1e-9) - 1
     first, second = _pairs(terms.shape[1])
     return scaled[:, first] * scaled[:, second]
 
@@ -89,12 +95,24 @@ class QuadraticRule:
 
     def values(self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None) -> NDArray[np.float64]:
         """(n,) of (n, k) features in the order of `known`, which is that of `names` where it is not given."""
+        return self.of_terms(*self.terms(features, known=known))
+
+    def terms(
+        self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(n, t) clipped terms of (n, k) features, and all their pairs: the same for rules `alike`."""
         low, high = array_of(self.low), array_of(self.high)
-        terms = np.clip(terms_of(features, self.names, known=known or self.names), low, high)
+        terms = within(terms_of(features, self.names, known=known or self.names), low, high)
+        return terms, pairs_of(terms, low, high)
+
+    def of_terms(self, terms: NDArray[np.float64], pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) of what `terms` gives."""
         found = self.intercept + terms @ array_of(self.coefficients)
-        found = found + pairs_of(terms, low, high) @ array_of(self.products)
-        clipped: NDArray[np.float64] = np.clip(found, self.least, self.most)
-        return clipped
+        return within(found + pairs @ array_of(self.products), self.least, self.most)
+
+    def alike(self, other: QuadraticRule) -> bool:
+        """Both have the same terms of the same features."""
+        return (self.names, self.low, self.high) == (other.names, other.low, other.high)
 
     def to_json(self) -> dict[str, Any]:
         """For the sidecar of a checkpoint; names only where they are not the first."""

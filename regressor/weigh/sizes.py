@@ -46,7 +46,13 @@ class SizeRule:
         self, features: NDArray[np.float64], terms: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n,) millimetres and their (n,) standard deviations, of (n, 21) features and (n, 6) `view_terms`."""
-        return np.exp(self.value.values(features)), self.spread * self.scale.scale_g(terms)
+        return self.of_terms(self.value.terms(features), terms)
+
+    def of_terms(
+        self, value_terms: tuple[NDArray[np.float64], NDArray[np.float64]], terms: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same of what `value.terms` gives."""
+        return np.exp(self.value.of_terms(*value_terms)), self.spread * self.scale.scale_g(terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +63,11 @@ class SizeRules:
 
     def sizes(self, features: NDArray[np.float64], terms: NDArray[np.float64]) -> Sizes:
         """Of one view: its (21,) features and (6,) `view_terms`. Axes come out sorted."""
-        found = {name: rule.sizes_mm(features[None], terms[None]) for name, rule in self.rules.items()}
+        found, before, value_terms = {}, None, None
+        for name, rule in self.rules.items():
+            if value_terms is None or before is None or not rule.value.alike(before):
+                before, value_terms = rule.value, rule.value.terms(features[None])
+            found[name] = rule.of_terms(value_terms, terms[None])
         values = {name: float(value[0]) for name, (value, _) in found.items()}
         values["width"] = min(values["width"], values["length"])
         values["thickness"] = min(values["thickness"], values["width"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import cv2
 import numpy as np
@@ -69,12 +70,13 @@ class SurfaceFeatures:
 
     def as_array(self) -> NDArray[np.float64]:
         """(35,) float64 in the order of `NAMES`."""
-        return np.array([*(getattr(self, name) for name in FIRST_NAMES), *self.profile])
+        return np.array((*_VALUES(self), *self.profile))
 
 
 FIRST_NAMES = tuple(name for name in SurfaceFeatures.__dataclass_fields__ if name != "profile")
 """What sizes read, and rules from before there was a profile."""
 NAMES = (*FIRST_NAMES, *PROFILE_NAMES)
+_VALUES = attrgetter(*FIRST_NAMES)
 
 
 def surface_features(
@@ -94,7 +96,7 @@ def surface_features(
         distance_m: of the optical centre above the resting level.
     """
     heights = distance_m - level[:, 2]
-    height_m = max(_quantiles(np.sort(heights), (0.99,))[0], 1e-3)
+    height_m = max(_quantiles(_ranked(heights, 0.99), (0.99,))[0], 1e-3)
     area_m2 = float(areas_m2.sum())
     xy = level[:, :2]
     length_m, width_m = _axes(xy)
@@ -132,9 +134,34 @@ def surface_features(
 def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
     """Longest width of the outline over 36 directions in the plane and the one across it, metres."""
     along = DIRECTIONS.T @ np.ascontiguousarray(level_xy[:: max(1, len(level_xy) // 2000)].T)
-    widths = _widths(along, TRIMMED)
-    longest = int(widths.argmax())
-    return float(widths[longest]), float(widths[(longest + 18) % 36])
+    length_m, width_m = _longest(along, TRIMMED)
+    return float(length_m), float(width_m)
+
+
+@njit(cache=True, nogil=True)
+def _longest(along: NDArray[np.float64], trimmed: float) -> tuple[float, float]:
+    """The longest of the `_widths` of all rows, and the one half of them further on.
+
+    A row is left out whose whole extent is shorter than the longest width so far.
+    """
+    rows, n = along.shape
+    extents = np.empty(rows)
+    for row in range(rows):
+        low, high = along[row, 0], along[row, 0]
+        for k in range(n):
+            value = along[row, k]
+            low = value if value < low else low
+            high = value if value > high else high
+        extents[row] = high - low
+    longest, length = -1, -np.inf
+    for row in np.argsort(-extents):
+        if extents[row] < length:
+            break
+        width = _widths(along[row : row + 1], trimmed)[0]
+        if width > length or (width == length and row < longest):
+            longest, length = row, width
+    across = (longest + rows // 2) % rows
+    return length, _widths(along[across : across + 1], trimmed)[0]
 
 
 @njit(cache=True, nogil=True)
@@ -190,6 +217,12 @@ def _quantiles(ordered: NDArray[np.float64], shares: Sequence[float]) -> list[fl
     return found
 
 
+def _ranked(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Values in such an order that those beside the quantile `share` stand where they would stand sorted."""
+    below = int(share * (len(values) - 1))
+    return np.partition(values, (below, min(below + 1, len(values) - 1)))
+
+
 @njit(cache=True, nogil=True)
 def _between(a: float, b: float, share: float) -> float:
     """As NumPy interpolates, rounding included."""
@@ -239,12 +272,29 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
     return np.linalg.solve(normal, right).astype(np.float64)
 
 
+@njit(cache=True, nogil=True)
+def _top(
+    xy: NDArray[np.float64], heights: NDArray[np.float64], over_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places and heights of what is higher than `over_m`, some `CURVATURE_POINTS` of it."""
+    count = 0
+    for k in range(len(heights)):
+        count += heights[k] > over_m
+    step = max(1, count // CURVATURE_POINTS)
+    places, high, n, seen = np.empty((-(-count // step), 2)), np.empty(-(-count // step)), 0, 0
+    for k in range(len(heights)):
+        if heights[k] > over_m:
+            if seen % step == 0:
+                places[n, 0], places[n, 1], high[n] = xy[k, 0], xy[k, 1], heights[k]
+                n += 1
+            seen += 1
+    return places, high
+
+
 def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
     """Area of the equator of the ellipsoid that touches the top with its curvature and is as high as the tuber."""
-    chosen = np.nonzero(heights > TOP * height_m)[0]
-    chosen = chosen[:: max(1, len(chosen) // CURVATURE_POINTS)]
     unit = float(np.sqrt(area_m2 / np.pi))
-    fit = _quadric(xy[chosen], heights[chosen], unit)
+    fit = _quadric(*_top(xy, heights, TOP * height_m), unit)
     # Heights fall by (x^2 / a^2 + y^2 / b^2) c / 2 near the top of an ellipsoid with half axes a, b and c.
     determinant = float(4 * fit[3] * fit[5] - fit[4] ** 2) / unit**4
     if fit[3] >= 0 or fit[5] >= 0 or determinant <= 0:

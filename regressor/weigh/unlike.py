@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from regressor.weigh.surface import NAMES
 
@@ -70,6 +69,8 @@ class CameraRule:
 
 def fit_camera(noise_px: NDArray[np.float64], features: NDArray[np.float64], unlike: NDArray[np.bool_]) -> CameraRule:
     """The rule from n views; `unlike`: (n,) which of them poor cameras took."""
+    from scipy.optimize import minimize  # a tenth of a second, which who only weighs does not need
+
     terms = camera_terms(noise_px, features)
     centre, spread = terms.mean(0), np.maximum(terms.std(0), 1e-9)
     design = np.column_stack([np.ones(len(terms)), (terms - centre) / spread])

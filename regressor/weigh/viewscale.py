@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from regressor.weigh.quadratic import array_of, within
 from regressor.weigh.surface import NAMES
 
 TERMS = ("ln_weight", "ln_weight_squared", "disagreement", "elongation", "steepness", "belt")
@@ -66,7 +67,7 @@ class ScaleRule:
     def scale_g(self, terms: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) grams of (n, 6) `view_terms`."""
         scale: NDArray[np.float64] = np.exp(
-            self.intercept + np.clip(terms, self.low, self.high) @ np.array(self.slopes)
+            self.intercept + within(terms, array_of(self.low), array_of(self.high)) @ array_of(self.slopes)
         )
         return scale
 

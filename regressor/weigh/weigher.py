@@ -73,6 +73,8 @@ class Weigher:
             InputError: this machine does not have that device.
         """
         self.sidecar = sidecar
+        self._model_id = sidecar.model_id
+        self.trained_on = camera_range(sidecar.worlds)
         self.form = form
         self.device = device
         self._together = BatchedPointRaft(model, device=device) if model is not None and device is not None else None
@@ -162,7 +164,7 @@ class Weigher:
             network_g=round(network_g, 3),
             volume_g=round(by_volume_g, 3),
             method="pointraft",
-            model=self.sidecar.model_id,
+            model=self._model_id,
             flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *camera, *form),
             sizes=load_rules().sizes(size_features(cloud), terms),
         )
@@ -274,7 +276,7 @@ def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -
         high_g=weighed.high_g,
         method=weighed.method,
         model=weighed.model,
-        flags=(*weighed.flags, *_camera_flags(weigher.sidecar, view)),
+        flags=(*weighed.flags, *_camera_flags(weigher, view)),
         regressor=regressor,
         sizes=weighed.sizes,
     )
@@ -285,10 +287,9 @@ def _answer(weigher: Weigher, view: View, weighed: Weighed, *, regressor: str) -
     return weight
 
 
-def _camera_flags(sidecar: Sidecar, view: View) -> tuple[str, ...]:
+def _camera_flags(weigher: Weigher, view: View) -> tuple[str, ...]:
     """What is out of the weights' range of the camera that took the view."""
-    trained = camera_range(sidecar.worlds)
-    return (CAMERA_NOISE,) if trained.noisier(view.camera_noise_px) else ()
+    return (CAMERA_NOISE,) if weigher.trained_on.noisier(view.camera_noise_px) else ()
 
 
 def _refusal(weigher: Weigher, view: View, *, regressor: str, reason: str) -> Weight:

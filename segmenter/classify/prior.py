@@ -12,6 +12,7 @@ has some that look very much like clods. So a mild answer says nothing of the be
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +41,13 @@ LARGEST = 50.0
 """Log-odds beyond this say no more."""
 
 
+@cache
 def _shares() -> NDArray[np.float64]:
     """(24,) possible shares of others, the first that of a clean belt."""
     return np.asarray(np.geomspace(CLEAN_SHARE, MOST_SHARE, SHARES), np.float64)
 
 
+@cache
 def _before() -> NDArray[np.float64]:
     """(24,) log of how likely each share is before anything was seen."""
     belief = np.full(SHARES, (1 - CLEAN_BELIEF) / (SHARES - 1))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,16 @@ class BeltGeometry:
 
     intrinsics: Intrinsics
     belt_from_camera: NDArray[np.float64]
+    _rows: tuple[tuple[float, float, float, float], ...] = field(init=False, repr=False, compare=False)
+    """Of the pose, as Python's own numbers: asked for some hundred times a frame."""
+    _heights: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         belt_distance_m(self.belt_from_camera)
+        rows, k = tuple(tuple(row) for row in np.asarray(self.belt_from_camera, np.float64).tolist()), self.intrinsics
+        object.__setattr__(self, "_rows", rows)
+        a, b = rows[2][0] / k.fx, rows[2][1] / k.fy
+        object.__setattr__(self, "_heights", (a, b, rows[2][2] - a * k.cx - b * k.cy, rows[2][3]))
         along = float(self.belt_from_camera[0, 1])
         if abs(along) < MIN_ROW_ALIGNMENT:
             raise InputError(
@@ -46,25 +53,28 @@ class BeltGeometry:
         position: NDArray[np.float64] = self.belt_from_camera[:3, 3]
         return position
 
+    @property
+    def camera_place_m(self) -> tuple[float, float, float]:
+        """x, y and z of the optical centre in belt coordinates."""
+        return self._rows[0][3], self._rows[1][3], self._rows[2][3]
+
     def height_coefficients(self) -> tuple[float, float, float, float]:
         """(a, b, c, t) such that a pixel (u, v) at depth z lies z * (a u + b v + c) + t above the belt."""
-        k, m = self.intrinsics, self.belt_from_camera
-        a, b = m[2, 0] / k.fx, m[2, 1] / k.fy
-        return float(a), float(b), float(m[2, 2] - a * k.cx - b * k.cy), float(m[2, 3])
+        return self._heights
 
     def depth_at(self, u: float, v: float, height_m: float) -> float:
         """Depth along the optical axis at which the ray through (u, v) is `height_m` above the belt."""
-        a, b, c, t = self.height_coefficients()
+        a, b, c, t = self._heights
         return (height_m - t) / (a * u + b * v + c)
 
     def belt_xy(self, u: float, v: float, height_m: float) -> tuple[float, float]:
         """Belt (x, y) where the ray through pixel (u, v) meets the plane `height_m` above the belt."""
-        k, m = self.intrinsics, self.belt_from_camera
+        k, (along, across, *_) = self.intrinsics, self._rows
         z = self.depth_at(u, v, height_m)
         x_cam, y_cam = (u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z
         return (
-            float(m[0, 0] * x_cam + m[0, 1] * y_cam + m[0, 2] * z + m[0, 3]),
-            float(m[1, 0] * x_cam + m[1, 1] * y_cam + m[1, 2] * z + m[1, 3]),
+            along[0] * x_cam + along[1] * y_cam + along[2] * z + along[3],
+            across[0] * x_cam + across[1] * y_cam + across[2] * z + across[3],
         )
 
     def project(self, x_m: float, y_m: float, height_m: float) -> tuple[float, float]:
@@ -75,9 +85,8 @@ class BeltGeometry:
 
     def row_crossing_x(self, y_m: float, height_m: float) -> float:
         """Belt x at which a point at (y, height) projects onto the image's centre row, v = cy."""
-        m = self.belt_from_camera
-        t = m[:3, 3]
-        return float(t[0] - (m[1, 1] * (y_m - t[1]) + m[2, 1] * (height_m - t[2])) / m[0, 1])
+        along, across, up, *_ = self._rows
+        return along[3] - (across[1] * (y_m - across[3]) + up[1] * (height_m - up[3])) / along[1]
 
     def x_range(self, height_m: float = 0.0) -> tuple[float, float]:
         """Lowest and highest belt x seen on the image's centre column at `height_m`."""

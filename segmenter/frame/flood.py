@@ -146,11 +146,14 @@ def _between(
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16]) -> NDArray[np.int32]:
     """The cells, highest level first, in their order within a level: a counting sort."""
-    counts = np.zeros(MOST_LEVELS + 1, np.int64)
+    highest = 0
+    for level in levels:
+        highest = max(highest, level)
+    counts = np.zeros(highest + 1, np.int64)
     for level in levels:
         counts[level] += 1
     before = 0
-    for level in range(MOST_LEVELS, -1, -1):
+    for level in range(highest, -1, -1):
         before, counts[level] = before + counts[level], before
     order = np.empty_like(cells)
     for n in range(len(cells)):

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import CEILING_MM, GAP_MM
 
+WORD = 8
+ALL_SEEN = np.uint64(0x0101010101010101)
+"""So many cells of one byte are looked at as one word, and what it holds where all of them are seen."""
+
 
 @dataclass(frozen=True, slots=True)
 class HeightMap:
@@ -87,22 +91,49 @@ def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: i
     shadow beside it becomes belt.
     """
     rows, columns = height.shape
+    padded = -(-columns // WORD) * WORD
+    here, above = np.zeros(padded, np.uint8), np.zeros(padded, np.uint8)
+    words, words_above = here.view(np.uint64), above.view(np.uint64)
     for i in range(rows):
+        own, row = seen[i], height[i]
+        for j in range(columns):
+            here[j] = own[j]
         last = -1
-        for j in range(columns):
-            if seen[i, j]:
-                if 0 <= last < j - 1 and j - last - 1 <= longest:
-                    low = min(height[i, last], height[i, j])
-                    for k in range(last + 1, j):
-                        height[i, k] = low
-                last = j
-    last_seen = np.full(columns, -1, np.int64)
+        # Eight cells that are all seen, or all unseen, end no gap: they are passed over together.
+        for n in range(len(words)):
+            first = n * WORD
+            if words[n] == ALL_SEEN and last == first - 1:
+                last = first + WORD - 1
+            elif words[n] != 0:
+                for j in range(first, min(first + WORD, columns)):
+                    if own[j]:
+                        if 0 <= last < j - 1 and j - last - 1 <= longest:
+                            low = min(row[last], row[j])
+                            for k in range(last + 1, j):
+                                row[k] = low
+                        last = j
+    here[:] = 0
     for i in range(rows):
+        own = seen[i]
         for j in range(columns):
-            if seen[i, j]:
-                last = last_seen[j]
-                if 0 <= last < i - 1 and i - last - 1 <= longest:
-                    low = min(height[last, j], height[i, j])
-                    for k in range(last + 1, i):
-                        height[k, j] = max(height[k, j], low)
-                last_seen[j] = i
+            above[j] = here[j]
+            here[j] = own[j]
+        if i == 0:
+            continue
+        for n in range(len(words)):
+            if words[n] & ~words_above[n]:
+                for j in range(n * WORD, min(n * WORD + WORD, columns)):
+                    if here[j] and not above[j]:
+                        _close_above(height, seen, i, j, longest)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _close_above(height: NDArray[np.float32], seen: NDArray[np.uint8], i: int, j: int, longest: int) -> None:
+    """Close the gap above cell (i, j), which is seen and the one over it not, if it is short enough and has an end."""
+    last = i - 2
+    while last >= 0 and not seen[last, j] and i - last - 1 <= longest:
+        last -= 1
+    if last >= 0 and seen[last, j] and i - last - 1 <= longest:
+        low = min(height[last, j], height[i, j])
+        for k in range(last + 1, i):
+            height[k, j] = max(height[k, j], low)

@@ -220,7 +220,8 @@ def _describe(
     keep[0] = False
     names = np.zeros(n + 1, np.int32)
     names[keep] = np.arange(1, int(keep.sum()) + 1)
-    relabel(labels, names)
+    if not keep[1:].all():
+        relabel(labels, names)
     sums, histogram, cut = sums[keep], histogram[keep], cut[keep]
     half = (stride - 1) / 2
     centroid = np.stack([sums[axis] / sums["cells"] * stride + half for axis in ("columns", "rows")], axis=1)

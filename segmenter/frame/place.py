@@ -19,7 +19,7 @@ def centre_in_belt(belt: BeltGeometry, u: float, v: float, height_m: float) -> t
     """Belt (x, y) of the centre of a tuber `height_m` high whose mask has its centroid at pixel (u, v), metres."""
     half_m = height_m / 2
     x_m, y_m = belt.belt_xy(u, v, half_m)
-    x0, y0, z0 = (float(value) for value in belt.camera_in_belt_m)
+    x0, y0, z0 = belt.camera_place_m
     keep = 1.0 - (half_m / (z0 - half_m)) ** 2
     return x0 + (x_m - x0) * keep, y0 + (y_m - y0) * keep
 

@@ -37,7 +37,7 @@ from segmenter.frame.constants import (
     TILT_OFF_DEG,
     TILT_WORTH_DEG,
 )
-from segmenter.frame.plane_kernels import best_plane, far_samples, trimmed, triples_of
+from segmenter.frame.plane_kernels import best_plane, far_samples, quantile, row_means, samples_of, trimmed, triples_of
 
 Plane = NDArray[np.float64]
 """(3,) of 1/z = a x + b y + c."""
@@ -111,16 +111,11 @@ def between_cleats(plane: NDArray[np.float64], design: NDArray[np.float64], q: N
     Least squares through all that is near take cleats and the feet of tubers for the belt. Cleats lie across the
     travel, so they are whole rows of samples: of the rows' mean heights a low quantile is the belt.
     """
-    height = _height_over(design, q, plane)
-    near = np.abs(height) < BAND_M
-    along = design[near, 1]  # row after row
-    row = np.cumsum(np.diff(along, prepend=along[:1]) != 0)
-    count = np.bincount(row)
-    mean = np.bincount(row, weights=height[near])[count >= ROW_SAMPLES] / count[count >= ROW_SAMPLES]
+    mean = row_means(design[:, 1], _height_over(design, q, plane), BAND_M, ROW_SAMPLES)
     if len(mean) < LEAST_BELT_ROWS:
         return plane
     distance_m = 1.0 / float(np.linalg.norm(plane))
-    return np.asarray(plane * distance_m / (distance_m - float(np.quantile(mean, BELT_QUANTILE))))
+    return np.asarray(plane * distance_m / (distance_m - quantile(mean, BELT_QUANTILE)))
 
 
 def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
@@ -233,15 +228,11 @@ def _samples(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Normalised x, y and inverse depth of every 64th pixel that has depth and no tuber."""
     start = SAMPLE_STRIDE // 2
-    grid = depth[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE]
-    keep = grid > 0
+    grid = depth[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE].copy()
     if mask is not None:
-        keep &= mask[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE] == 0
-    rows, columns = np.nonzero(keep)
-    x = (columns * SAMPLE_STRIDE + start - k.cx) / k.fx
-    y = (rows * SAMPLE_STRIDE + start - k.cy) / k.fy
-    q = 1.0 / (grid[rows, columns].astype(np.float64) * scale_m)
-    return x.astype(np.float64), y.astype(np.float64), q
+        grid[mask[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE] != 0] = 0
+    x, y, q = samples_of(grid, scale_m, (k.fx, k.fy, k.cx, k.cy), start, SAMPLE_STRIDE)
+    return x, y, q
 
 
 def _consensus(x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 from numpy.random import Generator
@@ -16,16 +18,48 @@ def triples_of(rng: Generator, n: int, count: int) -> NDArray[np.int64]:
 
     Floyd's way of drawing three of n, and the shuffle of the three (NumPy 2's `Generator.choice`).
     """
-    drawn = rng.integers(0, np.tile(np.array([n - 3, n - 2, n - 1, 2, 1]), count), endpoint=True).reshape(count, 5)
-    first = drawn[:, 0]
-    second = np.where(drawn[:, 1] == first, n - 2, drawn[:, 1])
-    third = np.where((drawn[:, 2] == first) | (drawn[:, 2] == second), n - 1, drawn[:, 2])
-    triples, rows = np.stack([first, second, third], axis=1), np.arange(count)
-    for last, other in ((2, drawn[:, 3]), (1, drawn[:, 4])):
-        swapped = triples[rows, other]
-        triples[rows, other] = triples[:, last]
-        triples[:, last] = swapped
+    drawn = rng.integers(0, _highs(n, count), endpoint=True)
+    return _shuffled(drawn.reshape(count, 5), n)
+
+
+@lru_cache(maxsize=4)
+def _highs(n: int, count: int) -> NDArray[np.int64]:
+    return np.tile(np.array([n - 3, n - 2, n - 1, 2, 1]), count)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _shuffled(drawn: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    triples = np.empty((len(drawn), 3), np.int64)
+    for k in range(len(drawn)):
+        first = drawn[k, 0]
+        second = n - 2 if drawn[k, 1] == first else drawn[k, 1]
+        third = n - 1 if drawn[k, 2] == first or drawn[k, 2] == second else drawn[k, 2]
+        triples[k, 0], triples[k, 1], triples[k, 2] = first, second, third
+        for last in (2, 1):
+            other = drawn[k, 5 - last]
+            triples[k, other], triples[k, last] = triples[k, last], triples[k, other]
     return triples
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+def samples_of(
+    grid: NDArray[np.uint16], scale_m: float, k: tuple[float, float, float, float], first: int, stride: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Normalised x, y and inverse depth of the pixels of a grid that have depth, row by row.
+
+    Args:
+        grid: every `stride`-th pixel of an image, both ways, from pixel `first` on. scale_m: metres per unit of depth.
+        k: fx, fy, cx, cy of the image.
+    """
+    x, y, q, n = np.empty(grid.size), np.empty(grid.size), np.empty(grid.size), 0
+    for row in range(grid.shape[0]):
+        for column in range(grid.shape[1]):
+            if grid[row, column] > 0:
+                x[n] = (column * stride + first - k[2]) / k[0]
+                y[n] = (row * stride + first - k[3]) / k[1]
+                q[n] = 1.0 / (grid[row, column] * scale_m)
+                n += 1
+    return x[:n], y[:n], q[:n]
 
 
 def far_samples(
@@ -39,10 +73,17 @@ def far_samples(
     Returns:
         (k,) int64 indices, cell after cell; cells with fewer than `LEAST_OF_CELL` samples have none.
     """
-    column, row = np.rint(x * 10).astype(np.int64), np.rint(y * 10).astype(np.int64)
-    rows = int(np.ptp(row)) + 1
-    cell = (column - column.min()) * rows + (row - row.min())
-    return _far(cell, (int(np.ptp(column)) + 1) * rows, q, share)
+    return _far(*_cells(x, y), q, share)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _cells(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
+    """(n,) coarse cell of each sample, column after column, and how many cells there are."""
+    column, row = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
+    for n in range(len(x)):
+        column[n], row[n] = np.int64(np.rint(x[n] * 10)), np.int64(np.rint(y[n] * 10))
+    rows = row.max() - row.min() + 1
+    return (column - column.min()) * rows + (row - row.min()), (column.max() - column.min() + 1) * rows
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
@@ -55,14 +96,64 @@ def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: flo
     for n in range(len(cell)):
         members[at[cell[n]]] = n
         at[cell[n]] += 1
-    far, found = np.empty(cells, np.int64), 0
+    far, low, found = np.empty(cells, np.int64), np.empty(len(cell), np.int64), 0
     for k in range(cells):
-        here = members[ends[k] : ends[k + 1]]
-        if len(here) >= LEAST_OF_CELL:
-            nearest_last = np.argsort(q[here], kind="mergesort")
-            far[found] = here[nearest_last[int(len(here) * share)]]
+        count = ends[k + 1] - ends[k]
+        if count >= LEAST_OF_CELL:
+            # Only so many of the farthest are kept in order, of equal ones the first first.
+            wanted, kept = int(count * share) + 1, 0
+            for n in range(ends[k], ends[k + 1]):
+                value = q[members[n]]
+                if kept == wanted:
+                    if value >= q[low[kept - 1]]:
+                        continue
+                    kept -= 1
+                place = kept
+                while place > 0 and q[low[place - 1]] > value:
+                    low[place] = low[place - 1]
+                    place -= 1
+                low[place] = members[n]
+                kept += 1
+            far[found] = low[wanted - 1]
             found += 1
     return far[:found]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def row_means(
+    along: NDArray[np.float64], height: NDArray[np.float64], band_m: float, fewest: int
+) -> NDArray[np.float64]:
+    """(k,) mean height of each row of samples, of those within `band_m` of the plane, where there are `fewest` of them.
+
+    Args:
+        along: (n,) y of each sample, row after row. height: (n,) over the plane, metres.
+    """
+    means, found = np.empty(len(along)), 0
+    total, count, row = 0.0, 0, 0.0
+    for n in range(len(along)):
+        if not abs(height[n]) < band_m:
+            continue
+        if count > 0 and along[n] != row:
+            if count >= fewest:
+                means[found] = total / count
+                found += 1
+            total, count = 0.0, 0
+        row = along[n]
+        total += height[n]
+        count += 1
+    if count >= fewest:
+        means[found] = total / count
+        found += 1
+    return means[:found]
+
+
+def quantile(values: NDArray[np.float64], share: float) -> float:
+    """As `np.quantile` finds it, rounding included, without what that does around it."""
+    ordered = np.sort(values)
+    at = share * (len(ordered) - 1)
+    below = int(at)
+    low, high, part = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)]), at - below
+    return high - (high - low) * (1.0 - part) if part >= 0.5 else low + (high - low) * part
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

@@ -68,11 +68,14 @@ def _rings(
     rows, columns = labels.shape
     away = _away(labels, label)
     counts = np.zeros((3, STEPS), np.int64)
+    farthest = np.int32(0)
+    while (farthest + 1) / 3.0 <= max(bounds[0, 1], bounds[2, 1]):
+        farthest += np.int32(1)
     for i in range(rows):
         for j in range(columns):
-            distance = away[i + 1, j + 1] / 3.0
-            if distance > bounds[0, 1] and distance > bounds[2, 1]:
+            if away[i + 1, j + 1] > farthest:
                 continue
+            distance = away[i + 1, j + 1] / 3.0
             height = min(STEPS - 1, max(0, int(height_mm[i, j])))
             if labels[i, j] == label:
                 if bounds[0, 0] < distance <= bounds[0, 1]:
@@ -110,14 +113,21 @@ def _away(labels: NDArray[np.int32], label: int) -> NDArray[np.int32]:
             if j > 0 and (labels[i + 1, j - 1] == label) != inside:
                 away[i + 1, j + 1] = min(away[i + 1, j + 1], 4)
                 away[i + 2, j] = min(away[i + 2, j], 4)
+    # Each pass in two: what comes from the row beside is taken for many cells at once, what comes along the row not.
     for i in range(1, rows + 1):
+        own, near = away[i], away[i - 1]
         for j in range(1, columns + 1):
-            beside = min(away[i - 1, j], away[i, j - 1]) + 3
-            askew = min(away[i - 1, j - 1], away[i - 1, j + 1]) + 4
-            away[i, j] = min(away[i, j], beside, askew)
+            own[j] = min(min(own[j], near[j] + 3), min(near[j - 1], near[j + 1]) + 4)
+        last = own[0]
+        for j in range(1, columns + 1):
+            last = min(own[j], last + 3)
+            own[j] = last
     for i in range(rows, 0, -1):
+        own, near = away[i], away[i + 1]
+        for j in range(1, columns + 1):
+            own[j] = min(min(own[j], near[j] + 3), min(near[j - 1], near[j + 1]) + 4)
+        last = own[columns + 1]
         for j in range(columns, 0, -1):
-            beside = min(away[i + 1, j], away[i, j + 1]) + 3
-            askew = min(away[i + 1, j - 1], away[i + 1, j + 1]) + 4
-            away[i, j] = min(away[i, j], beside, askew)
+            last = min(own[j], last + 3)
+            own[j] = last
     return away

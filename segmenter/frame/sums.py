@@ -67,7 +67,7 @@ def instance_sums(
     return sums, histogram
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
 def _add_cells(
     labels: NDArray[np.int32],
     height_mm: NDArray[np.float32],

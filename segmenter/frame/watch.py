@@ -6,7 +6,6 @@ from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from segmenter.frame.constants import (
     BACKWARDS_M,
@@ -81,8 +80,13 @@ class BeltWatch:
         step_m = travel_m - last[0]
         if not LEAST_STEP_M <= abs(step_m) <= LONGEST_STEP_M:
             return
-        tree = cKDTree(now)
         along = np.array([step_m, 0.0])
-        with_belt, against = (np.asarray(tree.query(last[1] + sign * along)[0]) for sign in (1.0, -1.0))
+        with_belt, against = (_nearest_m(last[1] + sign * along, now) for sign in (1.0, -1.0))
         self._forwards += int(np.count_nonzero((with_belt < SAME_M) & (with_belt < against)))
         self._backwards += int(np.count_nonzero((against < SAME_M) & (against < with_belt)))
+
+
+def _nearest_m(places_m: NDArray[np.float64], others_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) from each of (n, 2) places to the nearest of (m, 2) others."""
+    gap_m = places_m[:, None] - others_m[None]
+    return np.asarray(np.hypot(gap_m[..., 0], gap_m[..., 1]).min(axis=1))

@@ -7,6 +7,7 @@ counts. What is not counted has a reason.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from statistics import median
 
@@ -168,8 +169,8 @@ def _is_double(track: TrackState, tracker: Tracker, settings: CountSettings) -> 
     """A counted track lies so close that both must be one tuber."""
     for other in tracker.tracks:
         if other is not track and other.state is State.COUNTED:
-            radius_m = np.sqrt(max(track.area_m2, other.area_m2) / np.pi)
-            away_m = np.hypot(track.place_x_m - other.place_x_m, track.place_y_m - other.place_y_m)
+            radius_m = math.sqrt(max(track.area_m2, other.area_m2) / math.pi)
+            away_m = math.hypot(track.place_x_m - other.place_x_m, track.place_y_m - other.place_y_m)
             if away_m < settings.same_share * radius_m:
                 return True
     return False

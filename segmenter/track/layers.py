@@ -59,7 +59,15 @@ def evidence(readings: Sequence[NDArray[np.float64]]) -> float | None:
     """Log-odds of one tuber from its (8,) readings; None without any."""
     if not readings:
         return None
-    return CONSTANT + float(np.median(readings, axis=0) @ np.array(WEIGHTS))
+    return CONSTANT + float(_usual(readings) @ np.array(WEIGHTS))
+
+
+def _usual(readings: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """(8,) medians of a tuber's readings: as `np.median`, without what that does around it."""
+    ordered = np.sort(np.array(readings), axis=0)
+    half = len(ordered) // 2
+    usual: NDArray[np.float64] = ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2
+    return usual
 
 
 @dataclass(slots=True)
@@ -98,7 +106,7 @@ def _probability(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _height_m(own: Sequence[NDArray[np.float64]]) -> float:
-    usual = np.median(own, axis=0)
+    usual = _usual(own)
     high_m = (SUPPORT_CONSTANT + float(usual @ np.array(SUPPORT_WEIGHTS))) / 1000
     top_m = float(usual[FEATURES.index("top")]) / 1000
     return float(np.clip(high_m, LEAST_M, max(LEAST_M, MOST_OF_TOP * top_m)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,13 @@ from segmenter.track.views import ViewShelf
 def trusted(trust: float, weight: float) -> float:
     """Effective number of readings behind a place, with one more of this weight."""
     return min(trust, TRUST_CAP) + weight
+
+
+def middle(values: list[float]) -> float:
+    """The median: as `statistics.median`, without its checks, for it is asked for with every reading."""
+    values.sort()
+    half = len(values) // 2
+    return values[half] if len(values) % 2 else (values[half - 1] + values[half]) / 2
 
 
 class State(StrEnum):
@@ -110,6 +116,6 @@ class TrackState:
         if moved or not self.hits:
             self.frames += 1
             self.hits.append(hit)
-            recent = [h.area_m2 for h in self.hits[-15:] if not h.ends_cut] or [hit.area_m2]
-            self.area_m2 = median(recent)
-            self.height_m = median(h.height_m for h in self.hits[-15:])
+            recent = self.hits[-15:]
+            self.area_m2 = middle([h.area_m2 for h in recent if not h.ends_cut] or [hit.area_m2])
+            self.height_m = middle([h.height_m for h in recent])

@@ -1,6 +1,6 @@
 """Tracks by place: a tuber's place on the belt is constant while it rides, so it is expected where it was seen last.
 
-Instances and tracks are assigned to one another by scipy's solver, over the distance to the expected place and the
+Instances and tracks are assigned to one another at the least cost, over the distance to the expected place and the
 change of visible area. A track that finds nothing waits at its place: it may be hidden, or taken for a part of its
 neighbour. Tracks that are decided go on absorbing what lies at their place until it left the view.
 """
@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
+from segmenter.track.assignment import least_cost_pairs
 from segmenter.track.constants import STEADY_TRUST, SWALLOWED, VACANT_GONE
 from segmenter.track.history import TravelHistory
 from segmenter.track.track import Hit, State, TrackState
@@ -71,9 +71,7 @@ class Tracker:
         growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
-        rows, columns = linear_sum_assignment(cost)
-        pairs = zip(rows.tolist(), columns.tolist(), strict=True)
-        return [(i, j) for i, j in pairs if cost[i, j] < NO_MATCH]
+        return [(i, j) for i, j in least_cost_pairs(cost) if cost[i, j] < NO_MATCH]
 
     def residual_m(self, pairs: list[tuple[int, int]], instances: Instances, travel_m: float) -> float | None:
         """How much further the belt moved than `travel_m` says, by the well-known tubers in view; None without any."""
@@ -93,8 +91,9 @@ class Tracker:
         found: list[tuple[TrackState, int]] = []
         matched = {i for i, _ in pairs}
         taken = {j for _, j in pairs}
+        hits = _hits(seq, instances, travel_m)
         for i, j in pairs:
-            self.tracks[i].add(self._hit(seq, instances, j, travel_m), moved=moved)
+            self.tracks[i].add(hits[j], moved=moved)
             found.append((self.tracks[i], j))
         for i, track in enumerate(self.tracks):
             if i not in matched:
@@ -106,7 +105,7 @@ class Tracker:
         for j in range(len(instances)):
             if j not in taken:
                 track = self._open(seq, instances, j, travel_m, travel_before_m)
-                track.add(self._hit(seq, instances, j, travel_m), moved=True)
+                track.add(hits[j], moved=True)
                 self.tracks.append(track)
                 found.append((track, j))
         return found
@@ -159,21 +158,6 @@ class Tracker:
             shelf=ViewShelf(self._view_offsets_m),
         )
 
-    def _hit(self, seq: int, instances: Instances, j: int, travel_m: float) -> Hit:
-        ends_cut = bool(instances.cut[j, :2].any())
-        return Hit(
-            seq=seq,
-            x_m=float(instances.centre_m[j, 0]),
-            y_m=float(instances.centre_m[j, 1]),
-            travel_m=travel_m,
-            area_m2=float(instances.area_m2[j]),
-            volume_m3=float(instances.volume_m3[j]),
-            height_m=float(instances.height_m[j]),
-            contact=float(instances.contact[j]),
-            whole=not bool(instances.cut[j].any()),
-            ends_cut=ends_cut,
-        )
-
     def _shown_at(self, track: TrackState, instances: Instances, travel_m: float) -> int | None:
         """The label at the track's place, 0 where no instance covers it; None where that is not inside the view."""
         x_m = track.place_x_m + travel_m
@@ -181,6 +165,29 @@ class Tracker:
             return None
         u, v = self.belt.project(x_m, track.place_y_m, track.height_m / 2)
         return _label_at(instances.labels, u / instances.stride, v / instances.stride)
+
+
+def _hits(seq: int, instances: Instances, travel_m: float) -> list[Hit]:
+    """Every instance of a frame as a reading of the tuber that it shows."""
+    columns = zip(
+        instances.centre_m.tolist(), instances.area_m2.tolist(), instances.volume_m3.tolist(),
+        instances.height_m.tolist(), instances.contact.tolist(), instances.cut.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        Hit(
+            seq=seq,
+            x_m=x_m,
+            y_m=y_m,
+            travel_m=travel_m,
+            area_m2=area_m2,
+            volume_m3=volume_m3,
+            height_m=height_m,
+            contact=contact,
+            whole=not any(cut),
+            ends_cut=cut[0] or cut[1],
+        )
+        for (x_m, y_m), area_m2, volume_m3, height_m, contact, cut in columns
+    ]
 
 
 def _label_at(labels: NDArray[np.int32], column: float, row: float) -> int:

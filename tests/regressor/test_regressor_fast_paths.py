@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _windows
+from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _tuber, _windows, disparity
 from regressor.weigh.completed import _directions, _extremes, _reach_mm, _turned
-from regressor.weigh.prepare import _centred
-from regressor.weigh.surface import _quadric, _quantiles
+from regressor.weigh.prepare import _areas, _centred, _points
+from regressor.weigh.surface import (
+    CURVATURE_POINTS,
+    DIRECTIONS,
+    _longest,
+    _quadric,
+    _quantiles,
+    _ranked,
+    _top,
+    _widths,
+)
 
 RNG = np.random.default_rng(7)
 
 
 def test_extremes_and_reaches_are_those_of_numpy() -> None:
     """Also where several points lie equally far: the first one counts."""
-    along = np.round(RNG.normal(size=(400, 3)), 1) @ _directions()[0].T
+    points, directions = np.round(RNG.normal(size=(400, 3)), 1), _directions()[0].T
+    along = points @ directions
     extremes = np.unique(np.concatenate([along.argmax(axis=0), along.argmin(axis=0)]))
-    np.testing.assert_array_equal(np.flatnonzero(_extremes(along)), extremes)
+    np.testing.assert_array_equal(np.flatnonzero(_extremes(points, np.ascontiguousarray(directions))), extremes)
     np.testing.assert_array_equal(_reach_mm(along), 2000 * np.abs(along).max(axis=0))
 
 
@@ -40,14 +50,62 @@ def test_the_top_is_fitted_by_least_squares() -> None:
     np.testing.assert_allclose(_quadric(xy, heights, 0.03), plain, rtol=1e-10)
 
 
-def test_a_cloud_is_centred_on_the_mean_of_its_points() -> None:
-    level = RNG.normal(0.4, 0.03, (700, 3))
-    points, centre, box = _centred(level)
-    plain = level.astype(np.float32)
-    middle = plain.mean(axis=0, dtype=np.float64).astype(np.float32)
-    np.testing.assert_array_equal(centre, middle)
-    np.testing.assert_array_equal(points, plain - middle)
-    np.testing.assert_array_equal(box, np.ptp(plain - middle, axis=0))
+def test_a_cloud_is_centred_on_the_mean_of_its_measured_points() -> None:
+    level, measured = RNG.normal([0.1, -0.2, 0.4], 0.02, (500, 3)), RNG.random(500) < 0.8
+    points, centre, box, nearest_m = _centred(level, measured)
+    own = level[measured].astype(np.float32)
+    np.testing.assert_array_equal(
+        centre, [np.float32(np.cumsum(column.astype(float))[-1] / len(own)) for column in own.T]
+    )
+    np.testing.assert_array_equal(points, own - centre)
+    np.testing.assert_array_equal(box, points.max(0) - points.min(0))
+    assert nearest_m == level[measured, 2].min()
+
+
+def test_pixels_become_points_and_areas() -> None:
+    """As by NumPy's index arrays."""
+    kept = RNG.integers(0, 3, (20, 30)).astype(np.uint16) * np.uint16(400)
+    filled = np.where(RNG.random(kept.shape) < 0.2, 0.5, kept * 0.001)
+    inside, measured, places = _points(filled, kept, 600.0, 610.0, 14.5, 9.5)
+    v, u = np.nonzero(filled > 0)
+    z = filled[v, u]
+    np.testing.assert_array_equal(inside, filled > 0)
+    np.testing.assert_array_equal(measured, kept[v, u] > 0)
+    np.testing.assert_array_equal(places, np.stack([(u - 14.5) * z / 600.0, (v - 9.5) * z / 610.0, z], axis=1))
+    level = places + RNG.normal(0, 0.3, places.shape)
+    plain = z * z / (600.0 * 610.0) / np.maximum(level[:, 2] / z, 0.2)
+    np.testing.assert_array_equal(_areas(places, level, 600.0 * 610.0), plain)
+
+
+def test_the_longest_axis_is_found_among_all() -> None:
+    """Also of a disc, all of whose widths are alike."""
+    for stretch in (1.0, 1.02, 2.0):
+        xy = np.round(RNG.normal(size=(2, 900)) * np.array([[stretch], [1.0]]), 2)
+        along = DIRECTIONS.T @ (xy / np.hypot(*xy).max() if stretch < 1.5 else xy)
+        widths = np.quantile(along, 0.995, axis=1) - np.quantile(along, 0.005, axis=1)
+        np.testing.assert_array_equal(_widths(along, 0.005), widths)
+        longest = int(widths.argmax())
+        assert _longest(along, 0.005) == (widths[longest], widths[(longest + 18) % 36])
+
+
+def test_the_top_is_thinned_evenly() -> None:
+    xy, heights = RNG.normal(size=(20_000, 2)), RNG.uniform(0, 1, 20_000)
+    chosen = np.flatnonzero(heights > 0.3)
+    chosen = chosen[:: len(chosen) // CURVATURE_POINTS]
+    places, high = _top(xy, heights, 0.3)
+    np.testing.assert_array_equal(places, xy[chosen])
+    np.testing.assert_array_equal(high, heights[chosen])
+
+
+def test_a_tuber_s_disparity_begins_at_its_own_first_pixel() -> None:
+    depth = np.zeros((30, 40), np.uint16)
+    depth[7:21, 9:33] = RNG.integers(0, 2, (14, 24)) * RNG.integers(380, 460, (14, 24))
+    depth[7, 20] = depth[20, 11] = depth[12, 9] = depth[13, 32] = 400
+    found, count = _tuber(depth, 18.0)
+    plain = disparity(depth[7:21, 9:33], depth_scale_m=0.001, focal_baseline=0.018)
+    np.testing.assert_array_equal(found, plain)
+    assert count == np.count_nonzero(depth)
+    assert _tuber(np.zeros((3, 4), np.uint16), 18.0)[1] == 0
 
 
 def test_quantiles_are_those_of_numpy() -> None:
@@ -55,6 +113,12 @@ def test_quantiles_are_those_of_numpy() -> None:
         values = RNG.normal(size=n)
         shares = (0.0, 0.005, 0.1, 0.5, 0.9, 0.99, 1.0)
         np.testing.assert_array_equal(_quantiles(np.sort(values), shares), np.quantile(values, shares))
+
+
+def test_a_quantile_needs_no_sorting() -> None:
+    for n in (1, 2, 7, 100):
+        values = RNG.normal(size=n)
+        assert _quantiles(_ranked(values, 0.99), (0.99,)) == [np.quantile(values, 0.99)]
 
 
 def test_windows_are_those_that_lie_on_one_surface() -> None:

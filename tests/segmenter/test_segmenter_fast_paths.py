@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import statistics
 from bisect import bisect_left
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from segmenter.frame import plane_kernels, rims
+from segmenter.frame import heights, plane_kernels, rims
 from segmenter.frame.edges import cut_by_unseen
 from segmenter.frame.flood import regrow
 from segmenter.track import history
 from segmenter.track.history import TravelHistory
+from segmenter.track.track import middle
 from segmenter.track.views import slot_offsets
 
 SHAPE = (31, 43)
@@ -123,6 +126,55 @@ def test_far_samples_stand_for_their_cells(rng: np.random.Generator) -> None:
         if len(here) >= plane_kernels.LEAST_OF_CELL:
             plain.append(here[np.argsort(q[here], kind="stable")[int(len(here) * 0.15)]])
     np.testing.assert_array_equal(plane_kernels.far_samples(x, y, q, 0.15), plain)
+
+
+def test_rows_of_samples_have_the_means_of_their_near_ones(rng: np.random.Generator) -> None:
+    along = np.repeat(np.arange(9) / 7.0, rng.integers(0, 30, 9))
+    height = rng.normal(0.0, 0.004, len(along))
+    near = np.abs(height) < 0.004
+    rows = [height[near & (along == row)] for row in np.unique(along)]
+    plain = [np.cumsum(row)[-1] / len(row) for row in rows if len(row) >= 12]
+    np.testing.assert_array_equal(plane_kernels.row_means(along, height, 0.004, 12), plain)
+
+
+@pytest.mark.parametrize("n", [1, 2, 12, 57])
+def test_a_quantile_is_that_of_numpy(n: int) -> None:
+    values = np.random.default_rng(n).normal(size=n)
+    for share in (0.0, 0.25, 0.3, 0.77, 1.0):
+        assert plane_kernels.quantile(values, share) == np.quantile(values, share)
+
+
+def test_samples_are_the_pixels_with_depth(rng: np.random.Generator) -> None:
+    grid = rng.integers(0, 3, SHAPE).astype(np.uint16)
+    x, y, q = plane_kernels.samples_of(grid, 0.001, (600.0, 610.0, 20.5, 15.5), 4, 8)
+    rows, columns = np.nonzero(grid)
+    np.testing.assert_array_equal(x, (columns * 8 + 4 - 20.5) / 600.0)
+    np.testing.assert_array_equal(y, (rows * 8 + 4 - 15.5) / 610.0)
+    np.testing.assert_array_equal(q, 1.0 / (grid[rows, columns].astype(np.float64) * 0.001))
+
+
+@pytest.mark.parametrize("columns", [43, 48])
+def test_gaps_are_closed_with_their_lower_side(rng: np.random.Generator, columns: int) -> None:
+    """Cell by cell: runs along rows first, then those along columns; longer ones stay, and those without an end."""
+    seen = (np.convolve(rng.random(31 * columns), np.ones(3) / 3, "same") > 0.45).astype(np.uint8).reshape(31, columns)
+    height = np.where(seen, rng.uniform(0, 60, seen.shape), 0).astype(np.float32)
+    closed, plain = height.copy(), height.copy()
+    heights._close_gaps(closed, seen, 4)
+    for image, mask in ((plain, seen), (plain.T, seen.T)):
+        for row, own in zip(image, mask, strict=True):
+            places = np.flatnonzero(own)
+            for first, last in itertools.pairwise(places):
+                if 1 < last - first <= 5:
+                    low = min(row[first], row[last])
+                    row[first + 1 : last] = np.maximum(row[first + 1 : last], low)
+    assert (closed != height).any()
+    np.testing.assert_array_equal(closed, plain)
+
+
+def test_a_median_is_that_of_the_library() -> None:
+    for n in range(1, 17):
+        values = [random.Random(n * 31 + k).uniform(0, 1) for k in range(n)]
+        assert middle(list(values)) == statistics.median(values)
 
 
 @pytest.mark.parametrize("seed", range(4))

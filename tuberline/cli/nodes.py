@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -20,7 +21,9 @@ def camera(*, config: Path, camera: str, run: str | None = None) -> None:
     """
     from camera_sim.node import run_camera
     from conveyor.config import load_config
+    from conveyor.heap import keep_buffers
 
+    keep_buffers()
     run_camera(load_config(config), camera, run or _new_run())
 
 
@@ -75,9 +78,14 @@ def regressor(*, config: Path, name: str, run: str | None = None) -> None:
         Id of this run, for the counters only; default: the time of its start.
     """
     from conveyor.config import load_config
+    from conveyor.heap import keep_buffers
+
+    line = load_config(config)
+    os.nice(line.regressor.nice)  # before torch is imported: cameras and segmenters come up first
     from regressor.serve.node import run_regressor
 
-    run_regressor(load_config(config), name=name, run=run or _new_run())
+    keep_buffers()
+    run_regressor(line, name=name, run=run or _new_run())
 
 
 def aggregator(*, config: Path, run: str | None = None, fingerprint: str = "", new_run: bool = False) -> None:

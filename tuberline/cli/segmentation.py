@@ -29,8 +29,10 @@ def segmenter(*, config: Path, camera: str, run: str | None = None) -> None:
     from datetime import UTC, datetime
 
     from conveyor.config import load_config
+    from conveyor.heap import keep_buffers
     from segmenter.node import SegmenterNode
 
+    keep_buffers()
     line = load_config(config)
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     SegmenterNode(line, camera, run_id).run()
