@@ -32,10 +32,14 @@ PATIENCE_S = 2.5
 class Orders:
     """The queryable of an aggregator that takes orders about loads."""
 
-    def __init__(self, node: Node, ledger: Ledger, core: Aggregation) -> None:
+    def __init__(
+        self, node: Node, ledger: Ledger, core: Aggregation, *, unused: Callable[[LoadEvent, float], str]
+    ) -> None:
+        """`unused` says why a ticket that was entered calibrates nothing; '' where it does."""
         self._node = node
         self._ledger = ledger
         self._core = core
+        self._unused = unused
         self._stated_offset_mm = node.config.belt.resting_offset_mm
         self._lock = threading.Lock()
         self._waiting: deque[tuple[float, LoadOrder, zenoh.Query]] = deque()
@@ -105,7 +109,7 @@ class Orders:
             self._core.cameras.loads_change()
             self._node.counters.add("load_orders_done")
             self._told(event)
-        return answer(order, event, self._ledger.loads)
+        return answer(order, event, self._ledger.loads, unused=self._unused(event, now_s))
 
     def _told(self, event: LoadEvent) -> None:
         place = "" if event.place_x_m is None else f" at {event.place_x_m:.3f} m"

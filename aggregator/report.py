@@ -15,14 +15,14 @@ from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_state import load_state
 from aggregator.core.load_told import load_now
-from aggregator.core.loads import Load
+from aggregator.core.loads import Load, LoadEvent
 from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
-from aggregator.ledger.load_totals import Seen, count_load, tickets_of
+from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket
 from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
@@ -96,6 +96,10 @@ class Reporter:
         found = {run: Seen(self._ledger.sums(run).sights, Moment(over=True)) for run in runs if run != own}
         found[own] = Seen(cameras.sights, cameras.moment(now_s, over=self._over or cameras.final))
         return found
+
+    def unused_ticket(self, event: LoadEvent, now_s: float) -> str:
+        """Why a ticket that was entered calibrates nothing, in words; '' where it does."""
+        return unused_ticket(self._ledger, event, self._seen(now_s))
 
     def open_load(self, now_s: float) -> LoadNow | None:
         """The load that is open, by its own sums; None where none is."""

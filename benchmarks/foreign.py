@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,31 +59,70 @@ def large(row: dict[str, Any]) -> bool:
 
 
 def table(groups: dict[str, list[dict[str, Any]]]) -> str:
-    """Markdown: share by count and by weight, estimated with its interval, and true."""
+    """Markdown: share by count and by weight, estimated and true. Each belt is a load of its own, as it has a camera of
+    its own; of single ones there stand how far the worst is off, and how many intervals hold.
+    """
     lines = [
-        "| belts | tubers | others | % by count | true | off | % by weight | true | off |",
-        "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
+        "| belts | tubers | others | % by count | true | off | worst belt | held "
+        "| % by weight | true | off | worst belt | held |",
+        "| --- | ---: | ---: |" + " ---: |" * 10,
     ]
     for name, belts in groups.items():
-        sums = LoadSums(50.0)
-        for belt in belts:
-            add(sums, belt)
-        found = foreign_total(LoadTotals(sums), SIMULATED)
-        tubers = [row for belt in belts for row in belt["tubers"]]
-        others = [row for belt in belts for row in belt["foreign"] if large(row)]
-        count = 100 * len(others) / (len(others) + len(tubers))
-        grams = [sum(row["weight_g"] for row in rows) for rows in (others, tubers)]
-        weight = 100 * grams[0] / sum(grams)
-        if found is None:
+        told = [each for belt in belts if (each := judged(belt)) is not None]
+        if not told:
             continue
-        lines.append(
-            f"| {name} | {len(tubers)} | {len(others)} "
-            f"| {found.percent:.1f} ({found.percent_low:.1f} to {found.percent_high:.1f}) | {count:.1f} "
-            f"| {found.percent - count:+.1f} "
-            f"| {found.weight_percent:.1f} ({found.weight_percent_low:.1f} to {found.weight_percent_high:.1f}) "
-            f"| {weight:.1f} | {found.weight_percent - weight:+.1f} |"
-        )
+        cells = "".join(f" {_cells([each[k] for each in told])} |" for k in range(2))
+        others = sum(each[0].true for each in told)
+        lines.append(f"| {name} | {sum(len(belt['tubers']) for belt in belts)} | {others:.0f} |{cells}")
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A belt by its sums and by the truth, by count or by grams: others told among all there is, others truly among all
+    there truly is; and whether the interval holds."""
+
+    told: float
+    told_all: float
+    true: float
+    true_all: float
+    held: bool
+
+    @property
+    def off(self) -> float:
+        """Points."""
+        return 100 * (self.told / self.told_all - self.true / self.true_all)
+
+
+def judged(belt: dict[str, Any]) -> tuple[Judged, Judged] | None:
+    """A belt as a load, by count and by weight; None where nothing was seen on it."""
+    sums = LoadSums(50.0)
+    add(sums, belt)
+    found = foreign_total(LoadTotals(sums), SIMULATED)
+    if found is None:
+        return None
+    others = [row for row in belt["foreign"] if large(row)]
+    count, tubers = len(others), len(belt["tubers"])
+    grams, tubers_g = (sum(row["weight_g"] for row in rows) for rows in (others, belt["tubers"]))
+    share, share_g = 100 * count / (count + tubers), 100 * grams / (grams + tubers_g)
+    all_g = 100 * found.weight_g / found.weight_percent if found.weight_percent else sums.as_weighed_g
+    return (
+        Judged(
+            found.count, sums.count + sums.foreign.count, count, count + tubers,
+            found.percent_low <= share <= found.percent_high,
+        ),
+        Judged(
+            found.weight_g, all_g, grams, grams + tubers_g,
+            found.weight_percent_low <= share_g <= found.weight_percent_high,
+        ),
+    )  # fmt: skip
+
+
+def _cells(belts: Sequence[Judged]) -> str:
+    told = 100 * sum(each.told for each in belts) / sum(each.told_all for each in belts)
+    true = 100 * sum(each.true for each in belts) / sum(each.true_all for each in belts)
+    worst, held = max((each.off for each in belts), key=abs), sum(each.held for each in belts)
+    return f"{told:.1f} | {true:.1f} | {told - true:+.1f} | {worst:+.1f} | {held} of {len(belts)}"
 
 
 def add(sums: LoadSums, belt: dict[str, Any]) -> None:

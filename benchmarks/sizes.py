@@ -17,15 +17,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from aggregator.core.class_totals import class_totals
+from aggregator.calibration.tickets import Ticket
+from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.totals import LoadTotals
 from aggregator.core.tubers import make_tuber
 from benchmarks.figures_in_docs import put_table
-from benchmarks.sizes_belts import Passed, fewer, kept, plans
+from benchmarks.sizes_belts import WORLDS, Passed, fewer, kept, plans
 from conveyor.contract import Contract, SizeClass
-from conveyor.messages import Tuber
+from conveyor.messages import ClassTotal, Tuber
 from conveyor.messages.sizes import MEASURES
 from regressor.weigh.sizes import SizeRules, fit_sizes
 
@@ -40,6 +41,8 @@ CONTRACT = Contract(
     ),
 )
 """Edges fixed before any belt was judged."""
+SCALE_ERROR = 0.005
+"""Of a ticket, standard deviation."""
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -61,17 +64,18 @@ def main(arguments: Sequence[str]) -> None:
             by_cultivar.setdefault(plan.stock.cultivar, []).extend(kept(given.out, plan))
         write_rules(given.fit, fitted(by_cultivar))
         return
-    groups: dict[str, list[Passed]] = {}
+    groups: dict[str, list[list[Passed]]] = {}
     for plan in fewer(plans(given.belts), only=given.only, tubers=given.tubers):
-        name = f"{plan.stock.cultivar}, {plan.preset}" if given.belts == "judge" else plan.preset
-        groups.setdefault(name, []).extend(kept(given.out, plan))
-    sizes, classes = size_table(groups), class_table(groups)
+        name = f"{plan.stock.cultivar}, {plan.preset}{WORLDS[plan.world]}" if given.belts == "judge" else plan.preset
+        groups.setdefault(name, []).append(kept(given.out, plan))
+    of_all = {name: [row for belt in belts for row in belt] for name, belts in groups.items()}
+    sizes, classes = size_table(of_all), class_table(groups)
     print(sizes + "\n" + classes)
     if given.docs:
         put_table(given.docs, "sizes", sizes.rstrip())
         put_table(given.docs, "classes", classes.rstrip())
     if given.picture:
-        draw(groups, given.picture)
+        draw({name: rows for name, rows in of_all.items() if "clean" not in name}, given.picture)
 
 
 def fitted(by_cultivar: dict[str, list[Passed]]) -> SizeRules:
@@ -128,31 +132,57 @@ def outline_mm(tubers: Sequence[Tuber], measure: str) -> NDArray[np.float64]:
     return np.asarray(axes[:, MEASURES.index(measure)])
 
 
-def class_table(groups: dict[str, list[Passed]]) -> str:
-    """Markdown: the share of weight of each class, estimated with its interval and true, percent."""
+def class_table(groups: dict[str, list[list[Passed]]]) -> str:
+    """Markdown: the share of weight of each class, estimated with its interval and true, percent: without a ticket all
+    belts of a group are one load, with tickets each is one that was on the scale.
+    """
     names = [each.name for each in CONTRACT.classes]
     lines = [
         f"| belts | tubers | {' | '.join(names)} | largest difference |",
         "| --- | ---: |" + " ---: |" * (len(names) + 1),
     ]
-    for name, rows in groups.items():
-        sums = LoadSums(50.0)
-        for n, row in enumerate(rows):
-            sums.add(as_tuber(row, n + 1))
-        found = class_totals(LoadTotals(sums), CONTRACT)
-        grams = np.array([row.truth["weight_g"] for row in rows])
-        mesh = np.array([row.truth["square_mesh_mm"] for row in rows])
-        cells, worst = [], 0.0
-        for each, told in zip(CONTRACT.classes, found, strict=True):
-            true = 100 * float(grams[(mesh >= each.low_mm) & (mesh < each.high_mm)].sum() / grams.sum())
-            inside = told.percent_low - 0.05 <= true <= told.percent_high + 0.05
-            cells.append(
-                f"{told.percent:.1f} ({told.percent_low:.0f} to {told.percent_high:.0f}), true {true:.1f}"
-                + ("" if inside else ", missed")
-            )
-            worst = max(worst, abs(told.percent - true))
-        lines.append(f"| {name} | {len(rows)} | {' | '.join(cells)} | {worst:.1f} |")
+    for name, belts in groups.items():
+        rows = [row for belt in belts for row in belt]
+        whole = LoadTotals(summed(rows))
+        lines.append(class_row(name, rows, class_totals(whole, CONTRACT)))
+        lines.append(class_row(f"{name}, with tickets", rows, classes_together(list(map(weighed, belts)), CONTRACT)))
     return "\n".join(lines) + "\n"
+
+
+def summed(rows: Sequence[Passed]) -> LoadSums:
+    """The sums of a load of these tubers."""
+    sums = LoadSums(50.0)
+    for n, row in enumerate(rows):
+        sums.add(as_tuber(row, n + 1))
+    return sums
+
+
+def weighed(rows: Sequence[Passed]) -> LoadTotals:
+    """A load of these tubers and its net ticket."""
+    sums, true_g = summed(rows), sum(row.truth["weight_g"] for row in rows)
+    (_, model), _ = max(sums.weighed.items(), key=lambda item: item[1][1])
+    own_g = float(np.sqrt((sums.low_variance_g2 + sums.high_variance_g2) / 2))
+    ticket = Ticket(
+        "sizes", model, true_g, SCALE_ERROR * true_g, sums.as_weighed_g, own_g, 1.0,
+        tubers=len(rows), per_mm_g=sums.per_mm_g,
+    )  # fmt: skip
+    return LoadTotals(sums, [ticket])
+
+
+def class_row(name: str, rows: Sequence[Passed], found: Sequence[ClassTotal]) -> str:
+    """One row of `class_table`."""
+    grams = np.array([row.truth["weight_g"] for row in rows])
+    mesh = np.array([row.truth["square_mesh_mm"] for row in rows])
+    cells, worst = [], 0.0
+    for each, told in zip(CONTRACT.classes, found, strict=True):
+        true = 100 * float(grams[(mesh >= each.low_mm) & (mesh < each.high_mm)].sum() / grams.sum())
+        inside = told.percent_low - 0.05 <= true <= told.percent_high + 0.05
+        cells.append(
+            f"{told.percent:.1f} ({told.percent_low:.0f} to {told.percent_high:.0f}), true {true:.1f}"
+            + ("" if inside else ", missed")
+        )
+        worst = max(worst, abs(told.percent - true))
+    return f"| {name} | {len(rows)} | {' | '.join(cells)} | {worst:.1f} |"
 
 
 def draw(groups: dict[str, list[Passed]], path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from camera_sim.sim.conditions import KNOWN_BELT_SD_M, StatedRest
 from camera_sim.sim.cultivars import STOCKS, Stock
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.scenes import Layout, SceneSettings, build_world, in_its_world, layout_named
@@ -56,6 +57,13 @@ OBLONG = Stock(
 """Oblong and somewhat flat, between the round and the long ones: no tuber of it was measured."""
 
 UNSEEN = (MAYQUEEN, OBLONG)
+WORLDS = {
+    "drawn": "",
+    "clean": ", clean tubers",
+    "known": ", clean tubers, known belt and scale",
+}
+"""What is left of a harsh recording's world: all; all but the soil on its tubers, which a camera sees and the true mesh
+is without; its camera's noise and rim alone: its belt's level is stated as it is, and it measures at its true scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +77,8 @@ class BeltPlan:
     tubers: int
     stock: Stock
     distance_m: float
+    world: str = "drawn"
+    """Of `WORLDS`, for the preset 'harsh'."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +105,7 @@ def fewer(plans: Sequence[Any], *, only: Sequence[int] | None, tubers: int | Non
 def plans(which: str) -> list[BeltPlan]:
     """The belts of 'train' (cultivars of the simulator), 'check' (the same, other seeds) or 'judge' (unseen ones)."""
     if which == "judge":
-        return [
+        drawn = [
             BeltPlan(
                 f"{stock.cultivar}-{preset}-{n}", "touching", preset, JUDGED + 100 * i + 10 * j + n, 75, stock, 0.46
             )
@@ -103,6 +113,9 @@ def plans(which: str) -> list[BeltPlan]:
             for j, preset in enumerate(("field", "harsh"))
             for n in range(4)
         ]
+        harsh = [plan for plan in drawn if plan.preset == "harsh"]
+        others = [replace(plan, name=f"{plan.name}-{world}", world=world) for world in WORLDS for plan in harsh]
+        return drawn + [plan for plan in others if plan.world != "drawn"]
     count, first = {"train": (84, 41000), "check": (28, 43000)}[which]
     # Odd numbers alone were fitted on and looked at: by them the shipped rules are made.
     presets = ("field", "harsh", "harsh", "field", "harsh", "easy", "field", "harsh", "harsh", "field")
@@ -138,8 +151,25 @@ def belt_settings(plan: BeltPlan) -> tuple[SceneSettings, Layout]:
         layout,
     )
     if settings.conditions is not None:
-        settings = replace(settings, conditions=replace(settings.conditions, stock=plan.stock))
+        settings = _in_world(replace(settings, conditions=replace(settings.conditions, stock=plan.stock)), plan.world)
     return settings, layout
+
+
+def _in_world(settings: SceneSettings, world: str) -> SceneSettings:
+    """What of its drawn conditions the belt keeps, by `WORLDS`."""
+    drawn = settings.conditions
+    if world == "drawn" or drawn is None:
+        return settings
+    settings = replace(settings, conditions=(clean := replace(drawn, jacket_m=0.0)))
+    if world == "clean":
+        return settings
+    true_scale = replace(clean.preset, noise=replace(clean.preset.noise, drift_px=0.0, scale=1.0))
+    return replace(
+        settings,
+        preset=true_scale,
+        conditions=replace(clean, preset=true_scale),
+        stated=StatedRest(clean.resting_m, KNOWN_BELT_SD_M, calibrated=True),
+    )
 
 
 def segmented(

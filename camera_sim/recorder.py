@@ -31,15 +31,29 @@ class _Positions:
         self._heard = ReliableSubscriber(node, topics.POSITION, Position, capacity=MOST_POSITIONS, receiver="*")
         self._counters, self._path, self._files = node.counters, path, files
         self._writer: PositionsWriter | None = None
-        self._counters.add("positions_written", 0)
+        self._newest: dict[tuple[str, str], tuple[int, int]] = {}
+        for counter in ("positions_written", "positions_duplicate"):
+            self._counters.add(counter, 0)
 
     def keep(self) -> None:
         """Write what has come, without waiting for more."""
         while (at := self._heard.get(0.0)) is not None:
+            if not self._is_new(at):
+                self._counters.add("positions_duplicate")
+                continue
             if self._writer is None:
                 self._writer = self._files.enter_context(PositionsWriter(self._path))
             self._writer.add(at)
             self._counters.add("positions_written")
+
+    def _is_new(self, at: Position) -> bool:
+        """A replay whose process was started again tells its positions from the first on."""
+        key = (at.run, at.receiver)
+        before = self._newest.get(key, (-1, -1))
+        if at.n <= before[0] and at.time_ns <= before[1]:
+            return False
+        self._newest[key] = (at.n, at.time_ns)
+        return True
 
 
 class _Gaps:

@@ -138,7 +138,7 @@ CAMERA_INFO = Topic(
     "camera_info",
     "camera/<camera>/info",
     ("camera",),
-    ("segmenter", "aggregator", "viewer", "recorder", "operator"),
+    ("segmenter", "aggregator", "viewer", "recorder", "gnss", "operator"),
     Delivery.KEPT,
     Priority.DATA_HIGH,
     "CameraInfo",
@@ -252,7 +252,7 @@ POSITION = Topic(
     Delivery.NEVER_LOST,
     Priority.DATA_HIGH,
     "Position",
-    "where the machine is, by its GNSS receiver",
+    "where the machine is, by its GNSS receiver, or by that of the recording that is replayed",
 )
 COUNTERS = Topic(
     "counters",

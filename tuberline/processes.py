@@ -8,8 +8,13 @@ from conveyor.config import LineConfig
 from tuberline.supervisor import ProcessSpec
 
 
-def line_processes(config: LineConfig, *, config_path: Path, run: str, router: bool = True) -> list[ProcessSpec]:
-    """Every process of `config` on this machine, in starting order: who listens comes before who speaks."""
+def line_processes(
+    config: LineConfig, *, config_path: Path, run: str, router: bool = True, positions: bool = False
+) -> list[ProcessSpec]:
+    """Every process of `config` on this machine, in starting order: who listens comes before who speaks.
+
+    `positions`: those beside the ledger are told again, in place of a receiver's.
+    """
     common = ("--config", str(config_path), "--run", run)
     specs = [ProcessSpec("router", ("router", "--config", str(config_path)))] if router else []
     specs.append(ProcessSpec("aggregator", ("aggregator", *common)))
@@ -21,7 +26,9 @@ def line_processes(config: LineConfig, *, config_path: Path, run: str, router: b
         specs += [ProcessSpec(f"{role}-{name}", (role, *common, "--camera", name)) for name in sorted(config.cameras)]
     if config.viewer is not None:
         specs.insert(2, ProcessSpec("viewer", ("viewer", *common)))
-    if config.gnss is not None:
+    if positions:
+        specs.append(ProcessSpec("gnss", ("gnss", *common, "--recorded")))
+    elif config.gnss is not None:
         specs.append(ProcessSpec("gnss", ("gnss", *common)))
     if config.alarms is not None:
         specs.append(ProcessSpec("alarms", ("alarms", str(config_path))))

@@ -152,9 +152,10 @@ def _finished(out: Path, run: str) -> bool:
 
 def _count(config: LineConfig, *, out: Path, run: str, show: bool) -> dict[str, Any]:
     """Run the line until it has counted everything; its summary."""
-    specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run)
+    positions, unusable = _has_positions(out, run=run)
+    specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run, positions=positions)
     with Supervisor(specs, log_dir=out / "logs") as supervisor:
-        findings = _wait_until_counted(supervisor, config, show=show)
+        findings = [*unusable, *_wait_until_counted(supervisor, config, show=show)]
     summary = _summary(out)
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
@@ -162,6 +163,21 @@ def _count(config: LineConfig, *, out: Path, run: str, show: bool) -> dict[str, 
     if findings:
         summary["findings"] = findings
     return summary
+
+
+def _has_positions(out: Path, *, run: str) -> tuple[bool, list[str]]:
+    """Whether the recording's positions can be told again; if they cannot be read that is a finding, and tubers count
+    all the same.
+    """
+    from camera_sim.gnss.recorded import recorded_positions
+    from conveyor.formats.positions import POSITIONS_FILE
+
+    if not (out / POSITIONS_FILE).is_file():
+        return False, []
+    try:
+        return bool(recorded_positions(out / POSITIONS_FILE, run=run)), []
+    except InputError as error:
+        return False, [f"the machine's positions are not replayed: {error}"]
 
 
 def _summary(out: Path) -> dict[str, Any]:

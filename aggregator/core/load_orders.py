@@ -49,15 +49,15 @@ def decide(
     return LoadEvent(book.last_n + 1, run, order.request, kind, load, place, now_ns, order.by, payload)
 
 
-def answer(order: LoadOrder, event: LoadEvent, book: LoadBook) -> LoadAnswer:
-    """What is told of an order that was carried out."""
+def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, unused: str = "") -> LoadAnswer:
+    """What is told of an order that was carried out. `unused`: why the ticket entered calibrates nothing."""
     load = book.loads[event.load]
     place = event.place_x_m
     finite = place if place is not None and abs(place) < 1e7 else None
     return LoadAnswer(
         order.request,
         True,
-        text=_told(event, load),
+        text=_told(event, load) + (f"; it is kept, but does not calibrate: {unused}" if unused else ""),
         load=load.number,
         name=load.name,
         event=event.n,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from aggregator.core.coverage import Moment
 from aggregator.core.load_orders import answer, decide, refusal
+from aggregator.ledger.load_totals import Seen, unused_ticket
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from conveyor.messages import LoadAnswer, LoadOrder
@@ -34,4 +36,10 @@ def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
         except InputError as error:
             return refusal(order, error)
         ledger.say(event)
-        return answer(order, event, ledger.loads)
+        return answer(order, event, ledger.loads, unused=unused_ticket(ledger, event, _seen(ledger, event.load)))
+
+
+def _seen(ledger: Ledger, load: int) -> dict[str, Seen]:
+    """What the cameras looked at in the runs in which a load has belt; all of them are over."""
+    runs = dict.fromkeys(run for run, _ in ledger.loads.loads[load].spans)
+    return {run: Seen(ledger.sums(run).sights, Moment(over=True)) for run in runs}

@@ -32,12 +32,18 @@ _TIME = ("time_ns", "time_s", "time", "timestamp", "datetime", "utc")
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One row of a track: Unix time in nanoseconds, WGS84 degrees, quality as in NMEA's GGA (0: no fix)."""
+    """One row of a track: Unix time in nanoseconds, WGS84 degrees, quality as in NMEA's GGA (0: no fix).
+
+    Our own files also tell the receiver's time, its dilution of precision and its satellites, as `Position` does.
+    """
 
     time_ns: int
     lat_deg: float
     lon_deg: float
     quality: int
+    fix_ns: int | None = None
+    hdop: float | None = None
+    satellites: int = 0
 
 
 def read_positions(path: Path) -> list[Place]:
@@ -133,7 +139,8 @@ def _table(data: bytes, path: Path) -> Iterator[Place]:
             _check(row, path, number)
         try:
             quality = int(row[names["quality"]] or 0) if "quality" in names else 1
-            yield Place(_time_ns(row[time], time.strip().lower()), float(row[lat]), float(row[lon]), quality)
+            told = _told(row) if "crc" in names else (None, None, 0)
+            yield Place(_time_ns(row[time], time.strip().lower()), float(row[lat]), float(row[lon]), quality, *told)
         except (TypeError, ValueError) as error:
             raise InputError(f"track {path}, line {number}: {error}") from error
 
@@ -142,6 +149,11 @@ def _check(row: dict[str, str], path: Path, number: int) -> None:
     text = ",".join(row.get(name) or "" for name in COLUMNS[:-1])
     if str(zlib.crc32(text.encode())) != row.get("crc"):
         raise InputError(f"track {path}, line {number} is damaged: its checksum is not that of its values")
+
+
+def _told(row: dict[str, str]) -> tuple[int, float | None, int]:
+    """What only our own file has of the receiver."""
+    return int(row["fix_ns"]), float(row["hdop"]) if row["hdop"] else None, int(row["satellites"])
 
 
 def _time_ns(text: str, column: str) -> int:

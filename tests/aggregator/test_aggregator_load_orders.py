@@ -137,6 +137,9 @@ def test_killed_at_the_change_every_tuber_is_in_its_load(line: tuple[LineConfig,
             assert (third.done, third.name) == (True, "C")
             assert third.place_x_m == pytest.approx(belt.place_m(asked_s), abs=NEAR_M)
             assert ask("start", request, fields={"name": "C"}) == third
+            wrong = ask("ticket", load="A", kg=5000.0)
+            assert (wrong.done, wrong.name) == (True, "A")
+            assert "it is kept, but does not calibrate: the ticket says 5000.0 kg" in wrong.text
             # kill -9 of the asker: what it asked for is done once, or not at all, and can be asked for again.
             args = [sys.executable, "-m", "tuberline", "load", "end", "--config", str(path), "--request", "end-1"]
             ending = subprocess.Popen(args, cwd=ROOT, stdout=subprocess.PIPE)

@@ -19,13 +19,14 @@ from aggregator.core.load_told import counted, span_coverage
 from aggregator.core.loads import Span
 from aggregator.core.sight import CameraSight
 from aggregator.core.totals import LoadTotals
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.check import check_file
 from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.reader import reading
 from aggregator.ledger.totals_by import ALL, NOT_TOLD, totals_by
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
-from conveyor.messages import Mark
+from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_ledger import Loads, S
 from tests.aggregator.virtual_line import undisturbed
@@ -196,8 +197,10 @@ def test_a_ticket_of_a_load_goes_to_the_file_of_tickets(tmp_path: Path) -> None:
 def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     day_of_loads(path)
-    with Ledger(path) as ledger:
-        Loads(ledger, tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)).order("t", "ticket", load="A", kg=5000.0)
+    answer = order_at_rest(path, LoadOrder("t", "ticket", load="A", kg=5000.0))
+    assert answer.done
+    assert "5000.0 kg net on the scale; it is kept, but does not calibrate: the ticket says 5000.0 kg" in answer.text
+    assert order_at_rest(path, LoadOrder("u", "ticket", load="A", kg=5000.0, net=False)).text.endswith("on the scale")
     totals, refused = totals_by([path], "load")
     assert totals[-1].sums.tickets == 0
     assert totals[-1].weighed == 1

@@ -49,7 +49,7 @@ def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "re
     sys.stdout.write(f"{written} frames in {part}\n")
 
 
-def gnss(*, config: Path, run: str | None = None) -> None:
+def gnss(*, config: Path, run: str | None = None, recorded: bool = False) -> None:
     """Read the machine's GNSS receiver: positions onto the line and into positions.csv beside the ledger.
 
     Parameters
@@ -58,11 +58,15 @@ def gnss(*, config: Path, run: str | None = None) -> None:
         The line's TOML file, with [gnss].
     run
         Id of this run.
+    recorded
+        Tell those that are in positions.csv beside the ledger, each when the cameras that replay the recording have
+        come to its time. `tuberline replay` starts this; it needs no [gnss].
     """
     from camera_sim.gnss.node import run_gnss
+    from camera_sim.gnss.recorded import run_recorded
     from conveyor.config import load_config
 
-    run_gnss(load_config(config), run=run or _new_run())
+    (run_recorded if recorded else run_gnss)(load_config(config), run=run or _new_run())
 
 
 def regressor(*, config: Path, name: str, run: str | None = None) -> None:
