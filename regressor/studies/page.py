@@ -21,16 +21,18 @@ model card are both made from it (`make docs`).
 """
 
 
-WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 74701 --preset easy
-    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 74702 --preset field
-    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 74703 --preset harsh
+WORLDS_COMMANDS = """tuberline simulate-views --out packs/easy --tubers 1250 --views 2 --seed 76801 --preset easy
+    tuberline simulate-views --out packs/field --tubers 1250 --views 2 --seed 76802 --preset field
+    tuberline simulate-views --out packs/harsh --tubers 2500 --views 2 --seed 76803 --preset harsh
+    tuberline simulate-views --out packs/exact --tubers 1250 --views 2 --seed 76804 --preset exact
     tuberline evaluate --data packs --by all --out worlds"""
 WORLDS_WORDS = (
-    "A recording is 25 tubers that share camera, belt and cultivar; its interval is as wide as the ledger states a "
-    "load's before any ticket, with the resting level as well known as the pack says. The seeds were fixed before the "
-    "packs were made. These sets were judged twice: with half a say for the volume rule (5.8, 10.5 and 14.4 g), and "
-    "with three tenths when made clouds and the real potato had shown how far that rule may be off. Three other sets "
-    "(73701 to 73703) were judged once, by half of the last training and half of the rule: 6.2, 10.0 and 13.9 g."
+    "A recording is 25 tubers that share camera, belt and cultivar (those of `exact` have their own); its interval is "
+    "as wide as the ledger states a load's before any ticket, with the resting level as well known as the pack says. "
+    "The seeds were fixed before the packs were made, choices were made on seeds 73701 to 73704, and these sets were "
+    "judged once. Half of the recordings of `harsh` are under soil, which weights take for tuber and the truth does "
+    "not; its clean tubers have a row and a column of their own. `exact` is no harvester's world: a camera that only "
+    "rounds, and half of the shapes of no cultivar."
 )
 
 
