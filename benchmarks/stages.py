@@ -22,6 +22,7 @@ import torch
 
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.formats import camera_names, open_source
+from conveyor.heap import keep_buffers
 from conveyor.messages import Frame, View
 from regressor.network.fast import EXACT, Form
 from regressor.weigh.prepare import prepare_view
@@ -43,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--exact", action="store_true")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
+    keep_buffers()  # as segmenters and regressors do
     frames = [
         replace(item, color_jpeg=None)
         for item in open_source(
