@@ -13,7 +13,7 @@ from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Batch
 from aggregator.ledger.writer import Ledger
-from aggregator.opening import core_of, open_run
+from aggregator.opening import core_of, keep_config, open_run
 from aggregator.orders import Orders, answer_all
 from aggregator.queries import Queries
 from aggregator.report import Reporter
@@ -96,6 +96,7 @@ class AggregatorNode:
             )
             for name in COUNTED:
                 self._node.counters.add(name, 0)
+            keep_config(self._config)
             self._core = core_of(
                 self._ledger,
                 self._run,

@@ -6,13 +6,32 @@ import time
 from collections.abc import Callable, Sequence
 
 from aggregator.core.machine import Aggregation, Restored
+from aggregator.ledger.files import write_whole
 from aggregator.ledger.writer import Ledger
 from conveyor import __version__
-from conveyor.config import LineConfig
+from conveyor.config import LineConfig, dump_toml
 
+CONFIG_FILE, KEPT = "line.toml", "# as the aggregator last had it; map, report and export read it\n"
 LIVE_REACH_MM = 15.0
 """Behind a tuber of a live line with an encoder no other camera's track of it is waited for any longer: places of two
 cameras agree to 9.3 mm on a simulated belt of 200 tubers. One that lies farther behind comes late, and counts once."""
+
+
+def keep_config(config: LineConfig) -> None:
+    """Write the line's config beside its ledger, for what is made of it later: working width, contract, densities.
+    A file that a person or a replay has put there stays as it is.
+
+    Raises:
+        StorageError: the disk is full or the folder cannot be written.
+    """
+    path = config.aggregator.out / CONFIG_FILE
+    text = KEPT + dump_toml(config)
+    try:
+        before = path.read_text(encoding="utf-8") if path.exists() else KEPT
+    except (OSError, UnicodeDecodeError):
+        return
+    if before.startswith(KEPT) and before != text:
+        write_whole(path, text)
 
 
 def open_run(

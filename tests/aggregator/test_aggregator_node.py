@@ -16,9 +16,9 @@ import pytest
 
 from aggregator.ledger.writer import Ledger
 from aggregator.node import AggregatorNode
-from aggregator.opening import open_run
+from aggregator.opening import keep_config, open_run
 from conveyor import __version__, topics
-from conveyor.config import LineConfig, LinkConfig, dump_toml, parse_config
+from conveyor.config import LineConfig, LinkConfig, dump_toml, load_config, parse_config
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.reliable import ReliablePublisher, ReliableSubscriber
 from conveyor.geometry import Intrinsics
@@ -144,6 +144,22 @@ def test_killed_in_the_middle_it_counts_everything_once(line: tuple[LineConfig, 
         assert len(list(csv.DictReader(file))) == len(told.seen())
     published = {tuber.tuber_id for tuber in iter(lambda: tubers.get(0.0), None)}
     assert published <= set(range(1, len(told.seen()) + 1))
+
+
+def test_the_config_stands_beside_the_ledger_and_no_file_of_a_person_is_replaced(tmp_path: Path) -> None:
+    """A live line's report found no contract, and its map no working width: only a replay had its config there."""
+    gnss = {"source": "simulated:", "width_m": 3.0}
+    raw = {"name": "t", "aggregator": {"out": str(tmp_path / "out")}, "gnss": gnss}
+    (tmp_path / "out").mkdir()
+    for width_m in (3.0, 1.5):
+        gnss["width_m"] = width_m
+        keep_config(parse_config(raw, where="test"))
+        kept = load_config(tmp_path / "out" / "line.toml")
+        assert kept.gnss is not None
+        assert kept.gnss.width_m == width_m
+    (tmp_path / "out" / "line.toml").write_text("# mine\n")
+    keep_config(parse_config(raw, where="test"))
+    assert (tmp_path / "out" / "line.toml").read_text() == "# mine\n"
 
 
 def test_a_finished_run_is_refused_in_words(line: tuple[LineConfig, Path], process: Process) -> None:

@@ -56,7 +56,7 @@ def _unseen(facts: DayFacts) -> Iterator[str]:
 
 def _tickets(facts: DayFacts) -> Iterator[str]:
     for refused in facts.refused:
-        yield f"A ticket does not calibrate: {refused}."
+        yield f"A ticket does not calibrate: {refused}{'' if refused.endswith('?') else '.'}"
     for load in facts.loads:
         if load.ticket_kg is not None and not load.low_kg <= load.ticket_kg <= load.high_kg:
             yield _outside(load, load.ticket_kg)
