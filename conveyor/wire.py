@@ -77,11 +77,13 @@ def pack(
 ) -> bytes:
     """One message as bytes. Arrays that are None are left out. `codec` is 'raw' or 'zstd'."""
     descriptors: list[dict[str, Any]] = []
-    chunks: list[bytes] = []
+    chunks: list[bytes | memoryview] = []
     for name, array in arrays.items():
         if array is None:
             continue
-        data = array.tobytes()
+        # As it lies in the memory, where that is how it travels: the message is the only copy.
+        flat: Any = array.reshape(-1).view(np.uint8)
+        data: bytes | memoryview = memoryview(flat) if array.size else b""
         if codec == "zstd":
             data = zstandard.ZstdCompressor(level=1).compress(data)
         descriptors.append(
