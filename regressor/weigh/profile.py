@@ -57,17 +57,10 @@ def rim_profile(
 
 
 @njit(cache=True, nogil=True)
-def _profile(
-    level: NDArray[np.float64],
-    areas_m2: NDArray[np.float64],
-    inside: NDArray[np.bool_],
-    distance: NDArray[np.float32],
-    heights: NDArray[np.float64],
-    height_m: float,
-) -> NDArray[np.float64]:
-    n, rings = len(heights), len(RINGS) + 1
+def _axes(level: NDArray[np.float64], areas_m2: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """(x, y of the outline's middle, standard deviations of its area along its main axes), metres."""
     area, x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(n):
+    for k in range(len(areas_m2)):
         a = areas_m2[k]
         area += a
         x += a * level[k, 0]
@@ -78,7 +71,20 @@ def _profile(
     x, y = x / area, y / area
     xx, xy, yy = xx / area - x * x, xy / area - x * y, yy / area - y * y
     half, root = (xx + yy) / 2, np.sqrt(((xx - yy) / 2) ** 2 + xy * xy)
+    return x, y, np.sqrt(max(half + root, 0.0)), np.sqrt(max(half - root, 0.0))
 
+
+@njit(cache=True, nogil=True)
+def _profile(
+    level: NDArray[np.float64],
+    areas_m2: NDArray[np.float64],
+    inside: NDArray[np.bool_],
+    distance: NDArray[np.float32],
+    heights: NDArray[np.float64],
+    height_m: float,
+) -> NDArray[np.float64]:
+    n, rings = len(heights), len(RINGS) + 1
+    x, y, major_m, minor_m = _axes(level, areas_m2)
     rows, columns = inside.shape
     most = 0.0
     for v in range(rows):
@@ -118,8 +124,7 @@ def _profile(
 
     out = np.empty(COUNT)
     out[0] = 1e3 * most * np.sqrt(circle)
-    out[1] = 2e3 * np.sqrt(max(half + root, 0.0))
-    out[2] = 2e3 * np.sqrt(max(half - root, 0.0))
+    out[1], out[2] = 2e3 * major_m, 2e3 * minor_m
     inner = 0.5
     for ring in range(rings - 1, -1, -1):
         # A ring too narrow for a pixel is as high as the one inside it.
