@@ -84,10 +84,10 @@ def regressor(*, config: Path, name: str, run: str | None = None) -> None:
     from conveyor.config import load_config
     from conveyor.heap import keep_buffers
 
-    line = load_config(config)
-    os.nice(line.regressor.nice)  # before torch is imported: cameras and segmenters come up first
     from regressor.serve.node import run_regressor
 
+    line = load_config(config)
+    os.nice(line.regressor.nice)
     keep_buffers()
     run_regressor(line, name=name, run=run or _new_run())
 
