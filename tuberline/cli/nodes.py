@@ -83,7 +83,6 @@ def regressor(*, config: Path, name: str, run: str | None = None) -> None:
     """
     from conveyor.config import load_config
     from conveyor.heap import keep_buffers
-
     from regressor.serve.node import run_regressor
 
     line = load_config(config)
