@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from regressor.network.edge_maximum import Statistics, edge_maximum
 from regressor.network.pointraft import PointRaft, SharedMlp
 
 
@@ -80,12 +81,51 @@ def _edges_max(
     compute: torch.dtype | None,
 ) -> Tensor:
     """max over j of third(relu(norm(second(relu(source_j - centroid_i))))): (B, K, F), (B, C, F) to (B, C, O)."""
+    if _is_trained_here(source):
+        return _edges_max_by_blocks(source, centroid, second, norm, third, compute)
     dtype = compute or source.dtype
     batch, neighbours, width = source.shape
     pairs = torch.relu(source.to(dtype)[:, None] - centroid.to(dtype)[:, :, None]).reshape(-1, width)
     hidden = torch.relu(normed(pairs @ second.weight.T.to(dtype), second.bias, norm))
     values = (hidden @ third.weight.T.to(dtype)).reshape(batch, -1, neighbours, third.out_features)
     return values.amax(2).to(third.weight.dtype) + third.bias
+
+
+def _is_trained_here(source: Tensor) -> bool:
+    """Whether gradients are wanted of float32 on the CPU: then the edges are worth going through by blocks."""
+    return (
+        source.requires_grad
+        and torch.is_grad_enabled()
+        and source.device.type == "cpu"
+        and source.dtype is torch.float32
+    )
+
+
+def _edges_max_by_blocks(
+    source: Tensor,
+    centroid: Tensor,
+    second: nn.Linear,
+    norm: nn.BatchNorm1d,
+    third: nn.Linear,
+    compute: torch.dtype | None,
+) -> Tensor:
+    """As `_edges_max`."""
+    if norm.running_mean is None or norm.running_var is None:
+        raise ValueError("batch norm without running statistics cannot be used here")
+    # As in `normed`: a norm by the batch's own statistics cancels the bias, one by fixed statistics takes it off them.
+    fixed = None if norm.training else Statistics(norm.running_mean - second.bias.detach(), norm.running_var, 0)
+    out, used = edge_maximum(
+        source,
+        centroid,
+        (second.weight, third.weight),
+        (norm.weight, norm.bias),
+        fixed=fixed,
+        eps=norm.eps,
+        compute=compute or source.dtype,
+    )
+    if norm.training:
+        _update_running(norm, used.mean + second.bias, used.variance, used.rows)
+    return out + third.bias
 
 
 def normed(x: Tensor, bias: Tensor, norm: nn.BatchNorm1d) -> Tensor:
