@@ -176,6 +176,12 @@ class SegmenterConfig(Section):
     spare_grace_s: float = Field(
         0.06, ge=0, le=60, description="live: a weighed tuber waits this long for its other views, then is logged"
     )
+    free_share: float = Field(
+        0.3,
+        ge=0,
+        le=0.9,
+        description="live: of this machine's processors, kept free of second and later views; 0: none",
+    )
     weigh_deadline_s: float = Field(
         60.0,
         ge=1,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Picture, Track, Travel, View, Weight
 from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.processors import Busy
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
@@ -50,6 +51,7 @@ class RunSettings:
     spare_grace_s: float | None = None
     """A weighed tuber waits this long for its other views; None: until they are answered or lost."""
     fewer_views: bool = False
+    free_share: float = 0.0
     """Weigh fewer views of each tuber while the regressors are busy all the time."""
     log_behind: bool = False
     """A thread of its own writes the log."""
@@ -68,7 +70,7 @@ class CameraRun:
         self.frames = FrameBalance()
         self.dispatcher = Dispatcher(settings.dispatch)
         self.weighing = Weighing(settings.weigh_deadline_s, spare_grace_s=settings.spare_grace_s)
-        self.budget = ViewBudget(settings.core.views_per_tuber)
+        self.budget = ViewBudget(settings.core.views_per_tuber, settings.free_share)
         self.core = Segmenter(settings.core)
         self.early = EarlyViews()
         self.provisional = ProvisionalWeights()
@@ -181,14 +183,14 @@ class CameraRun:
         if known and usable and not self.early.answered(weight):
             self.weighing.weighed(weight, self._now_s)
 
-    def tick(self, now_s: float, regressors: set[str]) -> list[tuple[str, View]]:
-        """Move everything on; returns the views to send, each with its regressor."""
+    def tick(self, now_s: float, regressors: set[str], *, machine: Busy | None = None) -> list[tuple[str, View]]:
+        """Move everything on; returns the views to send, each with its regressor. `machine`: how busy this one is."""
         self._now_s = now_s
         self.dispatcher.present(regressors)
         self.dispatcher.expire(now_s)
         if self.settings.fewer_views:
             busy, of = self.dispatcher.busy
-            self.budget.step(now_s, busy=busy, of=of)
+            self.budget.step(now_s, busy=busy, of=of, machine=machine)
         for track_id in self.weighing.overdue(now_s):
             self.dispatcher.cancel(track_id, ViewLoss.WEIGH_DEADLINE)
         for track_id in self.weighing.weighed_enough(now_s):

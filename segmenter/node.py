@@ -26,6 +26,7 @@ from conveyor.direct import DirectLink, direct_endpoint
 from conveyor.frame_ring import RingInlet, ring_path
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
+from conveyor.processors import Processors
 from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.camera_run import CameraRun
@@ -60,6 +61,7 @@ class SegmenterNode:
         stamped = source.source == "recording" and source.starts_at_s is None  # the others say the time of the day
         self._speed = source.speed if stamped else 1.0
         self._age = FrameAge(self._speed)
+        self._processors = Processors()
         self._clock = CameraClock(self._speed)
         self._oldest_ms = 0.0
         self._overwritten = 0
@@ -260,7 +262,8 @@ class SegmenterNode:
     def _serve(self, camera_run: CameraRun, now_s: float) -> None:
         """Send what a run has to send; forget an older run that has nothing left to say."""
         self._take_commits(camera_run)
-        for name, view in camera_run.tick(now_s, self._regressors.names()):
+        machine = self._processors.busy(now_s)
+        for name, view in camera_run.tick(now_s, self._regressors.names(), machine=machine):
             self._work(name).put(view)
         for entry in camera_run.log.due(now_s):
             self._log_out.put(entry)
@@ -299,6 +302,8 @@ class SegmenterNode:
         counters.gauge("views_per_tuber", camera_run.budget.views)
         counters.gauge("views_per_tuber_reduced", camera_run.budget.reduced)
         counters.gauge("regressors_busy_share", camera_run.budget.share)
+        if (machine_share := camera_run.budget.machine_share) is not None:
+            counters.gauge("machine_busy_share", machine_share)
         counters.gauge("tracks_waiting", len(camera_run.weighing))
         if not self._waits and (quickest_ns := self._age.quickest_ns) is not None:
             counters.gauge(AT_START_GAUGE, time.monotonic() - quickest_ns / 1e9 - self._node.uptime_s)

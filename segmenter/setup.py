@@ -63,6 +63,7 @@ def run_settings(config: LineConfig, camera: str) -> RunSettings:
         mark_every_ns=MARK_EVERY_NS if waits else LIVE_MARK_EVERY_NS,
         spare_grace_s=None if waits else s.spare_grace_s,
         fewer_views=not waits,
+        free_share=s.free_share if config.regressor.processes else 0.0,
         log_behind=True,
         replays=waits,
     )

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.messages import TrackEntry
+from conveyor.processors import Busy
 from conveyor.reasons import Requeue, ViewLoss
 from segmenter.camera_run import LIVE_MARK_EVERY_NS, MARK_EVERY_NS
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
@@ -103,6 +104,30 @@ def test_the_budget_stays_between_one_view_and_all(most: int, seen: list[tuple[f
         budget.step(now_s, busy=busy, of=busy + idle)
         assert 1 <= budget.views <= most
         assert 0.0 <= budget.share <= 1.0
+
+
+def shown(busy_share: float, *, seconds: float, budget: ViewBudget) -> int:
+    """Views of a tuber after so long on a machine that is as busy; its two regressors work for half of the time."""
+    machine, at_s = Busy(busy_share, 2), 0.0 if budget._now_s is None else budget._now_s
+    for turn in range(round(seconds / 0.05)):
+        budget.step(at_s + 0.05 * turn, busy=turn % 2, of=2, machine=machine)
+    return budget.views
+
+
+def test_second_and_third_views_leave_a_part_of_the_machine_free() -> None:
+    budget = ViewBudget(3, free_share=0.3)
+    assert shown(0.9, seconds=20.0, budget=budget) == 1
+    assert shown(0.6, seconds=20.0, budget=budget) == 1, "another view of each tuber would take what is to stay free"
+    assert shown(0.1, seconds=20.0, budget=budget) == 3
+    assert shown(0.71, seconds=20.0, budget=budget) == 1, "it stays above the share that is to be free"
+    assert budget.machine_share == pytest.approx(0.71, abs=1e-3)
+
+
+def test_a_busy_machine_is_no_matter_where_the_regressors_run_elsewhere() -> None:
+    beside = LineConfig(cameras={"front": CameraConfig(waits=False)})
+    elsewhere = beside.model_copy(update={"regressor": beside.regressor.model_copy(update={"processes": 0})})
+    assert (run_settings(beside, "front").free_share, run_settings(elsewhere, "front").free_share) == (0.3, 0.0)
+    assert shown(1.0, seconds=20.0, budget=ViewBudget(3, run_settings(elsewhere, "front").free_share)) == 3
 
 
 def test_a_tuber_gets_one_view_while_what_waits_takes_longer_than_a_moment() -> None:
