@@ -106,8 +106,8 @@ def _network_alone(path: Path, model: PointRaft) -> Path:
     """The network as ONNX without the rules that an export puts around it: all back ends compute the same."""
     names, out = ("groups", "height_m"), "network_g"
     example = torch.zeros(2, 2 * NEIGHBOURS + CENTROIDS_2, 3), torch.zeros(2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the tracing exporter, as in regressor/network/export.py
+    with warnings.catch_warnings(), torch.no_grad():  # both as in regressor/network/export.py
+        warnings.simplefilter("ignore")
         torch.onnx.export(
             ExportedPointRaft(model),
             example,

@@ -91,7 +91,8 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
         torch.zeros(count, dtype=torch.float64),
     )
     path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
+    # No gradients: a training's steps go through edges in a way that no graph holds.
+    with warnings.catch_warnings(), torch.no_grad():
         # The tracing exporter is deprecated in favour of one that needs a further package for the same graph.
         warnings.simplefilter("ignore")
         torch.onnx.export(
