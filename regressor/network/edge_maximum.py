@@ -5,8 +5,8 @@ batch norm between them and keeps the largest value of each channel: 8192 edges 
 tensor operations that is a dozen passes over hundreds of megabytes a step. Here the edges of a few centroids at a time
 are formed, used and forgotten, and two things save most of the rest:
 
-* Only the edge that holds a channel's largest value passes a gradient on. So what flows back through the last layer,
-  its weights' gradient included, needs 256 rows for 64 edges and no product over all of them.
+* Only the edge that holds a channel's largest value passes a gradient on. So the way back through the last layer is
+  one row for each channel of a centroid, and no product over all edges.
 * The batch norm does spread a gradient over all edges, but by three numbers a channel: its part is one product with a
   small matrix, formed once.
 
@@ -19,14 +19,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numba import njit
-from numpy.typing import NDArray
 from torch import Tensor
 
+from regressor.network.edge_loops import activate, add_moments, gather_edges, largest, pass_back, spread_back
 from regressor.network.edges import edge_differences
 
 CENTROIDS = 16
@@ -72,6 +71,23 @@ def edge_maximum(
     return out, held[0]
 
 
+class _Saved(NamedTuple):
+    """What the way back needs: inputs as of `edge_maximum`, the norm's `scale` and `shift` with its statistics, what
+    went into it (`hidden`, (B, C * K, H)) and which neighbour holds each maximum (`winner`, (B, C, O) uint8).
+    """
+
+    source: Tensor
+    centroid: Tensor
+    w2: Tensor
+    w3: Tensor
+    scale: Tensor
+    shift: Tensor
+    mean: Tensor
+    variance: Tensor
+    hidden: Tensor
+    winner: Tensor
+
+
 class _EdgeMaximum(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> Tensor:
@@ -87,7 +103,7 @@ class _EdgeMaximum(torch.autograd.Function):
             rows = slice(block.start * neighbours, block.stop * neighbours)
             torch.mm(edges, second, out=hidden[b, rows])
             if fixed is None:
-                _add_moments(kept.wide("hidden", hidden[b, rows]).numpy(), sums)
+                add_moments(kept.wide("hidden", hidden[b, rows]).numpy(), sums)
         if fixed is None:
             mean, square = torch.from_numpy(sums / (batch * pairs))
             fixed = Statistics(mean.float(), (square - mean.square()).clamp_min(0.0).float(), batch * pairs)
@@ -100,18 +116,19 @@ class _EdgeMaximum(torch.autograd.Function):
         for b, block in _blocks(source, centroid):
             rows = slice(block.start * neighbours, block.stop * neighbours)
             awake = kept.array("awake", hidden[b, rows].shape)
-            _activate(kept.wide("hidden", hidden[b, rows]).numpy(), scale.numpy(), shift.numpy(), awake.numpy())
+            activate(kept.wide("hidden", hidden[b, rows]).numpy(), scale.numpy(), shift.numpy(), awake.numpy())
             values = kept.product("values", kept.narrow("edges", awake), third)
-            _largest(kept.wide("largest", values).numpy(), out[b, block].numpy(), winner[b, block].numpy())
+            largest(kept.wide("largest", values).numpy(), out[b, block].numpy(), winner[b, block].numpy())
         ctx.save_for_backward(source, centroid, w2, w3, scale, shift, fixed.mean, fixed.variance, hidden, winner)
         ctx.rows, ctx.eps, ctx.compute = fixed.rows, eps, compute
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        _, _, w2, _, scale, _, mean, variance, _, _ = ctx.saved_tensors
-        passed = _passed_back(ctx, gradients[0].contiguous())
-        sd = torch.sqrt(variance + ctx.eps)
+        saved = _Saved(*ctx.saved_tensors)
+        w2, scale, mean = saved.w2, saved.scale, saved.mean
+        passed = _passed_back(saved, gradients[0].contiguous(), ctx.compute)
+        sd = torch.sqrt(saved.variance + ctx.eps)
         gamma_gradient = (passed.by_input - mean * passed.total) / sd
         constant = slope = torch.zeros_like(mean)
         if ctx.rows:
@@ -119,7 +136,7 @@ class _EdgeMaximum(torch.autograd.Function):
         # What goes into the norm has the gradient scale * (passed - constant - slope * (input - mean)).
         spread = (w2.T * (scale * slope)).T.to(ctx.compute)
         level = (scale * (constant - slope * mean)) @ w2
-        out = _spread_over_edges(ctx, passed, spread, level)
+        out = _spread_over_edges(saved, passed, spread, level, by_batch=ctx.rows > 0)
         common = slope[:, None] * (out.by_input - mean[:, None] * out.edge_sum)
         w2_gradient = scale[:, None] * (passed.by_edge - constant[:, None] * out.edge_sum - common)
         return (out.source, out.centroid, w2_gradient, passed.w3, gamma_gradient, passed.total, None, None, None, None)
@@ -152,18 +169,18 @@ class _Spread:
     by_input: Tensor
 
 
-def _passed_back(ctx: Any, gradient: Tensor) -> _Passed:
-    source, centroid, w2, w3, scale, shift, _, _, hidden, winner = ctx.saved_tensors
-    neighbours, kept = source.shape[1], _Kept(ctx.compute)
-    affine, sums = np.stack([scale.numpy(), shift.numpy()]), np.zeros((2, len(w2)))
+def _passed_back(saved: _Saved, gradient: Tensor, compute: torch.dtype) -> _Passed:
+    source, centroid, w2, w3 = saved.source, saved.centroid, saved.w2, saved.w3
+    neighbours, kept = source.shape[1], _Kept(compute)
+    affine, sums = np.stack([saved.scale.numpy(), saved.shift.numpy()]), np.zeros((2, len(w2)))
     w3_gradient, by_edge, rows = torch.zeros_like(w3), torch.zeros_like(w2), []
     for b, block in _blocks(source, centroid):
-        inputs = hidden[b, block.start * neighbours : block.stop * neighbours]
+        inputs = saved.hidden[b, block.start * neighbours : block.stop * neighbours]
         passed = kept.array("passed", inputs.shape)
         row_of = torch.full((len(inputs),), -1, dtype=torch.int32)
-        count = _pass_back(
+        count = pass_back(
             gradient[b, block].numpy(),
-            winner[b, block].numpy(),
+            saved.winner[b, block].numpy(),
             kept.wide("hidden", inputs).numpy(),
             affine,
             w3.detach().numpy(),
@@ -176,27 +193,27 @@ def _passed_back(ctx: Any, gradient: Tensor) -> _Passed:
         padded = min(len(inputs), -(-count // SHAPES) * SHAPES)
         passed[count:padded] = 0.0
         edges = kept.array("edges", (padded, w2.shape[1])).zero_()
-        _gather_edges(source[b].numpy(), centroid[b, block].numpy(), row_of.numpy(), edges.numpy())
+        gather_edges(source[b].numpy(), centroid[b, block].numpy(), row_of.numpy(), edges.numpy())
         by_edge += kept.narrow("passed", passed[:padded]).T @ kept.narrow("edges", edges)
         rows.append((row_of, passed[:padded].clone()))
     total, by_input = torch.from_numpy(sums).float()
     return _Passed(rows, total, by_input, by_edge, w3_gradient)
 
 
-def _spread_over_edges(ctx: Any, passed: _Passed, spread: Tensor, level: Tensor) -> _Spread:
-    source, centroid, w2, _, scale, _, _, _, hidden, _ = ctx.saved_tensors
-    neighbours, kept = source.shape[1], _Kept(ctx.compute)
-    direct = (w2.T * scale).T.to(ctx.compute)
+def _spread_over_edges(saved: _Saved, passed: _Passed, spread: Tensor, level: Tensor, *, by_batch: bool) -> _Spread:
+    source, centroid, w2 = saved.source, saved.centroid, saved.w2
+    neighbours, kept = source.shape[1], _Kept(spread.dtype)
+    direct = (w2.T * saved.scale).T.to(spread.dtype)
     source_gradient, centroid_gradient = torch.zeros_like(source), torch.zeros_like(centroid)
     edge_sum, by_input = np.zeros(w2.shape[1]), torch.zeros_like(w2)
     for (b, block), (row_of, gradients) in zip(_blocks(source, centroid), passed.rows, strict=True):
-        inputs = hidden[b, block.start * neighbours : block.stop * neighbours]
-        if ctx.rows:
+        inputs = saved.hidden[b, block.start * neighbours : block.stop * neighbours]
+        if by_batch:
             by_input += inputs.T @ kept.narrow("edges", kept.edges(source[b], centroid[b, block]))
             common = kept.wide("common", kept.product("spread", inputs, spread))
         else:
             common = kept.array("common", (len(inputs), w2.shape[1])).zero_()
-        _spread_back(
+        spread_back(
             (source[b].numpy(), centroid[b, block].numpy()),
             kept.wide("direct", kept.product("direct", kept.narrow("passed", gradients), direct)).numpy(),
             row_of.numpy(),
@@ -245,152 +262,3 @@ class _Kept:
         out = self.array("edges", (len(source) * len(centroid), source.shape[1]))
         edge_differences(source.numpy(), centroid.numpy(), out.numpy())
         return out
-
-
-@njit(cache=True, nogil=True)
-def _add_moments(values: NDArray[np.float32], sums: NDArray[np.float64]) -> None:
-    """Adds (R, H) `values` and their squares to the rows of `sums` (2, H)."""
-    width = values.shape[1]
-    first, second = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    for row in range(len(values)):
-        for h in range(width):
-            first[h] += values[row, h]
-            second[h] += values[row, h] * values[row, h]
-    for h in range(width):
-        sums[0, h] += first[h]
-        sums[1, h] += second[h]
-
-
-@njit(cache=True, nogil=True)
-def _activate(
-    values: NDArray[np.float32], scale: NDArray[np.float32], shift: NDArray[np.float32], out: NDArray[np.float32]
-) -> None:
-    """max(values * scale + shift, 0) into `out`; all (R, H), scale and shift (H,)."""
-    rows, width = values.shape
-    for row in range(rows):
-        for h in range(width):
-            value = values[row, h] * scale[h] + shift[h]
-            out[row, h] = value if value > np.float32(0) else np.float32(0)
-
-
-@njit(cache=True, nogil=True)
-def _largest(values: NDArray[np.float32], out: NDArray[np.float32], winner: NDArray[np.uint8]) -> None:
-    """The largest of each of the C groups of K rows of (C * K, O) `values`: `out` (C, O), and which of K holds it."""
-    groups, width = out.shape
-    size = len(values) // groups
-    for c in range(groups):
-        for o in range(width):
-            out[c, o] = values[c * size, o]
-            winner[c, o] = 0
-        for k in range(1, size):
-            for o in range(width):
-                larger = values[c * size + k, o] > out[c, o]
-                out[c, o] = values[c * size + k, o] if larger else out[c, o]
-                winner[c, o] = np.uint8(k) if larger else winner[c, o]
-
-
-@njit(cache=True, nogil=True)
-def _pass_back(
-    gradient: NDArray[np.float32],
-    winner: NDArray[np.uint8],
-    inputs: NDArray[np.float32],
-    affine: NDArray[np.float32],
-    w3: NDArray[np.float32],
-    row_of: NDArray[np.int32],
-    out: NDArray[np.float32],
-    w3_gradient: NDArray[np.float32],
-    sums: NDArray[np.float64],
-) -> int:
-    """From the (C, O) `gradient` of the maxima to that behind the norm, for the edges that hold one.
-
-    Args:
-        inputs: (C * K, H) of the norm; affine: its scale and shift, (2, H).
-        row_of: (C * K,) is given each holding edge's row of `out` (its first rows, (n, H)); -1 for all others.
-        w3_gradient, sums: (O, H) and (2, H), added to.
-
-    Returns:
-        n.
-    """
-    groups, channels = gradient.shape
-    edges, width = inputs.shape
-    size = edges // groups
-    awake = np.empty((edges, width), np.float32)
-    count = 0
-    for c in range(groups):
-        for o in range(channels):
-            edge = c * size + winner[c, o]
-            row = row_of[edge]
-            if row < 0:
-                row = count
-                row_of[edge] = row
-                count += 1
-                for h in range(width):
-                    value = inputs[edge, h] * affine[0, h] + affine[1, h]
-                    awake[row, h] = value if value > np.float32(0) else np.float32(0)
-                    out[row, h] = np.float32(0)
-            share = gradient[c, o]
-            for h in range(width):
-                out[row, h] += share * w3[o, h]
-            for h in range(width):
-                w3_gradient[o, h] += share * awake[row, h]
-    for edge in range(edges):
-        row = row_of[edge]
-        if row >= 0:
-            for h in range(width):
-                value = out[row, h] if awake[row, h] > np.float32(0) else np.float32(0)
-                out[row, h] = value
-                sums[0, h] += value
-                sums[1, h] += value * inputs[edge, h]
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _gather_edges(
-    source: NDArray[np.float32], centroid: NDArray[np.float32], row_of: NDArray[np.int32], out: NDArray[np.float32]
-) -> None:
-    """The edges that have a row, into that row of `out` (n, W)."""
-    neighbours, width = source.shape
-    for edge in range(len(row_of)):
-        row = row_of[edge]
-        if row >= 0:
-            c, k = edge // neighbours, edge % neighbours
-            for w in range(width):
-                value = source[k, w] - centroid[c, w]
-                out[row, w] = value if value > np.float32(0) else np.float32(0)
-
-
-@njit(cache=True, nogil=True)
-def _spread_back(
-    points: tuple[NDArray[np.float32], NDArray[np.float32]],
-    passed: NDArray[np.float32],
-    row_of: NDArray[np.int32],
-    common: NDArray[np.float32],
-    level: NDArray[np.float32],
-    gradients: tuple[NDArray[np.float32], NDArray[np.float32]],
-    edge_sum: NDArray[np.float64],
-) -> None:
-    """From edges to the neighbours and centroids they join.
-
-    Args:
-        points: source (K, W) and centroid (C, W).
-        passed: (n, W) of the edges with a row; common (C * K, W) and level (W,) are taken off all edges.
-        gradients: of source and centroid, added to. edge_sum: (W,), the edges are added to it.
-    """
-    source, centroid = points
-    of_source, of_centroid = gradients
-    neighbours, width = source.shape
-    nought = np.zeros(width, np.float32)
-    total = np.zeros(width, np.float32)
-    for c in range(len(centroid)):
-        for k in range(neighbours):
-            row = row_of[c * neighbours + k]
-            more = passed[row] if row >= 0 else nought
-            for w in range(width):
-                edge = source[k, w] - centroid[c, w]
-                open_ = edge > np.float32(0)
-                value = more[w] - common[c * neighbours + k, w] - level[w] if open_ else np.float32(0)
-                total[w] += edge if open_ else np.float32(0)
-                of_source[k, w] += value
-                of_centroid[c, w] -= value
-    for w in range(width):
-        edge_sum[w] += total[w]
