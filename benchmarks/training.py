@@ -31,7 +31,6 @@ from regressor.network.reduced import Resolution, reduced_forward
 from regressor.training.cloudset import load_cloudset
 
 BATCH, BATCHES, SEED = 32, 8, 5
-HIGHEST_M = 0.16
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -83,12 +82,12 @@ def _steps_s(dtype: torch.dtype, resolution: Resolution, rounds: int) -> tuple[f
 
 def _turned(folder: Path, weights: Path | None) -> dict[str, list[float]]:
     """Degrees between gradients of all parameters, by what differs."""
-    model, _ = load_checkpoint(weights)
+    model, sidecar = load_checkpoint(weights)
     if model is None:
         raise InputError(f"{weights} holds no network")
     model.train()
     exact, narrow = [], []
-    for batch in _batches(folder):
+    for batch in _batches(folder, highest_m=sidecar.input.max_height_m):
         exact.append(_gradient(model, batch, torch.float32))
         narrow.append(_gradient(model, batch, torch.bfloat16))
     return {
@@ -97,11 +96,11 @@ def _turned(folder: Path, weights: Path | None) -> dict[str, list[float]]:
     }
 
 
-def _batches(folder: Path) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+def _batches(folder: Path, *, highest_m: float) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     data = load_cloudset(folder, max_views=BATCH * BATCHES)
     order = np.random.default_rng(SEED).permutation(len(data))
     for rows in np.array_split(order, BATCHES):
-        heights_m = np.clip(data.height_m[rows], 0.0, HIGHEST_M)
+        heights_m = np.clip(data.height_m[rows], 0.0, highest_m)
         arrays = np.ascontiguousarray(data.points[rows, :128]), heights_m, data.weight_g[rows]
         points, heights, weight_g = (torch.from_numpy(np.asarray(array, np.float32)) for array in arrays)
         yield points, heights, weight_g
