@@ -34,8 +34,9 @@ class Processors:
 
     def busy(self, now_s: float) -> Busy | None:
         """Since the last measurement, which is at least `EVERY_S` old; None where it is not known (yet)."""
-        if self._measured_s is None or now_s - self._measured_s < EVERY_S:
-            self._measured_s = now_s if self._measured_s is None else self._measured_s
+        if self._measured_s is None:
+            self._measured_s = now_s
+        if now_s - self._measured_s < EVERY_S:
             return self._found
         self._measured_s = now_s
         before, self._before = self._before, _ticks(self._stat)

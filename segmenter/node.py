@@ -262,7 +262,7 @@ class SegmenterNode:
     def _serve(self, camera_run: CameraRun, now_s: float) -> None:
         """Send what a run has to send; forget an older run that has nothing left to say."""
         self._take_commits(camera_run)
-        machine = self._processors.busy(now_s)
+        machine = None if self._waits else self._processors.busy(now_s)
         for name, view in camera_run.tick(now_s, self._regressors.names(), machine=machine):
             self._work(name).put(view)
         for entry in camera_run.log.due(now_s):

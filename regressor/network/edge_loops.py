@@ -84,10 +84,8 @@ def pass_back(
                 row = count
                 row_of[edge] = row
                 count += 1
-                for h in range(width):
-                    value = inputs[edge, h] * affine[0, h] + affine[1, h]
-                    awake[row, h] = value if value > np.float32(0) else np.float32(0)
-                    out[row, h] = np.float32(0)
+                activate(inputs[edge : edge + 1], affine[0], affine[1], awake[row : row + 1])
+                out[row, :] = np.float32(0)
             share = gradient[c, o]
             for h in range(width):
                 out[row, h] += share * w3[o, h]
