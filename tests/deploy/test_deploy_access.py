@@ -96,8 +96,7 @@ def heard_after_forgery(site: Site, what: str) -> set[str]:
     fence(site, peers[forger], forger)
     honest_out = peers[sender].session.declare_publisher(key, priority=zenoh.Priority.DATA_LOW)
     wait_until(lambda: honest_out.matching_status.matching, what="the honest sender to see that somebody listens")
-    honest_out.put(honest.encode())
-    wait_until(lambda: honest.encode() in heard, what="the honest message")
+    wait_until(lambda: honest_out.put(honest.encode()) or honest.encode() in heard, what="the honest message")
     return {"honest" if data == honest.encode() else "forged" for data in heard}
 
 
@@ -174,13 +173,15 @@ def test_a_camera_hears_nothing_but_its_own_progress(site: Site) -> None:
     fence(site, spy, "camera/rear")
     own = LatestSubscriber(spy, topics.FRAME_PROGRESS, FrameProgress, camera="rear")
     entries = ReliableSubscriber(aggregator, topics.TRACK, TrackEntry, camera="*")
-    ReliablePublisher(segmenter, topics.TRACK, camera="front").put(TRACK)
-    KeptPublisher(segmenter, topics.FRAME_PROGRESS, camera="front").put(FrameProgress("front", "r1", 1, 4))
+    # Publishers are held: what the router does not yet know a listener for is asked of their caches again.
+    tracks = ReliablePublisher(segmenter, topics.TRACK, camera="front")
+    tracks.put(TRACK)
+    others = KeptPublisher(segmenter, topics.FRAME_PROGRESS, camera="front")
+    others.put(FrameProgress("front", "r1", 1, 4))
     assert entries.get(30.0) == TRACK
     fence(site, segmenter, "segmenter/front")
-    KeptPublisher(site.join("segmenter/rear"), topics.FRAME_PROGRESS, camera="rear").put(
-        FrameProgress("rear", "r1", 2, 4)
-    )
+    progress = KeptPublisher(site.join("segmenter/rear"), topics.FRAME_PROGRESS, camera="rear")
+    progress.put(FrameProgress("rear", "r1", 2, 4))
     assert own.get(30.0) == FrameProgress("rear", "r1", 2, 4)
     own_keys = {"tuberline/north/counters/camera/rear", "tuberline/north/camera/rear/progress"}
     assert set(heard) <= own_keys, "what it sent itself, and what it may hear"

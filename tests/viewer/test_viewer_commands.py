@@ -148,7 +148,8 @@ def test_a_full_disk_ends_the_file_and_not_the_viewer(tmp_path: Path) -> None:
         )
         resource.prlimit(watcher.process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
         node = watcher.observer
-        KeptPublisher(node, topics.CAMERA_INFO, camera="front").put(line.camera_info())
+        info = KeptPublisher(node, topics.CAMERA_INFO, camera="front")
+        info.put(line.camera_info())
         frames = LatestPublisher(node, topics.FRAME, camera="front")
         line.within(10, lambda: frames.has_listener, "the viewer subscribes to frames")
         seq = iter(range(10_000))

@@ -52,7 +52,8 @@ def belt(node: Observer) -> Iterator[None]:
     """Publishes frames at 30 Hz and a tuber per frame in the background, until left."""
     tubers = line.potatoes(3, seed=21)
     made = [line.frame(seq, tubers) for seq in range(8)]
-    KeptPublisher(node, topics.CAMERA_INFO, camera="front").put(line.camera_info())
+    info = KeptPublisher(node, topics.CAMERA_INFO, camera="front")
+    info.put(line.camera_info())
     frames = LatestPublisher(node, topics.FRAME, camera="front")
     counted = ReliablePublisher(node, topics.TUBER)
     line.within(10, lambda: frames.has_listener, "the viewer subscribes to frames")
