@@ -15,10 +15,12 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import exp, log
 from pathlib import Path
-from typing import Protocol
+from statistics import fmean
+from typing import Any, Protocol
 
 from benchmarks.clods_belts import Body, Passage, passages
-from segmenter.classify.evidence import Evidence, PatchNoise, shrunk
+from segmenter.classify.belief import believe
+from segmenter.classify.evidence import PatchNoise
 from segmenter.classify.prior import Prior
 from segmenter.track.counting import CountSettings
 
@@ -81,7 +83,7 @@ class FirstPrior:
 
     def judge(self, body: Body) -> float:
         """Log-odds of tuber against other for a body; it counts for those after it."""
-        odds = (body.log_odds or 0.0) + log(self.tubers / self.others)
+        odds = fmean(body.answers) + log(self.tubers / self.others)
         other = 1 / (1 + exp(min(max(odds, -50.0), 50.0)))
         self.others = 0.5 + (self.others - 0.5) * 0.995 + other
         self.tubers = 8.0 + (self.tubers - 8.0) * 0.995 + 1 - other
@@ -107,10 +109,7 @@ class LinePrior:
     def judge(self, body: Body) -> float:
         """Log-odds of tuber against other for a body; it counts for those after it."""
         noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
-        evidence = Evidence(body.log_odds or 0.0, noise)
-        odds = self._prior.log_odds(shrunk(evidence))
-        self._prior.learn(evidence.log_odds)
-        return odds
+        return believe(self._prior, body.answers, noise, limit=REFUSED_BELOW).log_odds
 
 
 RULES: dict[str, Callable[[], Belief]] = {"before": FirstPrior, "now": LinePrior}
@@ -123,7 +122,7 @@ def tally(over: Iterable[Passage], rule: Callable[[], Belief]) -> Tally:
         belief = rule()
         tubers += passage.tubers
         for body in passage.bodies:
-            refused = body.log_odds is not None and belief.judge(body) < REFUSED_BELOW
+            refused = bool(body.answers) and belief.judge(body) < REFUSED_BELOW
             lost += refused and body.kind == "tuber"
             others += body.kind not in ("tuber", "part")
             counted += not refused and body.kind not in ("tuber", "part")
@@ -172,7 +171,11 @@ def kept(out: Path, belt: tuple[str, str, int, int]) -> list[Passage]:
         rows = [asdict(passage) for passage in passages(*belt)]
         path.write_text(json.dumps(rows) + "\n", encoding="utf-8")
     rows = json.loads(path.read_text(encoding="utf-8"))
-    return [Passage(**{**row, "bodies": tuple(Body(**body) for body in row["bodies"])}) for row in rows]
+    return [Passage(**{**row, "bodies": tuple(_body(body) for body in row["bodies"])}) for row in rows]
+
+
+def _body(row: dict[str, Any]) -> Body:
+    return Body(**{**row, "answers": tuple(row["answers"])})
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -27,11 +27,11 @@ NOISY_PX = 0.12
 @dataclass(frozen=True, slots=True)
 class Body:
     """One classified track in the order of decisions: what it truly is ('tuber', a distractor's kind, or 'part' of a
-    tuber that is counted already), and what was said of it; `log_odds` None where nothing was.
+    tuber that is counted already), and the network's eight answers; none where it was not asked.
     """
 
     kind: str
-    log_odds: float | None
+    answers: tuple[float, ...] = ()
     spread_mm: float = 0.0
     error_mm: float = 0.0
     hole_share: float = 0.0
@@ -135,7 +135,7 @@ def _labelled(tracks: list[ClosedTrack], places: Any, kinds: list[str]) -> tuple
         taken.add(nearest)
         answer = closed.answer
         if answer is None:
-            bodies.append(Body(kind, None))
+            bodies.append(Body(kind))
         else:
-            bodies.append(Body(kind, answer.evidence.log_odds, **asdict(answer.evidence.noise)))
+            bodies.append(Body(kind, answer.evidence.answers, **asdict(answer.evidence.noise)))
     return tuple(bodies)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from segmenter.classify.belief import believe
 from segmenter.classify.classifier import Classifier
-from segmenter.classify.evidence import Answer, Evidence, noise_of, shrunk
+from segmenter.classify.evidence import Answer, noise_of
 from segmenter.classify.patch import COARSEST_MM, LEAST_OBSERVATIONS, Patch, observe_instance
 from segmenter.classify.prior import Prior
 from segmenter.frame.belt import BeltGeometry
@@ -87,15 +88,11 @@ class Perception:
         self._observed_m = travel_m
         return True
 
-    def classify(self, patch: Patch) -> Answer | None:
-        """What is believed of a track; call it once per track, for the prior learns from it.
+    def classify(self, patch: Patch, *, limit: float) -> Answer | None:
+        """What is believed of a track, which is refused below `limit`. Once per track: the prior learns from it.
 
         None without a classifier, and where a patch has too few observations.
         """
         if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
-        evidence = Evidence(self._classifier.log_odds(patch), noise_of(patch))
-        log_odds = self._prior.log_odds(shrunk(evidence))
-        # What is doubtful of one track for its noise still counts for the belt: all tracks together show clods.
-        self._prior.learn(evidence.log_odds)
-        return Answer(log_odds, evidence)
+        return believe(self._prior, self._classifier.answers(patch), noise_of(patch), limit=limit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 
@@ -39,10 +40,19 @@ class PatchNoise:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The network's answer for a patch: how much likelier it is for a tuber than for a clod, as a natural logarithm."""
+    """What the network says of a patch: how much likelier it is for a tuber than for a clod, as natural logarithms.
 
-    log_odds: float
+    Attributes:
+        answers: for the patch turned and mirrored, as many as were asked for.
+    """
+
+    answers: tuple[float, ...]
     noise: PatchNoise
+
+    @property
+    def log_odds(self) -> float:
+        """The mean of all answers; 0 of none."""
+        return fmean(self.answers) if self.answers else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,7 +132,7 @@ class TrackDecider:
         reason = shape_refusal(track, width_m=width_m, in_view=in_view, settings=self._settings)
         if reason is None:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
-            track.answer = self._perception.classify(track.patch)
+            track.answer = self._perception.classify(track.patch, limit=self._settings.reject_below)
             reason = class_refusal(track.answer, self._settings)
         kind = foreign_kind(reason, length_m=length_m, width_m=width_m)
         if reason is not None and kind is None:

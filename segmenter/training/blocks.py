@@ -1,4 +1,4 @@
-"""What the classifier is made of, how its weights are averaged, and how it is written for OpenCV."""
+"""What the classifier is made of, how its weights are averaged, and how it is written as ONNX."""
 
 from __future__ import annotations
 

@@ -55,7 +55,6 @@ class ClassifierNet(nn.Module):
         """Log-odds of tuber against other."""
         found = self.features(patches)
         # What is the body's own, whatever its size: a mean over the cells of the instance.
-        # As a product of matrices: OpenCV does not spread one channel over many.
         own = nn.functional.avg_pool2d(patches[:, INSIDE : INSIDE + 1], SHRINKS).flatten(2)
         of_body = torch.matmul(found.flatten(2), own.transpose(1, 2))[:, :, 0] / (own.sum(dim=2) + 0.1)
         odds: Tensor = self.head(torch.cat([found.mean(dim=(2, 3)), found.amax(dim=(2, 3)), of_body], dim=1))

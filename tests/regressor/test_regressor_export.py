@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnxruntime as runtime
 import pytest
 
 import tuberline
@@ -24,7 +25,6 @@ from regressor.weigh.weigher import Weigher
 from tuberline.api.weighing import Weights
 
 pytest.importorskip("onnx")
-runtime = pytest.importorskip("onnxruntime")
 OUTSIDE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "onnx_outside.py"
 BELT_M = 0.345
 

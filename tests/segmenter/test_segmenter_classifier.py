@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from statistics import fmean
 
 import cv2
 import numpy as np
@@ -93,7 +94,7 @@ def test_a_patch_shows_the_same_millimetres_whatever_the_camera() -> None:
 
 
 def answer(log_odds: float) -> Answer:
-    return Answer(log_odds, Evidence(log_odds, QUIET))
+    return Answer(log_odds, Evidence((log_odds,), QUIET))
 
 
 def test_only_sure_answers_reject() -> None:
@@ -115,8 +116,8 @@ def test_the_noise_of_a_patch_is_that_of_its_frames(noise_mm: float) -> None:
 @pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])
 def test_a_rough_body_is_told_from_a_smooth_one_through_noise(noise_mm: float) -> None:
     classifier = Classifier()
-    assert classifier.log_odds(patch_of(body(rough_mm=0.0), noise_mm=noise_mm, observations=10)) > 1.0
-    assert classifier.log_odds(patch_of(body(rough_mm=3.0), noise_mm=noise_mm, observations=10)) < -1.5
+    assert fmean(classifier.answers(patch_of(body(rough_mm=0.0), noise_mm=noise_mm, observations=10))) > 1.0
+    assert fmean(classifier.answers(patch_of(body(rough_mm=3.0), noise_mm=noise_mm, observations=10))) < -1.5
 
 
 def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
@@ -133,7 +134,7 @@ def test_the_one_real_tuber_at_hand_is_a_tuber(shared: Path) -> None:
     patch = Patch()
     for _ in range(LEAST_OBSERVATIONS):
         patch.add(observe_instance(heights, instances, 0, belt, x_m=x_m, y_m=y_m))
-    assert Classifier().log_odds(patch) > 0.5
+    assert fmean(Classifier().answers(patch)) > 0.5
 
 
 def test_smooth_bodies_of_another_simulator_are_counted() -> None:
@@ -157,9 +158,10 @@ def test_observations_are_due_by_belt_travel_and_not_where_nothing_can_be_seen()
     assert due == [True, False, False, False, True, False, True]
     assert not perception.observation_due(far, 1.0)
     assert perception.coarse == 1
-    assert perception.classify(Patch()) is None
-    assert perception.classify(patch_of(body(rough_mm=3.0), noise_mm=1.0, observations=LEAST_OBSERVATIONS - 1)) is None
-    assert perception.classify(patch_of(body(rough_mm=3.0), noise_mm=1.0, observations=LEAST_OBSERVATIONS)) is not None
+    assert perception.classify(Patch(), limit=0.3) is None
+    for observations, asked in ((LEAST_OBSERVATIONS - 1, False), (LEAST_OBSERVATIONS, True)):
+        patch = patch_of(body(rough_mm=3.0), noise_mm=1.0, observations=observations)
+        assert (perception.classify(patch, limit=0.3) is not None) == asked
     assert not Perception(PerceptionSettings("classical"), SplitSettings()).observation_due(heights, 0.0)
 
 
@@ -182,7 +184,7 @@ def test_the_config_chooses_and_a_missing_file_says_what_to_do(tmp_path: Path) -
     with pytest.raises(InputError, match="train-classifier"):
         Segmenter(core_settings(config))
     (tmp_path / "no.onnx").write_bytes(b"no network")
-    with pytest.raises(InputError, match="no network that OpenCV"):
+    with pytest.raises(InputError, match="no network that onnxruntime"):
         Segmenter(core_settings(config))
     off = core_settings(parse_config({"segmenter": {"method": "classical"}}, where="here"))
     assert Segmenter(off).belt is None

@@ -94,9 +94,9 @@ def test_answers_beyond_all_measure_do_no_harm() -> None:
 def test_noise_only_ever_shrinks_what_is_said() -> None:
     """Never to another sign, never more; the more noise the less, and a patch as in training keeps its answer."""
     for log_odds in (-8.0, -2.0, 0.0, 3.0, 9.0):
-        assert shrunk(Evidence(log_odds, QUIET)) == log_odds
+        assert shrunk(Evidence((log_odds,), QUIET)) == log_odds
         noises = [replace(QUIET, error_mm=error_mm) for error_mm in (0.3, 0.6, 0.9, 2.0, 50.0)]
-        said = [shrunk(Evidence(log_odds, noise)) for noise in noises]
+        said = [shrunk(Evidence((log_odds,), noise)) for noise in noises]
         assert all(one == 0 or np.sign(one) == np.sign(log_odds) for one in said), said
         assert np.all(np.abs(said) <= abs(log_odds)), said
         assert np.all(np.diff(np.abs(said)) <= 0), said

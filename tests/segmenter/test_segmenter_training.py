@@ -16,7 +16,8 @@ from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor.errors import InputError
-from segmenter.classify.classifier import Classifier, read_network
+from segmenter.classify.classifier import Classifier
+from segmenter.classify.network import PatchNetwork
 from segmenter.classify.patch import CHANNELS, Observation, Patch
 from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Settings
@@ -72,7 +73,7 @@ def packs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_trainings_end_in_files_that_opencv_reads(packs: Path, tmp_path: Path) -> None:
+def test_trainings_end_in_files_that_the_segmenter_reads(packs: Path, tmp_path: Path) -> None:
     classifier = TrainingRun((packs / "train",), packs / "val", tmp_path, "classifier", "test")
     sidecar = make_classifier(classifier, ClassifierRecipe(epochs=3, batch=4), on_step=lambda step, total, loss: None)
     assert json.loads((tmp_path / "classifier.json").read_text()) == sidecar
@@ -90,16 +91,15 @@ def test_nothing_is_validated_on_what_it_learned_from(packs: Path, tmp_path: Pat
         make_classifier(same, ClassifierRecipe(), on_step=lambda step, total, loss: None)
 
 
-def test_opencv_answers_as_torch_does(tmp_path: Path) -> None:
+def test_onnxruntime_answers_as_torch_does(tmp_path: Path) -> None:
     torch.manual_seed(3)
     net = ClassifierNet().eval()
     export_net(net, tmp_path / "net.onnx", torch.zeros(1, CHANNELS, 48, 48))
-    read = read_network(tmp_path / "net.onnx")
-    for image in np.random.default_rng(3).uniform(0, 1, (4, 1, CHANNELS, 48, 48)).astype(np.float32):
+    network = PatchNetwork(tmp_path / "net.onnx")
+    for image in np.random.default_rng(3).uniform(0, 1, (4, CHANNELS, 48, 48)).astype(np.float32):
         with torch.inference_mode():
-            expected = net(torch.from_numpy(image)).numpy()
-        read.setInput(image)
-        assert np.abs(np.asarray(read.forward()).ravel() - expected).max() < 1e-4
+            expected = float(net(torch.from_numpy(image)[None]))
+        assert abs(network.answer(image) - expected) < 1e-4
 
 
 def observations_of(sample: TrainingSample) -> list[Observation]:
@@ -169,7 +169,7 @@ def test_patches_are_made_once_and_train_the_same_classifier(packs: Path, tmp_pa
     for name, data in (("of-patches", tmp_path / "train"), ("of-belts", packs / "train")):
         run = TrainingRun((data,), tmp_path / "cut", tmp_path, name, "test")
         make_classifier(run, ClassifierRecipe(epochs=1, batch=4), on_step=lambda step, total, loss: None)
-        answers.append(Classifier(tmp_path / f"{name}.onnx").log_odds(_patch(packs / "val")))
+        answers.append(list(Classifier(tmp_path / f"{name}.onnx").answers(_patch(packs / "val"))))
     assert answers[0] == answers[1]
     files[1].write_bytes(files[1].read_bytes()[:5000])
     with pytest.raises(InputError, match="make-patches"):
