@@ -192,14 +192,19 @@ def _fold(mlp: SharedMlp, wide: torch.dtype = torch.float32) -> _Folded:
 
 
 def _packed(mlp: _Folded, rows: int) -> _Folded:
-    """The wide weights of the second and third layer in oneDNN's own order, where this build of torch has it: the same
-    sums, without ordering the weights again for each block of `rows`.
+    """The wide weights of the second and third layer as `packed_weight` has them."""
+    return replace(mlp, wide=(mlp.wide[0], *(packed_weight(weight, rows) for weight in mlp.wide[1:])))
+
+
+def packed_weight(weight: Tensor, rows: int) -> Tensor:
+    """An (out, in) weight in oneDNN's own order, where this build of torch has it, for `fused_layer`: the same sums,
+    without ordering the weight again for each block of `rows`.
     """
     if _onednn() is None:
-        return mlp
+        return weight
     with torch.inference_mode():
-        ordered = [torch.ops.mkldnn._reorder_linear_weight(weight, rows) for weight in mlp.wide[1:]]
-    return replace(mlp, wide=(mlp.wide[0], *ordered))
+        ordered: Tensor = torch.ops.mkldnn._reorder_linear_weight(weight, rows)
+    return ordered
 
 
 def _onednn() -> Callable[..., Tensor] | None:
