@@ -15,14 +15,19 @@ from pathlib import Path
 
 INSTALLERS = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
 FOR_DEVELOPERS = ("torch/test", "torch/include", "torch/share", "numpy/_core/include")
-UNUSED = tuple(
-    f"scipy/{part}"
-    for part in (
-        *("cluster", "datasets", "differentiate", "fftpack", "integrate", "interpolate", "misc"),
-        *("odr", "signal", "stats"),
-    )
+UNUSED = (
+    *(
+        f"scipy/{part}"
+        for part in (
+            *("cluster", "datasets", "differentiate", "fftpack", "integrate", "interpolate", "misc"),
+            *("odr", "signal", "stats"),
+        )
+    ),
+    *(f"onnxruntime/{part}" for part in ("backend", "datasets", "quantization", "tools", "transformers")),
 )
-"""Parts of scipy that nothing here imports; every import of scipy in our sources is tried after they are gone."""
+"""Parts of libraries that nothing here imports; every import of scipy in our sources is tried after they are gone."""
+FOR_OTHER_LANGUAGES = "onnxruntime/capi/libonnxruntime.so*"
+"""The same runtime once more, for programs in C; Python has its own."""
 STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh", "zstandard")
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""
 SOURCES = (".pyi", ".pyx", ".pxd", ".h", ".hpp", ".c", ".a")
@@ -40,7 +45,7 @@ def slim(site: Path) -> None:
     for folder in [*list(site.rglob("tests")), *(site / name for name in FOR_DEVELOPERS + UNUSED)]:
         if folder.is_dir():
             shutil.rmtree(folder)
-    for file in [file for file in site.rglob("*") if file.suffix in SOURCES]:
+    for file in [*site.glob(FOR_OTHER_LANGUAGES), *(file for file in site.rglob("*") if file.suffix in SOURCES)]:
         file.unlink()
     for name in INSTALLERS:
         for found in [site / name, *site.glob(f"{name}-*.dist-info")]:
