@@ -18,7 +18,7 @@ from conveyor.config import parse_config
 from conveyor.errors import ConfigError, InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from segmenter.classify.classifier import Classifier
-from segmenter.classify.evidence import Answer, Evidence, PatchNoise, noise_of
+from segmenter.classify.evidence import SURE, Answer, Evidence, PatchNoise, noise_of
 from segmenter.classify.patch import LEAST_OBSERVATIONS, Observation, Patch, observe_instance
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap, height_map
@@ -111,6 +111,31 @@ def test_the_noise_of_a_patch_is_that_of_its_frames(noise_mm: float) -> None:
     assert noise.spread_mm == pytest.approx(noise_mm / 2, rel=0.15)
     assert noise.error_mm == pytest.approx(noise.spread_mm / np.sqrt(20), rel=0.02)
     assert (noise.hole_share, noise.observations) == (pytest.approx(0.0, abs=0.01), 20)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_sums_and_the_noise_of_a_patch_are_those_that_numpy_makes_of_them(seed: int) -> None:
+    """To the bit, also of cells that hardly anything was seen of, and whatever the number of cells."""
+    rng = np.random.default_rng([41, seed])
+    patch, sums = Patch(), np.zeros((4, 48, 48), np.float32)
+    for _ in range(int(rng.integers(3, 30))):
+        seen = (rng.random((48, 48)) < rng.uniform(0.2, 0.9)).astype(np.float32)
+        height = (seen * rng.uniform(0, 90, (48, 48))).astype(np.float32)
+        inside = (seen * np.round(rng.random((48, 48)), 1)).astype(np.float32)
+        inside[:20] = seen[:20]
+        patch.add(Observation(height, seen, inside))
+        for total, one in zip(sums, (height, height * height, seen, inside), strict=True):
+            total += one
+    for total, kept in zip(sums, (patch._height, patch._square, patch._seen, patch._inside), strict=True):
+        assert np.array_equal(total, kept)
+    count = np.maximum(sums[2], np.float32(1))
+    mean_mm, sure = sums[0] / count, sums[3] / count > SURE
+    spread_mm = np.sqrt(np.maximum(sums[1] / count - mean_mm * mean_mm, 0))[sure]
+    assert len(spread_mm) > 100
+    noise = noise_of(patch)
+    assert noise.spread_mm == float(np.median(spread_mm))
+    assert noise.error_mm == float(np.median(spread_mm / np.sqrt(count[sure])))
+    assert noise.hole_share == float(1 - count[sure].mean() / patch.observations)
 
 
 @pytest.mark.parametrize("noise_mm", [0.0, 1.0, 2.0])
