@@ -101,7 +101,7 @@ def _score(case: Case, options: argparse.Namespace, settings: Settings) -> dict[
 
 def _time(case: Case, out: Path, settings: Settings) -> dict[str, Any]:
     recording = case.recording(out / "recordings")
-    return {"name": f"{case.scene}, {case.camera}", "times": stage_times(recording, settings, every=2)}
+    return {"name": f"{case.scene}, {case.camera}", "times": stage_times(recording, settings)}
 
 
 def _compare_graph(case: Case, out: Path) -> None:
