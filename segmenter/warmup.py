@@ -7,7 +7,6 @@ import numpy as np
 
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
-from segmenter.classify.evidence import SURE
 from segmenter.classify.patch import Patch
 from segmenter.pipeline import Segmenter, Settings
 
@@ -37,6 +36,4 @@ def warm_up(pixel_mm: float) -> None:
         # As it comes from the wire: its arrays are read-only, which is another type to the compiler.
         core.step(Frame.decode(frame.encode()))
     # What is asked of a track at its end, which two frames have none of.
-    patch = Patch(observations=1)
-    patch.channels()
-    patch.spread(SURE)
+    Patch(observations=1).channels()

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from statistics import fmean
 
 import numpy as np
-from numpy.typing import NDArray
 
 from segmenter.classify.patch import Patch
 
@@ -76,20 +75,13 @@ def shrunk(evidence: Evidence) -> float:
 
 def noise_of(patch: Patch) -> PatchNoise:
     """How noisy a patch of at least one observation is."""
-    spread_mm, count = patch.spread(SURE)
-    if not len(count):
+    spread_mm, count, inside = patch.spread()
+    sure = inside > SURE
+    if not sure.any():
         return PatchNoise(0.0, 0.0, 1.0, patch.observations)
     return PatchNoise(
-        spread_mm=_middle(spread_mm),
-        error_mm=_middle(spread_mm / np.sqrt(count)),
-        hole_share=float(1 - count.mean() / patch.observations),
+        spread_mm=float(np.median(spread_mm[sure])),
+        error_mm=float(np.median(spread_mm[sure] / np.sqrt(count[sure]))),
+        hole_share=float(1 - count[sure].mean() / patch.observations),
         observations=patch.observations,
     )
-
-
-def _middle(values: NDArray[np.floating]) -> float:
-    """The median: NumPy's number, without what it does around it."""
-    upper = len(values) // 2
-    lower = upper - 1 + len(values) % 2
-    ordered = np.partition(values, (lower, upper))
-    return float((ordered[lower] + ordered[upper]) / 2)

@@ -73,65 +73,24 @@ class Patch:
     def add(self, observation: Observation) -> None:
         """Take one more observation."""
         self.observations += 1
-        _add(
-            (self._height, self._square, self._seen, self._inside),
-            observation.height_mm,
-            observation.seen,
-            observation.inside,
-        )
+        self._height += observation.height_mm
+        self._square += observation.height_mm * observation.height_mm
+        self._seen += observation.seen
+        self._inside += observation.inside
 
-    def spread(self, least: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Of the cells that are the instance's by more than `least`, row by row: (n,) float32 standard deviation over
-        the observations in millimetres, and how many saw the cell (at least 1).
+    def spread(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        """(48, 48) float32 each: standard deviation over the observations in millimetres, how many saw a cell (at least
+        1), share of a cell that is the instance.
         """
-        found: tuple[NDArray[np.float32], NDArray[np.float32]] = _spread(
-            self._height, self._square, self._seen, self._inside, np.float32(least)
-        )
-        return found
+        count: NDArray[np.float32] = np.maximum(self._seen, np.float32(1)).astype(np.float32)
+        mean_mm = self._height / count
+        spread_mm: NDArray[np.float32] = np.sqrt(np.maximum(self._square / count - mean_mm * mean_mm, 0))
+        return spread_mm, count, (self._inside / count).astype(np.float32)
 
     def channels(self) -> NDArray[np.float32]:
         """(10, 48, 48) float32 as the network takes it; there must be an observation."""
         sums = (image[None] for image in (self._height, self._square, self._seen, self._inside))
         return np.asarray(as_channels(*sums, observations=np.array([self.observations], np.float32))[0])
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _add(
-    sums: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
-    height_mm: NDArray[np.float32],
-    seen: NDArray[np.float32],
-    inside: NDArray[np.float32],
-) -> None:
-    """One more observation into the sums of heights, their squares, what was seen and what was inside."""
-    heights, squares, times, insides = sums
-    for i in range(SIZE):
-        for j in range(SIZE):
-            height = height_mm[i, j]
-            heights[i, j] += height
-            squares[i, j] += height * height
-            times[i, j] += seen[i, j]
-            insides[i, j] += inside[i, j]
-
-
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
-def _spread(
-    height: NDArray[np.float32],
-    square: NDArray[np.float32],
-    seen: NDArray[np.float32],
-    inside: NDArray[np.float32],
-    least: np.float32,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """See `Patch.spread`."""
-    spread_mm, counts, n = np.empty(SIZE * SIZE, np.float32), np.empty(SIZE * SIZE, np.float32), 0
-    for i in range(SIZE):
-        for j in range(SIZE):
-            count = max(seen[i, j], np.float32(1))
-            if inside[i, j] / count > least:
-                mean_mm = height[i, j] / count
-                spread_mm[n] = np.sqrt(max(square[i, j] / count - mean_mm * mean_mm, np.float32(0)))
-                counts[n] = count
-                n += 1
-    return spread_mm[:n], counts[:n]
 
 
 def as_channels(

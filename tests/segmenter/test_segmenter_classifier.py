@@ -114,7 +114,7 @@ def test_the_noise_of_a_patch_is_that_of_its_frames(noise_mm: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_sums_and_the_noise_of_a_patch_are_those_that_numpy_makes_of_them(seed: int) -> None:
+def test_the_sums_and_the_noise_of_a_patch_are_those_of_its_observations(seed: int) -> None:
     """To the bit, also of cells that hardly anything was seen of, and whatever the number of cells."""
     rng = np.random.default_rng([41, seed])
     patch, sums = Patch(), np.zeros((4, 48, 48), np.float32)
