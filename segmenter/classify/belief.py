@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
 from math import inf, sqrt
 
 from segmenter.classify.classifier import SIDES
@@ -27,15 +28,13 @@ def believe(prior: Prior, answers: Iterable[float], noise: PatchNoise, *, limit:
         noise: of the patch.
         limit: log-odds below which the track is refused; -inf: nothing is refused, and all answers are taken.
     """
-    given: list[float] = []
-    evidence, log_odds = Evidence((), noise), 0.0
-    for answer in answers:
-        given.append(answer)
-        if len(given) not in ASKED:
-            continue
-        evidence = Evidence(tuple(given), noise)
+    coming = iter(answers)
+    given: tuple[float, ...] = ()
+    for count in ASKED:
+        given += tuple(islice(coming, count - len(given)))
+        evidence = Evidence(given, noise)
         log_odds = prior.log_odds(shrunk(evidence))
-        if _spread(len(given)) * CLEAR < abs(log_odds - limit) < inf:
+        if _spread(count) * CLEAR < abs(log_odds - limit) < inf:
             break
     # What is doubtful of one track for its noise still counts for the belt: all tracks together show clods.
     prior.learn(evidence.log_odds)

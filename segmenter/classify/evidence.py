@@ -43,7 +43,7 @@ class Evidence:
     """What the network says of a patch: how much likelier it is for a tuber than for a clod, as natural logarithms.
 
     Attributes:
-        answers: for the patch turned and mirrored, as many as were asked for.
+        answers: for the patch turned and mirrored, as many as were asked for, at least one.
     """
 
     answers: tuple[float, ...]
@@ -51,8 +51,8 @@ class Evidence:
 
     @property
     def log_odds(self) -> float:
-        """The mean of all answers; 0 of none."""
-        return fmean(self.answers) if self.answers else 0.0
+        """The mean of all answers."""
+        return fmean(self.answers)
 
 
 @dataclass(frozen=True, slots=True)
