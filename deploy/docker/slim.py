@@ -16,6 +16,8 @@ from pathlib import Path
 INSTALLERS = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
 FOR_DEVELOPERS = ("torch/test", "torch/include", "torch/share", "numpy/_core/include")
 UNUSED = (
+    # The same runtime once more, for programs in C.
+    "onnxruntime/capi/libonnxruntime.so*",
     *(
         f"scipy/{part}"
         for part in (
@@ -26,8 +28,6 @@ UNUSED = (
     *(f"onnxruntime/{part}" for part in ("backend", "datasets", "quantization", "tools", "transformers")),
 )
 """Parts of libraries that nothing here imports; every import of scipy in our sources is tried after they are gone."""
-FOR_OTHER_LANGUAGES = "onnxruntime/capi/libonnxruntime.so*"
-"""The same runtime once more, for programs in C; Python has its own."""
 STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh", "zstandard")
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""
 SOURCES = (".pyi", ".pyx", ".pxd", ".h", ".hpp", ".c", ".a")
@@ -40,19 +40,26 @@ def size_mb(folder: Path) -> float:
     return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
 
 
+def remove(found: Path) -> None:
+    """A folder with all that is in it, or a file; nothing where there is neither any more."""
+    if found.is_dir():
+        shutil.rmtree(found)
+    else:
+        found.unlink(missing_ok=True)
+
+
 def slim(site: Path) -> None:
     """Slim one site-packages folder in place."""
-    for folder in [*list(site.rglob("tests")), *(site / name for name in FOR_DEVELOPERS + UNUSED)]:
-        if folder.is_dir():
-            shutil.rmtree(folder)
-    for file in [*site.glob(FOR_OTHER_LANGUAGES), *(file for file in site.rglob("*") if file.suffix in SOURCES)]:
-        file.unlink()
+    for folder in [folder for folder in site.rglob("tests") if folder.is_dir()]:
+        remove(folder)
+    for pattern in FOR_DEVELOPERS + UNUSED:
+        for found in list(site.glob(pattern)):
+            remove(found)
+    for file in [file for file in site.rglob("*") if file.suffix in SOURCES]:
+        remove(file)
     for name in INSTALLERS:
         for found in [site / name, *site.glob(f"{name}-*.dist-info")]:
-            if found.is_dir():
-                shutil.rmtree(found)
-            else:
-                found.unlink(missing_ok=True)
+            remove(found)
     if shutil.which("strip") is None:
         return
     for library in [file for name in STRIPPED for file in (site / name).rglob("*.so")]:
