@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
+from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of
 from camera_sim.sim.cultivars import draw_recipe
 from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
 from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET, Preset
 from camera_sim.sim.scenes import Layout, SceneSettings, belt_tuber, build_world
-from camera_sim.sim.stereo import NoiseBank, measure
-from camera_sim.sim.tubers import Tuber, grow
+from camera_sim.sim.stereo import Field, NoiseBank, measure
+from camera_sim.sim.stereo_faults import bowed_field
+from camera_sim.sim.tubers import Tuber, grow, with_jacket
 from camera_sim.sim.world import Body, CameraPose, World, render
 from conveyor.geometry import Intrinsics
 
@@ -29,6 +32,8 @@ LOOK_STEP_M = (0.011, 0.021)
 """Up to twice the segmenter's way between two looks at a track: a training draws some of them anyway."""
 RESTLESS = 0.4
 """Share of belts of hard negatives whose load rocks, slides and rolls, up to the strength of the scene `rolling`."""
+HARSH_SHARE = 0.5
+"""Share of belts of hard negatives whose camera, surface, resting level, cultivar and soil are those of `harsh`."""
 HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
 """Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
 
@@ -59,29 +64,31 @@ def random_belt_views(
 ) -> Iterator[BeltView]:
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
-    `hard_negatives`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, and
-    views are about as far apart as the segmenter's looks.
+    `hard_negatives`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent,
+    views are about as far apart as the segmenter's looks, and half of the belts are of the world `harsh`.
     """
     rng = np.random.default_rng([seed, 40, number])
-    drawn = _hard_negatives if hard_negatives else _settings
+    drawn = hard_negative_settings if hard_negatives else _settings
     settings, layout = drawn(rng, seed=int(rng.integers(2**31)), tubers=tubers)
     world = build_world(settings, layout)
-    relief = draw_belt(
-        rng,
-        soil_m=rng.uniform(0.0004, 0.003),
-        cleat_m=rng.uniform(0.0, 0.010),
-        pitch_mm=int(rng.choice(np.array([32, 64, 128]))),
-    )
-    world = replace(world, belt=relief)
+    if settings.conditions is None:
+        relief = draw_belt(
+            rng,
+            soil_m=rng.uniform(0.0004, 0.003),
+            cleat_m=rng.uniform(0.0, 0.010),
+            pitch_mm=int(rng.choice(np.array([32, 64, 128]))),
+        )
+        world = replace(world, belt=relief)
     camera = world.cameras[0]
     k = camera.optics.intrinsics
     bank = NoiseBank(rng, height=k.height, width=k.width)
+    bow = bowed_field(rng, height=k.height, width=k.width) if settings.preset.noise.bow_px else None
     places = [body.place[0] for body in world.bodies]
     middle_m = camera.belt_from_camera[0, 3] - (max(places) + min(places)) / 2
     step_m = rng.uniform(*(LOOK_STEP_M if hard_negatives else STEP_M))
     for n in range(frames):
         travel_m = middle_m + (n - (frames - 1) / 2) * step_m + rng.uniform(-0.005, 0.005)
-        yield _view(world, camera, settings, bank, rng, travel_m=travel_m)
+        yield _view(world, camera, settings, bank, bow, rng, travel_m=travel_m)
 
 
 def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
@@ -104,38 +111,55 @@ def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings,
     return settings, layout
 
 
-def _hard_negatives(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+def hard_negative_settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
+    """A belt for the classifier, every other body a clod or a stone; in half of the draws with a world of `harsh`."""
     half = rng.uniform(0.30, 0.52)
+    harsh = draw_conditions("harsh", rng) if rng.random() < HARSH_SHARE else None
     layout = Layout(
         packing=(SINGULATED, TOUCHING, CROWDED)[int(rng.choice(3, p=[0.15, 0.60, 0.25]))],
         lanes_m=((-half, half),),
         distractors=1.0,
-        one_tuber=_often_hard,
+        one_tuber=_often_hard if harsh is None else partial(_often_hard_of, harsh),
         one_distractor=draw_hard_negative,
         tilt_deg=(rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG), rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG)),
     )
     preset = FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET
+    preset = _noisier(preset, rng) if rng.random() < 0.4 else preset
     settings = SceneSettings(
         scene="random",
         seed=seed,
         tubers=tubers,
-        preset=_noisier(preset, rng) if rng.random() < 0.4 else preset,
+        preset=preset if harsh is None else harsh.preset,
         optics=D405_1280 if rng.random() < 0.2 else D405_848,
         belt_distance_m=float(rng.triangular(DISTANCE_M[0], 0.46, DISTANCE_M[1])),
         unit_m=0.0001 if rng.random() < 0.2 else 0.001,
         unrest=rng.uniform(0, 1) if rng.random() < RESTLESS else 0.0,
+        conditions=harsh,
+        heave_mm=0.0 if harsh is None else harsh.heave_m * 1000,
+        heave_hz=4.0 if harsh is None else harsh.heave_hz,
     )
     return settings, layout
 
 
 def _often_hard(rng: Generator) -> Tuber:
     """A tuber; often one of those that are taken for clods."""
-    if rng.random() >= HARD_SHARE:
-        return belt_tuber(rng)
+    return _hard(rng) if rng.random() < HARD_SHARE else belt_tuber(rng)
+
+
+def _hard(rng: Generator) -> Tuber:
+    """A tuber that is small or has second growth."""
     recipe = draw_recipe(rng)
     while recipe.volume_ml > SMALL_ML and recipe.knobs < KNOBBY:
         recipe = draw_recipe(rng)
     return grow(recipe, rng, level=3)
+
+
+def _often_hard_of(conditions: Conditions, rng: Generator) -> Tuber:
+    """A tuber of a recording with a world of its own, under its soil; often one of those that are taken for clods."""
+    if rng.random() >= HARD_SHARE:
+        return draw_tuber_of(conditions, rng, level=3)
+    tuber = _hard(rng)
+    return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
 
 
 def _noisier(preset: Preset, rng: Generator) -> Preset:
@@ -147,9 +171,16 @@ def _noisier(preset: Preset, rng: Generator) -> Preset:
 
 
 def _view(
-    world: World, camera: CameraPose, settings: SceneSettings, bank: NoiseBank, rng: Generator, *, travel_m: float
+    world: World,
+    camera: CameraPose,
+    settings: SceneSettings,
+    bank: NoiseBank,
+    bow: Field | None,
+    rng: Generator,
+    *,
+    travel_m: float,
 ) -> BeltView:
-    canvas = render(world, camera, travel_m)
+    canvas = render(world, camera, travel_m, time_s=travel_m / settings.speed_mps)
     depth = measure(
         (1 / canvas.inverse_depth).astype(np.float32),
         focal_px=camera.optics.intrinsics.fx,
@@ -157,6 +188,7 @@ def _view(
         noise=settings.preset.noise,
         bank=bank,
         rng=rng,
+        bow=bow,
     )
     return BeltView(
         depth=depth,
