@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,11 +16,11 @@ from camera_sim.sim.cultivars import draw_recipe
 from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
-from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET, Preset
+from camera_sim.sim.presets import EASY_PRESET, EXACT_PRESET, FIELD_PRESET, Preset
 from camera_sim.sim.scenes import Layout, SceneSettings, belt_tuber, build_world
 from camera_sim.sim.stereo import Field, NoiseBank, measure
 from camera_sim.sim.stereo_faults import bowed_field
-from camera_sim.sim.tubers import Tuber, grow, with_jacket
+from camera_sim.sim.tubers import Tuber, draw_odd_tuber, grow, with_jacket
 from camera_sim.sim.world import Body, CameraPose, World, render
 from conveyor.geometry import Intrinsics
 
@@ -32,8 +32,9 @@ LOOK_STEP_M = (0.011, 0.021)
 """Up to twice the segmenter's way between two looks at a track: a training draws some of them anyway."""
 RESTLESS = 0.4
 """Share of belts of hard negatives whose load rocks, slides and rolls, up to the strength of the scene `rolling`."""
-HARSH_SHARE = 0.5
-"""Share of belts of hard negatives whose camera, surface, resting level, cultivar and soil are those of `harsh`."""
+HARSH_SHARE, EXACT_SHARE = 0.5, 0.1
+"""Shares of belts of hard negatives whose camera, surface, resting level, cultivar and soil are those of `harsh`, and
+whose camera only rounds while half of their tubers have shapes of no cultivar, as those of other simulators."""
 HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
 """Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
 
@@ -65,7 +66,8 @@ def random_belt_views(
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
     `hard_negatives`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent,
-    views are about as far apart as the segmenter's looks, and half of the belts are of the world `harsh`.
+    views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in ten of
+    `exact`.
     """
     rng = np.random.default_rng([seed, 40, number])
     drawn = hard_negative_settings if hard_negatives else _settings
@@ -112,24 +114,32 @@ def _settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings,
 
 
 def hard_negative_settings(rng: Generator, *, seed: int, tubers: int) -> tuple[SceneSettings, Layout]:
-    """A belt for the classifier, every other body a clod or a stone; in half of the draws with a world of `harsh`."""
-    half = rng.uniform(0.30, 0.52)
-    harsh = draw_conditions("harsh", rng) if rng.random() < HARSH_SHARE else None
+    """A belt for the classifier, every other body a clod or a stone; half of the draws are of the world `harsh`, one in
+    ten of `exact`.
+    """
+    half, which = rng.uniform(0.30, 0.52), rng.random()
+    harsh = draw_conditions("harsh", rng) if which < HARSH_SHARE else None
+    one_tuber: Callable[[Generator], Tuber] = _often_hard
+    if harsh is not None:
+        preset, one_tuber = harsh.preset, partial(_often_hard_of, harsh)
+    elif which < HARSH_SHARE + EXACT_SHARE:
+        preset, one_tuber = EXACT_PRESET, _often_odd
+    else:
+        preset = FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET
+        preset = _noisier(preset, rng) if rng.random() < 0.4 else preset
     layout = Layout(
         packing=(SINGULATED, TOUCHING, CROWDED)[int(rng.choice(3, p=[0.15, 0.60, 0.25]))],
         lanes_m=((-half, half),),
         distractors=1.0,
-        one_tuber=_often_hard if harsh is None else partial(_often_hard_of, harsh),
+        one_tuber=one_tuber,
         one_distractor=draw_hard_negative,
         tilt_deg=(rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG), rng.uniform(-MOST_TILT_DEG, MOST_TILT_DEG)),
     )
-    preset = FIELD_PRESET if rng.random() < 0.5 else EASY_PRESET
-    preset = _noisier(preset, rng) if rng.random() < 0.4 else preset
     settings = SceneSettings(
         scene="random",
         seed=seed,
         tubers=tubers,
-        preset=preset if harsh is None else harsh.preset,
+        preset=preset,
         optics=D405_1280 if rng.random() < 0.2 else D405_848,
         belt_distance_m=float(rng.triangular(DISTANCE_M[0], 0.46, DISTANCE_M[1])),
         unit_m=0.0001 if rng.random() < 0.2 else 0.001,
@@ -160,6 +170,11 @@ def _often_hard_of(conditions: Conditions, rng: Generator) -> Tuber:
         return draw_tuber_of(conditions, rng, level=3)
     tuber = _hard(rng)
     return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
+
+
+def _often_odd(rng: Generator) -> Tuber:
+    """A tuber; half of them have a shape that no cultivar has."""
+    return draw_odd_tuber(rng, level=3) if rng.random() < EXACT_PRESET.odd_share else _often_hard(rng)
 
 
 def _noisier(preset: Preset, rng: Generator) -> Preset:
