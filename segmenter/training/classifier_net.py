@@ -83,14 +83,23 @@ class _Batches(IterableDataset[tuple[Tensor, Tensor]]):
 
 
 def train_classifier(
-    samples: list[TrainingSample], recipe: ClassifierRecipe, *, on_step: Callable[[int, int, float], None]
+    samples: list[TrainingSample],
+    recipe: ClassifierRecipe,
+    *,
+    on_step: Callable[[int, int, float], None],
+    start: ClassifierNet | None = None,
 ) -> tuple[ClassifierNet, float]:
     """The network with averaged weights, and the processor seconds of this process; a second one draws the patches.
 
     Its answers are freed of how many tubers there were to learn from: 0 is as likely for a tuber as for another body.
+
+    Args:
+        start: an earlier training's network, which learns on; None: one that knows nothing.
     """
     torch.manual_seed(recipe.seed)
     net = ClassifierNet()
+    if start is not None:
+        net.load_state_dict(start.state_dict())
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     average = torch.optim.swa_utils.AveragedModel(net, avg_fn=averaged, use_buffers=True)
     optimiser = torch.optim.AdamW(net.parameters(), lr=recipe.rate, weight_decay=recipe.weight_decay)

@@ -7,6 +7,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import cv2
@@ -19,7 +20,7 @@ from conveyor.errors import InputError
 from conveyor.formats.packs.belts import belt_pack_meta
 from segmenter.classify.patch import CHANNELS, SIZE
 from segmenter.training.blocks import export_net
-from segmenter.training.classifier_net import ClassifierRecipe, classified, scores, train_classifier
+from segmenter.training.classifier_net import ClassifierNet, ClassifierRecipe, classified, scores, train_classifier
 from segmenter.training.cut import cut_pack
 from segmenter.training.samples import (
     TrainingSample,
@@ -35,7 +36,7 @@ OnStep = Callable[[int, int, float], None]
 class TrainingRun:
     """Where a training reads and writes: folders of belts or of patches, to learn from and to validate by.
 
-    `command` goes into the sidecar as it was typed.
+    `command` goes into the sidecar as it was typed. `start`: the .pt of an earlier training, which goes on.
     """
 
     data: tuple[Path, ...]
@@ -43,26 +44,57 @@ class TrainingRun:
     out: Path
     name: str
     command: str
+    start: Path | None = None
 
 
 def make_classifier(run: TrainingRun, recipe: ClassifierRecipe, *, on_step: OnStep) -> dict[str, Any]:
-    """Train the classifier, validate it on other belts, write `<name>.onnx` and `<name>.json`; the sidecar.
+    """Train the classifier, validate it on other belts, write `<name>.onnx`, `<name>.pt` and `<name>.json`; the last.
 
     Raises:
-        InputError: packs that cannot be used, or a validation on the belts of the training.
+        InputError: packs that cannot be used, a validation on the belts of the training or of the one before it, or a
+            start that is none.
     """
-    origins = _prepare(run)
+    before = earlier(run.start) if run.start is not None else None
+    origins = _prepare(run, before)
     samples = [sample for folder in run.data for sample in _samples(folder)]
     held_out = _samples(run.validation)
-    net, seconds = train_classifier(samples, recipe, on_step=on_step)
+    net, seconds = train_classifier(samples, recipe, on_step=on_step, start=before.net if before else None)
     export_net(net, run.out / f"{run.name}.onnx", torch.zeros(1, CHANNELS, SIZE, SIZE))
+    torch.save(net.state_dict(), run.out / f"{run.name}.pt")
     origins["bodies"] = len(samples)
     return _sidecar(run, net, asdict(recipe), origins, seconds, scores(classified(net, held_out), held_out))
 
 
-def _prepare(run: TrainingRun) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """A training that ended before: its network, and what its sidecar says."""
+
+    net: ClassifierNet
+    sidecar: dict[str, Any]
+
+
+def earlier(path: Path) -> Earlier:
+    """What `make_classifier` left: the network in `path`, and the sidecar beside it.
+
+    Raises:
+        InputError: one of the two is missing, or not a training's.
+    """
+    net = ClassifierNet()
+    try:
+        net.load_state_dict(torch.load(path, weights_only=True))
+        sidecar = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        return Earlier(net, {key: sidecar[key] for key in ("command", "recipe", "trained_on", "processor_seconds")})
+    except (OSError, RuntimeError, UnpicklingError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path} is no training to go on from: {error}; give the .pt that `tuberline train-classifier` wrote, with "
+            "its .json beside it"
+        ) from error
+
+
+def _prepare(run: TrainingRun, before: Earlier | None) -> dict[str, Any]:
     trained_on, validated_on = [origin for folder in run.data for origin in _origins(folder)], _origins(run.validation)
-    seeds = {origin.get("seed") for origin in trained_on} & {origin.get("seed") for origin in validated_on} - {None}
+    learned = [*trained_on, *(before.sidecar["trained_on"] if before else ())]
+    seeds = {origin.get("seed") for origin in learned} & {origin.get("seed") for origin in validated_on} - {None}
     if seeds:
         raise InputError(
             f"{run.validation} was simulated with a seed of the training's packs ({seeds.pop()}): the network would be "
@@ -70,7 +102,8 @@ def _prepare(run: TrainingRun) -> dict[str, Any]:
         )
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    return {"trained_on": trained_on, "validated_on": validated_on}
+    start = {"start": before.sidecar} if before else {}
+    return {**start, "trained_on": trained_on, "validated_on": validated_on}
 
 
 def _sidecar(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from camera_sim.sim.belt_scenes import hard_negative_settings
 from camera_sim.sim.beltpack import write_belt_pack
 from camera_sim.sim.optics import D405_848
 from camera_sim.sim.presets import PRESETS
@@ -83,6 +85,31 @@ def test_trainings_end_in_files_that_the_segmenter_reads(packs: Path, tmp_path: 
     export_net(torch.nn.Conv2d(3, 1, 5), tmp_path / "other.onnx", torch.zeros(1, 3, 96, 128))
     with pytest.raises(InputError, match="patch"):
         Classifier(tmp_path / "other.onnx")
+
+
+def test_a_training_goes_on_where_another_ended(packs: Path, tmp_path: Path) -> None:
+    first = TrainingRun((packs / "train",), packs / "val", tmp_path, "first", "test 1")
+    recipe = ClassifierRecipe(epochs=1, batch=4, rate=1e-9)
+    begun = make_classifier(first, recipe, on_step=lambda step, total, loss: None)
+    went_on = replace(first, name="second", command="test 2", start=tmp_path / "first.pt")
+    sidecar = make_classifier(went_on, recipe, on_step=lambda step, total, loss: None)
+    assert sidecar["start"] == {key: begun[key] for key in ("command", "recipe", "trained_on", "processor_seconds")}
+    ends = [torch.load(tmp_path / f"{name}.pt")["features.0.weight"] for name in ("first", "second")]
+    torch.testing.assert_close(*ends)  # a step as small as that changes nothing, so it began where the first ended
+    on_others = replace(went_on, data=(packs / "val",), validation=packs / "train", name="third")
+    with pytest.raises(InputError, match="learned from"):
+        make_classifier(on_others, recipe, on_step=lambda step, total, loss: None)
+
+
+@pytest.mark.parametrize("missing", ["lost.pt", "lost.json"])
+def test_no_training_goes_on_from_nothing(packs: Path, tmp_path: Path, missing: str) -> None:
+    run = TrainingRun((packs / "train",), packs / "val", tmp_path, "classifier", "test", tmp_path / "lost.pt")
+    torch.save(ClassifierNet().state_dict(), tmp_path / "lost.pt")
+    (tmp_path / "lost.json").write_text('{"command": "", "recipe": {}, "trained_on": [], "processor_seconds": 1}')
+    (tmp_path / missing).write_text("no training")
+    with pytest.raises(InputError, match=r"lost\.pt is no training to go on from"):
+        make_classifier(run, ClassifierRecipe(), on_step=lambda step, total, loss: None)
+    assert not (tmp_path / "classifier.onnx").exists()
 
 
 def test_nothing_is_validated_on_what_it_learned_from(packs: Path, tmp_path: Path) -> None:
@@ -188,3 +215,18 @@ def test_belts_of_hard_negatives_are_half_clods_and_stones(tmp_path: Path) -> No
     (frame,) = pack_frames(tmp_path)
     assert frame.kinds.count("tuber") == 12
     assert sum(kind in ("clod", "stone") for kind in frame.kinds) >= 8
+
+
+def test_belts_of_hard_negatives_span_worlds_from_exact_to_harsh() -> None:
+    rng = np.random.default_rng(SEED)
+    drawn = [hard_negative_settings(rng, seed=SEED, tubers=36)[0] for _ in range(200)]
+    harsh = [settings for settings in drawn if settings.conditions is not None]
+    assert 70 <= len(harsh) <= 130, SEED
+    assert max(settings.preset.noise.fine_px for settings in harsh) > 0.1
+    assert max(settings.preset.noise.bare for settings in harsh) > 0.1
+    assert {settings.conditions.surface.kind for settings in harsh if settings.conditions} == {
+        "flat", "rods", "cleats", "sagging",
+    }  # fmt: skip
+    tame = [settings.preset for settings in drawn if settings.conditions is None]
+    assert max(preset.noise.fine_px for preset in tame) < 0.04
+    assert 8 <= sum(preset.name == "exact" for preset in tame) <= 35

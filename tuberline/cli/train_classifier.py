@@ -56,7 +56,9 @@ def train_classifier(
     data: list[Path],
     val: Path,
     out: Path,
+    start: Path | None = None,
     epochs: int = 40,
+    rate: float = 4e-3,
     seed: int = 1,
     name: str = "tuberline-classifier",
     json: bool = False,
@@ -71,9 +73,13 @@ def train_classifier(
     val
         Other belts to validate it by.
     out
-        Folder of <name>.onnx, for `segmenter.weights` of a line's file, and <name>.json.
+        Folder of <name>.onnx, for `segmenter.weights` of a line's file, <name>.pt and <name>.json.
+    start
+        The .pt of an earlier training: learn on from there, on the same belts or on others.
     epochs
         Passes over all bodies.
+    rate
+        Largest learning rate; it rises for 15 % of the steps and falls for the others.
     seed
         Of the first weights and of all draws.
     name
@@ -87,9 +93,11 @@ def train_classifier(
 
     if epochs < 1:
         raise InputError(f"--epochs {epochs}: at least 1 is needed")
-    run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]))
+    if not 0 < rate <= 1:
+        raise InputError(f"--rate {rate}: above 0, at most 1")
+    run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]), start)
     with work_bar("reading belts") as on_work:
-        recipe = ClassifierRecipe(epochs=epochs, seed=seed)
+        recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed)
         sidecar = make_classifier(
             run, recipe, on_step=lambda step, total, loss: on_work(f"loss {loss:.3f}", step, total)
         )
