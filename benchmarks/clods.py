@@ -58,9 +58,26 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "field", 8301, 60),
         (CLEAN, "harsh", 8307, 60),
     ),
+    "harsh": (
+        (CLODDY, "harsh", 7112, 60),
+        (CLODDY, "harsh", 7114, 60),
+        (CLODDY, "harsh", 7116, 60),
+        (CLODDY, "harsh", 7118, 60),
+    ),
+    "final": (
+        (CLODDY, "field", 8402, 60),
+        (CLODDY, "easy", 8404, 60),
+        (CLODDY, "harsh", 8406, 60),
+        (CLODDY, "harsh", 8408, 60),
+        (CLEAN, "field", 8401, 60),
+        (CLEAN, "harsh", 8403, 60),
+        (CLEAN, "easy", 8405, 60),
+        (CLEAN, "harsh", 8407, 60),
+    ),
 }
-"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the next was
-tuned on both and judged on `judging`; two of its constants were then set in sight of all."""
+"""(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the next was tuned on
+both and judged on `judging`; two of its constants were then set in sight of all. `harsh` is for choices too; nothing
+was ever chosen on `held-out` and `final`."""
 
 NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
 REFUSED_BELOW = CountSettings().reject_below
