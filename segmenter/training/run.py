@@ -30,6 +30,8 @@ from segmenter.training.samples import (
 )
 
 OnStep = Callable[[int, int, float], None]
+KEPT = ("command", "recipe", "trained_on", "processor_seconds")
+"""What a sidecar keeps of the training before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +69,18 @@ def make_classifier(run: TrainingRun, recipe: ClassifierRecipe, *, on_step: OnSt
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """A training that ended before: its network, and what its sidecar says."""
+    """A training that ended before: its network, and what its sidecar says of it and of those before it (`start`)."""
 
     net: ClassifierNet
     sidecar: dict[str, Any]
+
+    def trained_on(self) -> list[dict[str, Any]]:
+        """The origins of all that it learned from, and those before it."""
+        found, said = [], self.sidecar
+        while said:
+            found += said["trained_on"]
+            said = said.get("start", {})
+        return found
 
 
 def earlier(path: Path) -> Earlier:
@@ -83,7 +93,8 @@ def earlier(path: Path) -> Earlier:
     try:
         net.load_state_dict(torch.load(path, weights_only=True))
         sidecar = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        return Earlier(net, {key: sidecar[key] for key in ("command", "recipe", "trained_on", "processor_seconds")})
+        before = {"start": sidecar["start"]} if "start" in sidecar else {}
+        return Earlier(net, {key: sidecar[key] for key in KEPT} | before)
     except (OSError, RuntimeError, UnpicklingError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{path} is no training to go on from: {error}; give the .pt that `tuberline train-classifier` wrote, with "
@@ -93,7 +104,7 @@ def earlier(path: Path) -> Earlier:
 
 def _prepare(run: TrainingRun, before: Earlier | None) -> dict[str, Any]:
     trained_on, validated_on = [origin for folder in run.data for origin in _origins(folder)], _origins(run.validation)
-    learned = [*trained_on, *(before.sidecar["trained_on"] if before else ())]
+    learned = [*trained_on, *(before.trained_on() if before else ())]
     seeds = {origin.get("seed") for origin in learned} & {origin.get("seed") for origin in validated_on} - {None}
     if seeds:
         raise InputError(

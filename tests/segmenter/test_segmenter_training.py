@@ -96,9 +96,12 @@ def test_a_training_goes_on_where_another_ended(packs: Path, tmp_path: Path) -> 
     assert sidecar["start"] == {key: begun[key] for key in ("command", "recipe", "trained_on", "processor_seconds")}
     ends = [torch.load(tmp_path / f"{name}.pt")["features.0.weight"] for name in ("first", "second")]
     torch.testing.assert_close(*ends)  # a step as small as that changes nothing, so it began where the first ended
-    on_others = replace(went_on, data=(packs / "val",), validation=packs / "train", name="third")
-    with pytest.raises(InputError, match="learned from"):
-        make_classifier(on_others, recipe, on_step=lambda step, total, loss: None)
+    write_belt_pack(tmp_path / "new", belts=1, frames=3, tubers=6, seed=9, command="test")
+    third = replace(went_on, data=(tmp_path / "new",), name="third", command="test 3")
+    make_classifier(third, recipe, on_step=lambda step, total, loss: None)
+    fourth = replace(third, validation=packs / "train", name="fourth", start=tmp_path / "third.pt")
+    with pytest.raises(InputError, match="learned from"):  # by the first, two trainings ago
+        make_classifier(fourth, recipe, on_step=lambda step, total, loss: None)
 
 
 @pytest.mark.parametrize("missing", ["lost.pt", "lost.json"])
