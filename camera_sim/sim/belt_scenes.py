@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
-from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of
+from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of, under_soil
 from camera_sim.sim.cultivars import draw_recipe
 from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
@@ -20,7 +20,7 @@ from camera_sim.sim.presets import EASY_PRESET, EXACT_PRESET, FIELD_PRESET, Pres
 from camera_sim.sim.scenes import Layout, SceneSettings, belt_tuber, build_world
 from camera_sim.sim.stereo import Field, NoiseBank, measure
 from camera_sim.sim.stereo_faults import bowed_field
-from camera_sim.sim.tubers import Tuber, draw_odd_tuber, grow, with_jacket
+from camera_sim.sim.tubers import Tuber, draw_odd_tuber, grow
 from camera_sim.sim.world import Body, CameraPose, World, render
 from conveyor.geometry import Intrinsics
 
@@ -168,8 +168,7 @@ def _often_hard_of(conditions: Conditions, rng: Generator) -> Tuber:
     """A tuber of a recording with a world of its own, under its soil; often one of those that are taken for clods."""
     if rng.random() >= HARD_SHARE:
         return draw_tuber_of(conditions, rng, level=3)
-    tuber = _hard(rng)
-    return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
+    return under_soil(_hard(rng), conditions, rng)
 
 
 def _often_odd(rng: Generator) -> Tuber:

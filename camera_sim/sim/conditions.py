@@ -151,7 +151,12 @@ def draw_tuber_of(conditions: Conditions, rng: Generator, *, level: int = LEVEL)
     while True:
         tuber = draw_tuber(rng, level=level, stock=conditions.stock)
         if rods is None or tuber.axes_mm[1] > 1000 * rods.gap_m:
-            return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
+            return under_soil(tuber, conditions, rng)
+
+
+def under_soil(tuber: Tuber, conditions: Conditions, rng: Generator) -> Tuber:
+    """The tuber under the soil that sticks to those of the recording; as it is, where none does."""
+    return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
 
 
 def draw_stated(conditions: Conditions, rng: Generator) -> StatedRest:
