@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
+from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from tuberline.alarms.machine import Seen
+from tuberline.alarms.message import AlarmMessage
 from tuberline.doctor.finding import Finding, Level
 from viewer.page.alarms import ENOUGH_TUBERS, LEVELS, alarms
 from viewer.page.state import LineState
@@ -14,6 +16,7 @@ from viewer.page.words import span
 MOST_SEEN = 512
 NO_CONTACT = "no-contact"
 DISK = "disk-"
+ALL_REGRESSORS = "regressor/"
 FORGOTTEN_AFTER_S = 600.0
 """Regressors of containers have a new name at each start: one that is in no config and long gone is no alarm."""
 
@@ -32,12 +35,49 @@ def seen_alarms(state: LineState, config: LineConfig, disks: Sequence[Finding]) 
     return [alarm for alarm in found if LEVELS.index(alarm.level) <= enough]
 
 
-def unknown_keys(state: LineState, active: Iterable[str], *, disks_known: bool) -> frozenset[str]:
-    """Of the alarms that are `active`, those of which this look says nothing."""
+def unknown_keys(
+    state: LineState, active: Mapping[str, AlarmMessage], config: LineConfig, *, disks_known: bool, unix_s: float
+) -> frozenset[str]:
+    """Of the alarms that are `active` (by key: their beginnings), those of which this look says nothing.
+
+    Nothing is known of any without contact, and of those about one process until that process was heard of: who came
+    after it had gone cannot see that it is gone. One of no config is waited for no longer than it is told of.
+    """
     line_known = state.in_contact or state.final
-    return frozenset(
-        key for key in active if not (disks_known if key.startswith(DISK) else line_known or key == NO_CONTACT)
-    )
+    expected = {*known_nodes(config), ALL_REGRESSORS}
+
+    def known(key: str, begun: AlarmMessage) -> bool:
+        if key.startswith(DISK):
+            return disks_known
+        if key == NO_CONTACT:
+            return True
+        about = _about(key, begun.camera)
+        if not line_known or about is None or state.final:
+            return line_known
+        forgotten = about not in expected and unix_s - begun.since_unix_s >= FORGOTTEN_AFTER_S
+        return forgotten or _heard_of(about, state)
+
+    return frozenset(key for key, begun in active.items() if not known(key, begun))
+
+
+def _about(key: str, camera: str) -> str | None:
+    """The process ('role/name') that an alarm is about; ALL_REGRESSORS where about all of them, None about none."""
+    head, _, rest = key.partition("-")
+    if key == "no-regressor":
+        return ALL_REGRESSORS
+    if head == "regressor":
+        return f"regressor/{rest.rpartition('-')[0]}"
+    if head in ("stalled", "uncommitted"):
+        return rest
+    if head == "camera" and camera and (what := key.removeprefix(f"camera-{camera}-")) != "heights":
+        return f"camera/{camera}" if what in ("camera-gone", "camera-quiet") else f"segmenter/{camera}"
+    return None
+
+
+def _heard_of(about: str, state: LineState) -> bool:
+    """Of that process, or of one of that role, more is known than that it is starting."""
+    heard = [name for name, node in state.nodes.items() if node.state != "starting"]
+    return about in heard or (about == ALL_REGRESSORS and any(name.startswith(about) for name in heard))
 
 
 def _of_page(state: LineState, names: Sequence[str]) -> Iterator[Seen]:

@@ -129,7 +129,8 @@ class AlarmService:
             look, told_s = self._look, self._told_s
         if look is not None:
             disks = self._disks.findings(now_s)
-            unknown = unknown_keys(look, self._machine.active, disks_known=disks is not None)
+            active = {key: alarm.begun for key, alarm in self._machine.active.items()}
+            unknown = unknown_keys(look, active, self._config, disks_known=disks is not None, unix_s=unix_s)
             seen = seen_alarms(look, self._config, disks or ())
             messages = self._machine.step(seen, now_s=now_s, unix_s=unix_s, unknown=unknown)
             if messages:

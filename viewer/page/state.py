@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -20,6 +21,7 @@ class NodeState:
         report: its newest counters; None where only its token was seen.
         age_s: since that report arrived.
         alive: its liveliness token is there; gone_s: how long it has not been; None where it never was.
+        there_s: for how long its token has been there without a pause.
         per_s: growth of each counter over the last seconds.
         growing_s: for how long each counter has been growing without a pause; those that rest are left out.
         resting_s: how long ago each counter grew last, or was first seen.
@@ -30,6 +32,7 @@ class NodeState:
     age_s: float
     alive: bool
     gone_s: float | None = 0.0
+    there_s: float = math.inf
     per_s: Mapping[str, float] = field(default_factory=dict)
     growing_s: Mapping[str, float] = field(default_factory=dict)
     resting_s: Mapping[str, float] = field(default_factory=dict)
@@ -55,13 +58,16 @@ class NodeState:
 
     @property
     def state(self) -> str:
-        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing), 'ended' or 'gone'."""
+        """'ok', 'stalled', 'starting' (not ready yet), 'silent' (alive, but says nothing), 'ended' or 'gone'.
+
+        Who came, or came back, a moment ago has not had the time to report: it is starting, not silent.
+        """
         if not self.alive:
             if self.report is not None and self.report.status == "ended":
                 return "ended"
             return "starting" if self.gone_s is None and self.age_s <= STALE_S else "gone"
         if self.report is None or self.age_s > STALE_S:
-            return "silent"
+            return "silent" if min(self.age_s, self.there_s) > STALE_S else "starting"
         return self.report.status
 
 

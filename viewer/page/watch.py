@@ -41,12 +41,13 @@ STILL_AFTER_S = 15.0
 
 @dataclass(slots=True)
 class _NodeMemory:
-    """What was heard of one node so far."""
+    """What was heard of one node so far; `came_s`: when its token came, the last time that it did."""
 
     growth: Growth = field(default_factory=Growth)
     report: Counters | None = None
     heard_s: float = 0.0
     alive_s: float | None = None
+    came_s: float | None = None
 
 
 class LineWatch:
@@ -167,8 +168,11 @@ class LineWatch:
             del self._nodes[name]
         for name in sorted(kept & {*reports, *alive}):
             memory = self._nodes.setdefault(name, _NodeMemory(heard_s=now_s))
-            if name in alive:
+            if name not in alive:
+                memory.came_s = None
+            else:
                 memory.alive_s = now_s
+                memory.came_s = now_s if memory.came_s is None else memory.came_s
             report = reports.get(name)
             if report is not None and report is not memory.report:
                 memory.report, memory.heard_s = report, now_s
@@ -248,6 +252,7 @@ def _node(memory: _NodeMemory, now_s: float) -> NodeState:
         age_s=now_s - memory.heard_s,
         alive=alive,
         gone_s=None if memory.alive_s is None else now_s - memory.alive_s,
+        there_s=0.0 if memory.came_s is None else now_s - memory.came_s,
         per_s=memory.growth.per_s(),
         growing_s=memory.growth.growing_s(now_s),
         resting_s=memory.growth.resting_s(now_s),
