@@ -158,7 +158,7 @@ class BeltSegmenter:
         for track in self.tracker.tracks:
             if track.state is State.OPEN:
                 past_m = self.tracker.past_row_m(track, travel_m)
-                if self._settings.hold_for_doubtful or past_m < self._settings.track.decide_m:
+                if self._settings.hold_for_doubtful or track.waits or past_m < self._settings.track.decide_m:
                     horizon_m = min(horizon_m, travel_m - past_m - margin_m)
         return horizon_m
 

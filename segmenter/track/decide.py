@@ -25,6 +25,8 @@ from segmenter.track.views import Candidate, size_m
 
 REJECTED_KEPT = 1000
 """Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
+WAIT_A_TURN = 3
+"""For so many tracks that wait one more has its turn: at a steady two a frame each waits for a frame and a half."""
 EARLY_FRAMES = 3
 """Seen in fewer frames, a track is too young for its views to be weighed before it is decided."""
 MOST_ODDS = 1000.0
@@ -61,10 +63,15 @@ class TrackDecider:
         self._belt_sd_m = belt_sd_m
         self._resting = resting
         self._layers = BeltLayers()
+        self._turns = 1
 
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
-        """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones."""
+        """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones.
+
+        Where tracks take turns, one is classified a frame, and one more for every three that wait since the last.
+        """
         closed = []
+        self._turns = 1 + sum(track.waits for track in now.tracker.tracks) // WAIT_A_TURN
         for track in now.tracker.tracks:
             if track.state is not State.OPEN:
                 continue
@@ -105,7 +112,8 @@ class TrackDecider:
         return taken
 
     def _decision(self, track: TrackState, now: Moment, *, everything: bool) -> Decision | None:
-        """What becomes of a track; None where it is not due."""
+        """What becomes of a track; None where it is not due, or waits for its turn."""
+        track.waits = False
         tracker, travel_m = now.tracker, now.follower.travel_m
         in_view = tracker.in_view(track, travel_m)
         past = tracker.past_row_m(track, travel_m) >= tracker.settings.decide_m
@@ -117,6 +125,9 @@ class TrackDecider:
             return None
         if reason is not None:
             return RefusedTrack(reason)
+        track.waits = tracker.settings.take_turns and self._turns <= 0 and in_view and not everything
+        if track.waits:
+            return None
         decision = self._measured(track, at, now)
         if isinstance(decision, RefusedTrack) and decision.reason is TrackRefusal.DISTRACTOR:
             self.rejected.append(at)
@@ -133,6 +144,7 @@ class TrackDecider:
         if reason is None:
             # Asked last and once: each answer also teaches the classifier's prior what this belt carries.
             track.answer = self._perception.classify(track.patch, limit=self._settings.reject_below)
+            self._turns -= self._perception.classifies
             reason = class_refusal(track.answer, self._settings)
         kind = foreign_kind(reason, length_m=length_m, width_m=width_m)
         if reason is not None and kind is None:

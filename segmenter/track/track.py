@@ -64,6 +64,7 @@ class TrackState:
     frames that did not show it but a much larger instance at its place.
     `sent_early`: wanted positions whose view was given to be weighed before the decision.
     `rims`: readings of its rim (`segmenter.track.layers.rim_of`).
+    `waits`: it is due, and its turn comes in one of the next frames.
     `answer` is what the classifier said of its patch; None before, and without a classifier.
     """
 
@@ -85,6 +86,7 @@ class TrackState:
     reason: TrackRefusal | None = None
     hits: list[Hit] = field(default_factory=list)
     patch: Patch = field(default_factory=Patch)
+    waits: bool = False
     answer: Answer | None = None
     sent_early: set[int] = field(default_factory=set)
     rims: list[NDArray[np.float64]] = field(default_factory=list)
