@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
-from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of, under_soil
+from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of
 from camera_sim.sim.cultivars import draw_recipe
 from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
@@ -165,10 +165,8 @@ def _hard(rng: Generator) -> Tuber:
 
 
 def _often_hard_of(conditions: Conditions, rng: Generator) -> Tuber:
-    """A tuber of a recording with a world of its own, under its soil; often one of those that are taken for clods."""
-    if rng.random() >= HARD_SHARE:
-        return draw_tuber_of(conditions, rng, level=3)
-    return under_soil(_hard(rng), conditions, rng)
+    """A tuber of a recording with a world of its own; often one of those that are taken for clods."""
+    return draw_tuber_of(conditions, rng, level=3, draw=_hard if rng.random() < HARD_SHARE else None)
 
 
 def _often_odd(rng: Generator) -> Tuber:

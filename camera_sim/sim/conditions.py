@@ -5,6 +5,7 @@ The ranges of 'harsh' span what real belts and cameras showed; docs/worlds.md ha
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,18 +146,17 @@ def draw_conditions(name: str, rng: Generator) -> Conditions:
     )
 
 
-def draw_tuber_of(conditions: Conditions, rng: Generator, *, level: int = LEVEL) -> Tuber:
-    """A tuber of the recording: of its cultivar, not so slim that it falls through its rods, under its soil."""
+def draw_tuber_of(
+    conditions: Conditions, rng: Generator, *, level: int = LEVEL, draw: Callable[[Generator], Tuber] | None = None
+) -> Tuber:
+    """A tuber of the recording: of its cultivar or as `draw` draws one, not so slim that it falls through the
+    recording's rods, under its soil.
+    """
     rods = conditions.surface.rods
     while True:
-        tuber = draw_tuber(rng, level=level, stock=conditions.stock)
+        tuber = draw_tuber(rng, level=level, stock=conditions.stock) if draw is None else draw(rng)
         if rods is None or tuber.axes_mm[1] > 1000 * rods.gap_m:
-            return under_soil(tuber, conditions, rng)
-
-
-def under_soil(tuber: Tuber, conditions: Conditions, rng: Generator) -> Tuber:
-    """The tuber under the soil that sticks to those of the recording; as it is, where none does."""
-    return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
+            return with_jacket(tuber, rng, mean_m=conditions.jacket_m) if conditions.jacket_m > 0 else tuber
 
 
 def draw_stated(conditions: Conditions, rng: Generator) -> StatedRest:

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from camera_sim.sim import conditions as c
-from camera_sim.sim.conditions import Conditions, draw_conditions, draw_stated
+from camera_sim.sim.conditions import Conditions, draw_conditions, draw_stated, draw_tuber_of
 from camera_sim.sim.presets import HARSH_PRESET
 from camera_sim.sim.record import record_scene, world_truth
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world
 from camera_sim.sim.source import simulated_sources, truth_of
 from camera_sim.sim.stereo import EASY, StereoNoise
 from camera_sim.sim.surface import FLAT
+from camera_sim.sim.tubers import draw_tuber
 from camera_sim.sim.view_setting import TUBERS_PER_RECORDING, ViewPlan
 from camera_sim.sim.viewpack import packed
 from camera_sim.sim.views import ViewSimulator
@@ -134,6 +135,16 @@ def test_the_mixture_draws_all_presets_and_leaves_easy_easy() -> None:
     easy = next(world for world in worlds if world.preset.name == "easy")
     assert (easy.preset.noise, easy.surface, easy.resting_m, easy.jacket_m, easy.heave_m) == (EASY, FLAT, 0.0, 0.0, 0.0)
     assert easy.stock is not None
+
+
+def test_what_would_fall_through_the_rods_is_drawn_again(harsh: list[Conditions]) -> None:
+    world, rods = next((w, r) for w in harsh if (r := w.surface.rods) is not None and 1000 * r.gap_m > 35)
+    some = [draw_tuber(np.random.default_rng([80, n]), level=2) for n in range(60)]
+    slim = next(tuber for tuber in some if tuber.axes_mm[1] <= 1000 * rods.gap_m)
+    stout = next(tuber for tuber in some if tuber.axes_mm[1] > 1000 * rods.gap_m)
+    coming = iter([slim, stout])
+    found = draw_tuber_of(replace(world, jacket_m=0.0), np.random.default_rng(1), draw=lambda _: next(coming))
+    assert found is stout
 
 
 def test_tubers_of_a_recording_share_its_world_and_those_of_another_do_not() -> None:
