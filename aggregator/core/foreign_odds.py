@@ -16,10 +16,10 @@ STEP = 0.5
 MOST = 20.0
 """Bins of half a unit of log-odds, within +-20: beyond, nothing is doubted any more."""
 
-AT_NONE, BY_OWN, BY_BELOW = -2.8, -0.77, 0.66
+AT_NONE, BY_OWN, BY_BELOW = -3.05, -0.79, 0.65
 """Log-odds of other against tuber: `AT_NONE`, and for each unit of a body's own log-odds of tuber `BY_OWN`, for each
 unit that they lie below the middle tuber's `BY_BELOW`. A logistic regression over the 42 belts of `benchmarks foreign`
-with seeds below 69000 and, at a quarter of the weight, those of `benchmarks clods`: 7,600 tubers, 760 others. Ten belts
+with seeds below 69000 and, at a quarter of the weight, those of `benchmarks clods`: 7,600 tubers, 770 others. Ten belts
 are as long as loads: on a long clean belt the segmenter's prior believes in tubers, and more clods are taken for them
 than on a short one."""
 

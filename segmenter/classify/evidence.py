@@ -9,14 +9,14 @@ import numpy as np
 
 from segmenter.classify.patch import Patch
 
-# Tuned with the constants of `prior` on the same tracks; in brackets the same three numbers, 2, 30, 33 as they are.
+# Tuned with the constants of `prior` on the same tracks; in brackets the same three numbers, 3, 15, 26 as they are.
 QUIET_MM, NOISY_MM = 0.5, 0.7
 """Standard errors of the averaged heights: up to the first the network's answer is taken as it is, from the second on
 all of `DOUBT` is taken off. Cameras of `easy` and `field` have 0.25 to 0.55 mm, local noise of 0.12 px 0.55 to 0.85.
-Larger: poor cameras refuse more (0.4: 2, 29, 34; 0.6: 2, 36, 32, and for the second 0.6: 2, 27, 35; 0.9: 2, 39, 29)."""
-DOUBT = 1.0
-"""Log-odds that are taken off a noisy patch's answer: noise moves a tuber's towards clod by about as much. More: poor
-cameras refuse less (0: 3, 52, 24; 0.5: 2, 39, 29; 1.5: 2, 22, 40)."""
+Larger: poor cameras refuse more (0.4: 3, 14, 25; 0.6: 3, 15, 23, and for the second 0.6: 2, 15, 26; 0.9: 3, 17, 23)."""
+DOUBT = 0.5
+"""Log-odds that are taken off a noisy patch's answer: noise moves a tuber's towards clod. More: poor cameras refuse
+less (0: 3, 18, 17; 1: 2, 13, 31; 1.5: 2, 10, 43)."""
 SURE = 0.8
 """Share of a cell that must be the instance's to be measured: the rim's spread is the rim's, not the camera's."""
 
