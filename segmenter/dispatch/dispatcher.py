@@ -1,8 +1,8 @@
 """Which view goes to which regressor: no view is lost, no lost view is waited for, every tuber gets its turn.
 
 Credits bound what a regressor holds; what it holds stands in a table until answered, and goes back into the queue
-when it leaves or lets the deadline pass. First views of all tubers go before second views. Pure: time comes in as a
-number.
+when it leaves or lets the deadline pass. On a live line first views of all tubers go before second views. Pure: time
+comes in as a number.
 
 A live camera does not wait, and more tubers may come than can be weighed (`shed_over`). Then second and third views
 are shed first, and early: those beyond what the regressors, at their measured pace, get done in `spare_wait_s`. One of
@@ -10,8 +10,9 @@ them is kept as the fallback view until its tuber's first view is weighed, and t
 or lost. Only where the regressors cannot weigh even one view of each tuber, the newest tubers are given up at once
 ('overload') instead of letting all of them wait for `first_wait_s` and longer.
 
-Where the camera waits (a replay), a slow machine must not decide what is weighed: that a regressor did not answer in
-time counts as an attempt only where it never answered again and left.
+Where the camera waits (a replay), all views of a tuber are weighed before those of the next: each tuber is complete as
+soon as it can be, and the ledger keeps up with the belt. A slow machine must not decide what is weighed: that a
+regressor did not answer in time counts as an attempt only where it never answered again and left.
 
 A view that is lost on its way is known with the next answer of its regressor (`InFlight`), and goes to the next one.
 On a live line a regressor is given little more time than its answers take; `deadline_s` is the most it gets.
@@ -79,7 +80,7 @@ class _Job:
 
     @property
     def key(self) -> tuple[int, int]:
-        """Order of service, and against the order of shedding."""
+        """Order of service on a live line, and against the order of shedding."""
         return (0 if self.first else max(1, self.view.rank), self.order)
 
 
@@ -182,7 +183,7 @@ class Dispatcher:
                 break
             key, view_id = heapq.heappop(self._queue)
             job = self._jobs.get(view_id)
-            if job is None or job.key != key or job.regressor is not None or job.fallback:
+            if job is None or self._turn(job) != key or job.regressor is not None or job.fallback:
                 continue
             job.regressor, job.deadline_s = name, now_s + self._patience_s(name)
             job.attempts += 1
@@ -318,8 +319,12 @@ class Dispatcher:
         wanted = math.ceil(TURNS_IN_HAND * (self.pace.rate_per_s(name) or 0.0) * self.pace.turn_s)
         return max(self.settings.credits, min(wanted, self.settings.most_credits))
 
+    def _turn(self, job: _Job) -> tuple[int, int]:
+        """Order of service."""
+        return (0, job.order) if self.settings.shed_over is None else job.key
+
     def _enqueue(self, job: _Job) -> None:
-        heapq.heappush(self._queue, (job.key, job.view.view_id))
+        heapq.heappush(self._queue, (self._turn(job), job.view.view_id))
 
     def _give_back(self, job: _Job, reason: Requeue) -> None:
         job.regressor = None

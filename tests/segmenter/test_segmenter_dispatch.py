@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -135,13 +136,17 @@ TestDispatchStory = DispatchStory.TestCase
 TestDispatchStory.settings = settings(max_examples=120, stateful_step_count=40, deadline=None)
 
 
-def test_first_views_of_all_tubers_go_before_second_views() -> None:
-    dispatcher = Dispatcher(DispatchSettings(credits=100))
+@pytest.mark.parametrize(("shed_over", "ranks"), [(100, [0, 0, 0, 1, 1, 1]), (None, [0, 1, 0, 1, 0, 1])])
+def test_first_views_go_first_on_a_live_line_and_tuber_by_tuber_in_a_replay(
+    shed_over: int | None, ranks: list[int]
+) -> None:
+    """A replay weighs them all: with first views first the ledger had nothing before the recording's end."""
+    dispatcher = Dispatcher(DispatchSettings(credits=100, shed_over=shed_over))
     for track in (1, 2, 3):
         for rank in (0, 1):
             dispatcher.offer(view(track, rank))
     dispatcher.present({"a"})
-    assert [sent.rank for _, sent in dispatcher.assign(0.0)] == [0, 0, 0, 1, 1, 1]
+    assert [sent.rank for _, sent in dispatcher.assign(0.0)] == ranks
 
 
 def test_a_killed_regressors_views_go_to_another() -> None:
