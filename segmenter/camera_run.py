@@ -30,6 +30,8 @@ MARK_EVERY_NS = 1_000_000_000
 LIVE_MARK_EVERY_NS = 60_000_000
 """A tuber is committed with the next mark of every camera: in a replay that costs nothing, live it is the latency. So
 every frame at 15 a second, every second one at 30; 0.5 kB each."""
+SEEN_AGAIN_M = 0.005
+"""Twice as far as the places differ that two processes find for one tuber."""
 MARK_TURN_M = 0.004
 """Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
@@ -341,12 +343,15 @@ class CameraRun:
 def _resume(mark: Mark, logged: list[Track], speed_mps: float | None) -> Resume:
     """Where the process that wrote `mark`, and the tracks `logged` after it, left off.
 
+    The mark ends right before the first tuber that was not logged, and its successor sees that one a millimetre or two
+    elsewhere: counting goes on `SEEN_AGAIN_M` before the mark, and what is logged twice so is one tuber to the ledger.
     Without an encoder what it logged last is told from what it did not by its place alone, which is a guess after the
     belt ran on unseen: counting goes on beyond all of it.
     """
-    place_m = mark.complete_place_x_m
     if mark.travel_estimated:
-        place_m = min([place_m, *(track.place_x_m for track in logged)])
+        place_m = min([mark.complete_place_x_m, *(track.place_x_m for track in logged)])
+    else:
+        place_m = mark.complete_place_x_m + SEEN_AGAIN_M
     return Resume(
         complete_ns=mark.complete_ns,
         complete_place_x_m=place_m,
