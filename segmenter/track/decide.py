@@ -27,6 +27,9 @@ REJECTED_KEPT = 1000
 """Crossings of the newest tracks that the classifier took for distractors; all of them are in `discarded`."""
 WAIT_A_TURN = 3
 """For so many tracks that wait one more has its turn: at a steady two a frame each waits for a frame and a half."""
+TURNS_NS = 45_000_000
+"""Frames that come sooner than this after one another take turns. At 15 a second there is time for all that are due,
+and to wait for the next would be the tubers' delay."""
 EARLY_FRAMES = 3
 """Seen in fewer frames, a track is too young for its views to be weighed before it is decided."""
 MOST_ODDS = 1000.0
@@ -64,14 +67,19 @@ class TrackDecider:
         self._resting = resting
         self._layers = BeltLayers()
         self._turns = 1
+        self._decided_ns = 0
 
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
         """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones.
 
-        Where tracks take turns, one is classified a frame, and one more for every three that wait since the last.
+        Where tracks take turns and frames come fast, one is classified a frame, and one more for every three that wait
+        since the last.
         """
         closed = []
-        self._turns = 1 + sum(track.waits for track in now.tracker.tracks) // WAIT_A_TURN
+        since_ns, self._decided_ns = now.frame.captured_ns - self._decided_ns, now.frame.captured_ns
+        in_turn = now.tracker.settings.take_turns and since_ns < TURNS_NS and not everything
+        waiting = sum(track.waits for track in now.tracker.tracks)
+        self._turns = 1 + waiting // WAIT_A_TURN if in_turn else len(now.tracker.tracks)
         for track in now.tracker.tracks:
             if track.state is not State.OPEN:
                 continue
@@ -125,7 +133,7 @@ class TrackDecider:
             return None
         if reason is not None:
             return RefusedTrack(reason)
-        track.waits = tracker.settings.take_turns and self._turns <= 0 and in_view and not everything
+        track.waits = self._turns <= 0 and in_view
         if track.waits:
             return None
         decision = self._measured(track, at, now)

@@ -33,8 +33,8 @@ class TrackSettings:
         cut_gate_m: the same where a border cuts it or the track is new.
         area_weight: of the squared change of log area, against the squared distance over the gate.
         decide_m: how far past the centre row a track is closed. More sees more frames, and is later.
-        take_turns: where several are due at once they are classified in one frame after another, or a frame would be
-            slow.
+        take_turns: where several are due at once and frames come fast, they are classified in one frame after another,
+            or a frame would be slow.
         edge_m: from the rims of the view; nearer, a place counts as not seen.
         leave_m: beyond the rims; farther, a track is forgotten.
     """

@@ -17,12 +17,14 @@ LIVE = Settings(
 ALL_AT_ONCE = replace(LIVE, track=replace(LIVE.track, take_turns=False))
 
 
-def over(scene: Scene, settings: Settings, *, frames: int) -> tuple[list[list[ClosedTrack]], list[float]]:
+def over(
+    scene: Scene, settings: Settings, *, frames: int, fps: float = 30.0
+) -> tuple[list[list[ClosedTrack]], list[float]]:
     """What each frame closed, and the mark after it."""
     core = Segmenter(settings)
     closed, marks = [], []
     for seq in range(frames):
-        closed.append(list(core.step(scene.frame(seq, travel_m=0.014 * seq)).closed))
+        closed.append(list(core.step(scene.frame(seq, travel_m=0.014 * seq, fps=fps)).closed))
         marks.append(core.complete_travel_m())
     return [*closed, core.finish()], marks
 
@@ -44,6 +46,13 @@ def test_tubers_that_cross_at_once_are_decided_one_after_another() -> None:
     assert {t.track.track_id for tracks in in_turn for t in tracks} == {
         t.track.track_id for tracks in at_once for t in tracks
     }
+
+
+def test_where_frames_leave_time_none_waits() -> None:
+    scene = Scene(row_of(5, x_m=-0.15), intrinsics=MEDIUM, noise_m=0.0005, seed=5)
+    at_once, _ = over(scene, ALL_AT_ONCE, frames=40, fps=15)
+    in_time, _ = over(scene, LIVE, frames=40, fps=15)
+    assert [len(tracks) for tracks in in_time] == [len(tracks) for tracks in at_once]
 
 
 def test_no_mark_passes_a_track_that_waits_for_its_turn() -> None:
