@@ -21,7 +21,7 @@ from segmenter.dispatch.weighing import Weighing
 from segmenter.pipeline import Segmenter, Settings
 from segmenter.provisional import ProvisionalWeights
 from segmenter.results import ClosedTrack, StepResult
-from segmenter.resume import Resume
+from segmenter.resume import resume_after
 from segmenter.tracklog import TrackLog
 from segmenter.view_for_people import picture_of
 
@@ -30,8 +30,6 @@ MARK_EVERY_NS = 1_000_000_000
 LIVE_MARK_EVERY_NS = 60_000_000
 """A tuber is committed with the next mark of every camera: in a replay that costs nothing, live it is the latency. So
 every frame at 15 a second, every second one at 30; 0.5 kB each."""
-SEEN_AGAIN_M = 0.005
-"""Twice as far as the places differ that two processes find for one tuber."""
 MARK_TURN_M = 0.004
 """Estimated travel is told to the other cameras by the marks alone: between two of them it is taken for a line."""
 EMPTY_S = 2.0
@@ -100,7 +98,7 @@ class CameraRun:
         if mark is None or (self.settings.replays and not mark.final):
             return
         self.ended = mark.final
-        self.core = Segmenter(self.settings.core, resume=_resume(mark, self.log.since_mark, self.log.speed_mps))
+        self.core = Segmenter(self.settings.core, resume=resume_after(mark, self.log.since_mark, self.log.speed_mps))
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = _views_left(mark.views, self.log.since_mark)
         self._base_tracks = _tracks_left(mark.tracks, self.log.since_mark)
@@ -338,30 +336,6 @@ class CameraRun:
             views=counts["views"],
             tracks=counts["tracks"],
         )
-
-
-def _resume(mark: Mark, logged: list[Track], speed_mps: float | None) -> Resume:
-    """Where the process that wrote `mark`, and the tracks `logged` after it, left off.
-
-    The mark ends right before the first tuber that was not logged, and its successor sees that one a millimetre or two
-    elsewhere: counting goes on `SEEN_AGAIN_M` before the mark, and what is logged twice so is one tuber to the ledger.
-    Without an encoder what it logged last is told from what it did not by its place alone, which is a guess after the
-    belt ran on unseen: counting goes on beyond all of it.
-    """
-    if mark.travel_estimated:
-        place_m = min([mark.complete_place_x_m, *(track.place_x_m for track in logged)])
-    else:
-        place_m = mark.complete_place_x_m + SEEN_AGAIN_M
-    return Resume(
-        complete_ns=mark.complete_ns,
-        complete_place_x_m=place_m,
-        travel_m=mark.travel_m,
-        looked_at_m=mark.looked_at_m,
-        travelled_m=mark.travelled_m,
-        captured_ns=mark.captured_ns,
-        speed_mps=speed_mps,
-        unfollowed_ms=mark.frames.get(UNFOLLOWED, 0),
-    )
 
 
 def _tracks_left(sheet: dict[str, int], tracks: list[Track]) -> dict[str, int]:

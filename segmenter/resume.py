@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+from conveyor.messages import Mark, Track
+from conveyor.messages.tracks import UNFOLLOWED
 
 STANDS_AFTER_S = 600.0
 """Belt that ran on unseen is guessed for this long at most: a line that is down for longer has been stopped."""
+SEEN_AGAIN_M = 0.005
+"""Twice as far as the places differ that two processes find for one tuber."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,3 +66,27 @@ class Resume:
             travelled_m=self.travelled_m + missed_m,
             captured_ns=captured_ns,
         )
+
+
+def resume_after(mark: Mark, logged: Sequence[Track], speed_mps: float | None) -> Resume:
+    """Where the process that wrote `mark`, and the tracks `logged` after it, left off.
+
+    The mark ends right before the first tuber that was not logged, and its successor sees that one a millimetre or two
+    elsewhere: counting goes on `SEEN_AGAIN_M` before the mark, and what is logged twice so is one tuber to the ledger.
+    Without an encoder what it logged last is told from what it did not by its place alone, which is a guess after the
+    belt ran on unseen: counting goes on beyond all of it.
+    """
+    if mark.travel_estimated:
+        place_m = min([mark.complete_place_x_m, *(track.place_x_m for track in logged)])
+    else:
+        place_m = mark.complete_place_x_m + SEEN_AGAIN_M
+    return Resume(
+        complete_ns=mark.complete_ns,
+        complete_place_x_m=place_m,
+        travel_m=mark.travel_m,
+        looked_at_m=mark.looked_at_m,
+        travelled_m=mark.travelled_m,
+        captured_ns=mark.captured_ns,
+        speed_mps=speed_mps,
+        unfollowed_ms=mark.frames.get(UNFOLLOWED, 0),
+    )
