@@ -289,7 +289,7 @@ class CameraRun:
         if self.log.last_mark is not None and self.log.last_mark.final:
             return None
         if self.ended:
-            return self._mark(final=True) if len(self.weighing) == 0 else None
+            return self._mark(final=True) if len(self.weighing) == 0 else self._mark_after_the_end()
         if self.frames.processed == 0 or self._newest_ns == 0:
             return None
         if self._marked is not None:
@@ -299,6 +299,13 @@ class CameraRun:
             self._marked_speed = (self.core.travel_m - self._marked[1]) / max(waited_ns, 1)
         self._marked = (self._newest_ns, self.core.travel_m)
         return self._mark(final=False)
+
+    def _mark_after_the_end(self) -> Mark | None:
+        """Views are still weighed: a mark where that let as much belt become certain as there is between two marks."""
+        before, mark = self.log.last_mark, self._mark(final=False)
+        if before is None or mark.complete_ns - before.complete_ns >= self.settings.mark_every_ns:
+            return mark
+        return mark if before.complete_place_x_m - mark.complete_place_x_m >= MARK_EVERY_M else None
 
     def _belt_turned(self) -> bool:
         """The belt, its travel estimated, no longer runs as it did between the last two marks."""
