@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from conveyor.config import AlarmsConfig, CameraConfig, LineConfig
+from conveyor.access import known_nodes
+from conveyor.config import CameraConfig, LineConfig
 from tests.alarms.alarm_words import message
 from tests.viewer.page_states import good_state, node, with_node
 from tuberline.alarms.message import AlarmMessage
 from tuberline.alarms.seen import FORGOTTEN_AFTER_S, unknown_keys
 from viewer.page.state import LineState
 
-CONFIG = LineConfig(
-    name="north", cameras={"left": CameraConfig()}, alarms=AlarmsConfig(channels=("http://127.0.0.1:1/alarms",))
-)
+EXPECTED = known_nodes(LineConfig(name="north", cameras={"left": CameraConfig()}))
 BEGUN = {
     "regressor-r1-lost": "",
     "regressor-container-7f3a-lost": "",
@@ -33,7 +32,7 @@ def unknown(state: LineState, *, later_s: float = 5.0) -> set[str]:
         key: replace(message(n), key=key, camera=camera) for n, (key, camera) in enumerate(BEGUN.items())
     }
     unix_s = message(0).since_unix_s + later_s
-    return set(unknown_keys(state, active, CONFIG, disks_known=True, unix_s=unix_s))
+    return set(unknown_keys(state, active, EXPECTED, disks_known=True, unix_s=unix_s))
 
 
 def only(state: LineState, *names: str) -> LineState:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 
-from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from tuberline.alarms.machine import Seen
 from tuberline.alarms.message import AlarmMessage
@@ -36,15 +35,15 @@ def seen_alarms(state: LineState, config: LineConfig, disks: Sequence[Finding]) 
 
 
 def unknown_keys(
-    state: LineState, active: Mapping[str, AlarmMessage], config: LineConfig, *, disks_known: bool, unix_s: float
+    state: LineState, active: Mapping[str, AlarmMessage], expected: Set[str], *, disks_known: bool, unix_s: float
 ) -> frozenset[str]:
     """Of the alarms that are `active` (by key: their beginnings), those of which this look says nothing.
 
     Nothing is known of any without contact, and of those about one process until that process was heard of: who came
-    after it had gone cannot see that it is gone. One of no config is waited for no longer than it is told of.
+    after it had gone cannot see that it is gone. One that is not `expected` ('role/name', by the line's config) is
+    waited for no longer than it is told of.
     """
     line_known = state.in_contact or state.final
-    expected = {*known_nodes(config), ALL_REGRESSORS}
 
     def known(key: str, begun: AlarmMessage) -> bool:
         if key.startswith(DISK):
@@ -54,7 +53,8 @@ def unknown_keys(
         about = _about(key, begun.camera)
         if not line_known or about is None or state.final:
             return line_known
-        forgotten = about not in expected and unix_s - begun.since_unix_s >= FORGOTTEN_AFTER_S
+        waited_for = about == ALL_REGRESSORS or about in expected
+        forgotten = not waited_for and unix_s - begun.since_unix_s >= FORGOTTEN_AFTER_S
         return forgotten or _heard_of(about, state)
 
     return frozenset(key for key, begun in active.items() if not known(key, begun))

@@ -99,7 +99,8 @@ class AlarmService:
         self._lock = threading.Lock()
         self._look: LineState | None = None
         self._told_s = clock()
-        self._watch = LineWatch(config.link, line=config.name, tell=self._tell, known=known_nodes(config))
+        self._expected = known_nodes(config)
+        self._watch = LineWatch(config.link, line=config.name, tell=self._tell, known=self._expected)
 
     def __enter__(self) -> Self:
         self._outbox.__enter__()
@@ -130,7 +131,7 @@ class AlarmService:
         if look is not None:
             disks = self._disks.findings(now_s)
             active = {key: alarm.begun for key, alarm in self._machine.active.items()}
-            unknown = unknown_keys(look, active, self._config, disks_known=disks is not None, unix_s=unix_s)
+            unknown = unknown_keys(look, active, self._expected, disks_known=disks is not None, unix_s=unix_s)
             seen = seen_alarms(look, self._config, disks or ())
             messages = self._machine.step(seen, now_s=now_s, unix_s=unix_s, unknown=unknown)
             if messages:
