@@ -29,11 +29,7 @@ def core_settings(config: LineConfig, *, live: bool = False) -> Settings:
     s = config.segmenter
     return Settings(
         split=SplitSettings(pixel_mm=s.pixel_mm, min_area_mm2=s.min_area_mm2, min_height_mm=s.min_height_mm),
-        track=TrackSettings(
-            gate_m=s.gate_mm / 1000,
-            decide_m=LIVE_DECIDE_M if live else DECIDE_M,
-            take_turns=live,
-        ),
+        track=TrackSettings(gate_m=s.gate_mm / 1000, decide_m=LIVE_DECIDE_M if live else DECIDE_M, take_turns=live),
         count=CountSettings(min_frames=s.min_frames, min_height_m=s.min_height_mm / 1000, reject_below=s.reject_below),
         perception=PerceptionSettings(method=s.method, weights=s.weights),
         views_per_tuber=s.views_per_tuber,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from segmenter_scene import SMALL, Body, Scene, scattered
+from segmenter_scene import SMALL, Scene, scattered
 
 from conveyor.geometry import straight_down_belt_from_camera
-from conveyor.messages import CameraInfo, Frame, Mark, Track, TrackEntry, View, Weight
+from conveyor.messages import CameraInfo, Frame, Mark, TrackEntry, View, Weight
 from conveyor.reasons import FrameDrop
 from segmenter.age import FrameAge
 from segmenter.balance import FrameBalance
@@ -299,21 +299,6 @@ def test_a_live_camera_that_failed_comes_back_to_its_run(frames: list[Frame]) ->
     assert not run.ended
     play(run, frames[40:], names={"a"}, start_s=61.0)
     assert (run.frames.processed, run.frames.gaps) == (FRAMES - 10, 10)
-
-
-def test_an_empty_recording_ends_with_a_final_mark() -> None:
-    run = CameraRun("front", "r1", SETTINGS, None)
-    run.open()
-    scene = Scene([Body(-3.0, 0.0)])
-    for i in range(4):
-        run.frame(scene.frame(i, i * 0.01), i / 30)
-    run.info(info(last_seq=3), 1.0)
-    run.tick(1.0, set())
-    mark = run.log.last_mark
-    assert isinstance(mark, Mark)
-    assert mark.final
-    assert mark.tracks == {"opened": 0, "counted": 0, "open": 0}
-    assert not [e for e in entries(run, 1.0) if isinstance(e.track, Track)]
 
 
 def test_frames_that_the_ring_overwrote_are_drops_and_the_rest_are_gaps() -> None:

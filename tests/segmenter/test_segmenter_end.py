@@ -1,23 +1,35 @@
-"""A camera that has ended while its views are still weighed: marks follow the weighing, and none passes what waits."""
+"""A camera that has ended: its final mark, and marks while views are still weighed, which pass nothing that waits."""
 
 from __future__ import annotations
 
-from conveyor.messages import TrackEntry, View
-from segmenter.camera_run import CameraRun, RunSettings
-from segmenter.dispatch.dispatcher import DispatchSettings
-from segmenter.pipeline import Settings
-from tests.segmenter.segmenter_scene import Scene, scattered
-from tests.segmenter.test_segmenter_camera_run import info, weight
+from dataclasses import replace
+
+from conveyor.messages import Mark, Track, TrackEntry, View
+from segmenter.camera_run import CameraRun
+from tests.segmenter.segmenter_scene import Body, Scene, scattered
+from tests.segmenter.test_segmenter_camera_run import SETTINGS, entries, info, weight
 
 FRAMES = 110
-SETTINGS = RunSettings(
-    core=Settings(), dispatch=DispatchSettings(), weigh_deadline_s=30.0, max_pending_views=1000, window=4
-)
+
+
+def test_an_empty_recording_ends_with_a_final_mark() -> None:
+    run = CameraRun("front", "r1", SETTINGS, None)
+    run.open()
+    scene = Scene([Body(-3.0, 0.0)])
+    for i in range(4):
+        run.frame(scene.frame(i, i * 0.01), i / 30)
+    run.info(info(last_seq=3), 1.0)
+    run.tick(1.0, set())
+    mark = run.log.last_mark
+    assert isinstance(mark, Mark)
+    assert mark.final
+    assert mark.tracks == {"opened": 0, "counted": 0, "open": 0}
+    assert not [e for e in entries(run, 1.0) if isinstance(e.track, Track)]
 
 
 def test_the_ledger_need_not_wait_for_the_last_view() -> None:
     scene = Scene(scattered(33, seed=4), noise_m=0.001)
-    run = CameraRun("front", "r1", SETTINGS, None)
+    run = CameraRun("front", "r1", replace(SETTINGS, max_pending_views=1000), None)
     run.open()
     for seq in range(FRAMES):
         run.frame(scene.frame(seq, 0.0133 * seq), seq / 30)
