@@ -25,6 +25,14 @@ from segmenter.classify.prior import Prior
 from segmenter.track.counting import CountSettings
 
 CLEAN, CLODDY = "touching", "distractors"
+
+
+def many(seed: int) -> tuple[tuple[str, str, int, int], ...]:
+    """36 belts of the seeds from `seed` on: two of three with clods; a third each of `easy`, `field` and `harsh`."""
+    scenes, presets = (CLODDY, CLODDY, CLEAN), ("easy", "field", "harsh")
+    return tuple((scenes[n // 3 % 3], presets[n % 3], seed + n, 60) for n in range(36))
+
+
 BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
     "tuning": (
         (CLODDY, "field", 7102, 60),
@@ -74,10 +82,11 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "easy", 8405, 60),
         (CLEAN, "harsh", 8407, 60),
     ),
+    "many": many(9001),
 }
 """(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the next was tuned on
 both and judged on `judging`; two of its constants were then set in sight of all. `harsh` is for choices too; nothing
-was ever chosen on `held-out` and `final`."""
+was ever chosen on `held-out`, `final` and `many`."""
 
 NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
 REFUSED_BELOW = CountSettings().reject_below
