@@ -31,6 +31,11 @@ def export_of(run_dir: Path) -> str:
     return tuberline("ledger", "export", run_dir / "ledger.db", "--canonical").stdout
 
 
+def tubers_of(run_dir: Path) -> list[dict[str, str]]:
+    with (run_dir / "tubers.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def test_every_tuber_is_counted_once(run_dir: Path, recording: Path) -> None:
     score = score_of(run_dir, recording)
     assert (score["missed"], score["double_counted"], score["false"]) == (0, 0, 0)
@@ -62,8 +67,7 @@ def test_nothing_is_lost_silently_at_any_hop(run_dir: Path, recording: Path) -> 
 
 
 def test_the_table_of_tubers_is_the_ledger(run_dir: Path) -> None:
-    with (run_dir / "tubers.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = tubers_of(run_dir)
     totals = summary_of(run_dir)["totals"]
     assert len(rows) == totals["count"]
     assert sum(float(row["weight_g"]) for row in rows) == pytest.approx(totals["weight_g"], rel=1e-4)
@@ -73,6 +77,17 @@ def test_same_recording_same_ledger(run_dir: Path, recording: Path, tmp_path: Pa
     """Three regressors instead of one, twice real time instead of as fast as it goes; two at real time: tests/chaos."""
     replay(recording, tmp_path / "again", "--regressors", "3", "--speed", "2")
     assert export_of(tmp_path / "again") == export_of(run_dir)
+
+
+def test_a_fast_replay_finds_the_same_tubers_by_fewer_views(run_dir: Path, recording: Path, tmp_path: Path) -> None:
+    replay(recording, tmp_path / "fast", "--fast")
+    exact, fast = tubers_of(run_dir), tubers_of(tmp_path / "fast")
+    places = ("id", "place_x_m", "place_y_m", "cameras", "crossed_ns")
+    assert [[row[key] for key in places] for row in fast] == [[row[key] for key in places] for row in exact]
+    assert all(1 <= int(row["views"]) <= len(row["cameras"].split()) for row in fast)
+    assert sum(int(row["views"]) for row in exact) > 2.5 * sum(int(row["views"]) for row in fast)
+    total_g, exact_g = (sum(float(row["weight_g"]) for row in rows) for rows in (fast, exact))
+    assert total_g == pytest.approx(exact_g, rel=0.03)
 
 
 def test_a_second_run_into_the_same_folder_is_refused(run_dir: Path, recording: Path) -> None:
