@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from conveyor.errors import InputError, MessageError
 from conveyor.formats import Refused, camera_names, open_source
 from conveyor.formats.inspection import inspect_recording
-from conveyor.formats.rosbag.bags import decode_ros
+from conveyor.formats.rosbag.bags import decode_ros, open_bag
 from conveyor.formats.rosbag.foxglove import from_json, from_protobuf
 from conveyor.formats.rosbag.messages import Kind
+from conveyor.formats.rosbag.streams import depth_streams
 from conveyor.messages import Frame
 
 pytest.importorskip("rosbags.typesys")
@@ -197,6 +198,10 @@ def test_every_cut_of_a_message_is_an_error_of_ours() -> None:
             r"no CameraInfo topic beside it.*camera infos there are: /other/camera_info",
         ),
         (
+            {DEPTH: (IMAGE, "cdr", [image(0)]), "/camera/camera/color/camera_info": (INFO, "cdr", [info()])},
+            r"no CameraInfo topic beside it.*camera infos there are: /camera/camera/color/camera_info",
+        ),
+        (
             {DEPTH: (IMAGE, "cdr", [image(0, encoding="8UC1")]), DEPTH_INFO: (INFO, "cdr", [info()])},
             r"has encoding '8UC1'; depth is read from 16UC1, mono16, Z16, 32FC1 \(metres\), compressedDepth png or rvl",
         ),
@@ -216,6 +221,25 @@ def test_every_cut_of_a_message_is_an_error_of_ours() -> None:
 def test_what_a_bag_lacks_is_said(tmp_path: Path, channels: dict, text: str) -> None:
     with pytest.raises(InputError, match=text):
         open_source(write_mcap(tmp_path / "bag.mcap", channels), camera="camera")
+
+
+@pytest.mark.parametrize(
+    ("depth", "beside", "taken"),
+    [
+        ("/camera/depth/image_rect_raw", ("color", "infra1"), "infra1"),
+        ("/camera/aligned_depth_to_color/image_raw", ("color",), "color"),
+        ("/camera/depth_registered/image_raw", ("rgb",), "rgb"),
+    ],
+)
+def test_intrinsics_are_of_the_lens_that_saw_the_depth(
+    tmp_path: Path, depth: str, beside: tuple[str, ...], taken: str
+) -> None:
+    """Those of the colour camera, 1.6 times as long, made two thirds of a load vanish."""
+    infos = {f"/camera/{name}/camera_info": (INFO, "cdr", [info()]) for name in beside}
+    path = write_mcap(tmp_path / "bag.mcap", {depth: (IMAGE, "cdr", [image(0)]), **infos})
+    with open_bag(path) as bag:
+        (stream,) = depth_streams(path, bag)
+    assert stream.info == f"/camera/{taken}/camera_info"
 
 
 def test_an_image_that_is_not_rectified_has_its_own_matrix_and_a_warning(tmp_path: Path) -> None:

@@ -130,6 +130,12 @@ def test_a_realsense_bag_tells_its_depth_unit(tmp_path: Path, unit_m: float | No
     assert np.array_equal(frames[0].depth, _depth(2))
 
 
+@pytest.mark.parametrize("unit_m", [0.0, -0.001, 1.0, float("nan")])
+def test_a_unit_that_no_camera_has_is_refused(tmp_path: Path, unit_m: float) -> None:
+    with pytest.raises(InputError, match=r"says that a unit of depth is .* m; allowed is above 0 to 0\.01"):
+        open_source(_ros1(tmp_path / "rs.bag", unit_m=unit_m))
+
+
 def test_a_bag_becomes_our_mcap(tmp_path: Path) -> None:
     bag = _ros2(tmp_path / "bag", mcap=False)
     done = convert_recording(bag, tmp_path / "ours.mcap", belt_distance_m=0.43)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from conveyor.errors import InputError, MessageError
 from conveyor.formats.mcap.reader import rate_of
+from conveyor.formats.plain.depth import MOST_UNIT_M
 from conveyor.formats.png16 import Refusal
 from conveyor.formats.rosbag.bags import BagReader, Stored, open_bag
 from conveyor.formats.rosbag.depth import (
@@ -75,6 +76,11 @@ class RosBagSource:
         self._in_metres = depth_encoding(image) == FLOAT_ENCODING
         unit = _first(bag, stream.unit) if stream.unit else None
         scale_m = round(unit, 9) if isinstance(unit, float) and not self._in_metres else None
+        if scale_m is not None and not 0 < scale_m <= MOST_UNIT_M:
+            raise InputError(
+                f"{self._path}: topic {stream.unit} says that a unit of depth is {scale_m:g} m; allowed is above 0 to "
+                f"{MOST_UNIT_M:g}: record the camera's own again"
+            )
         rectified = "rect" in stream.images
         return CameraDescription(
             name=stream.camera,

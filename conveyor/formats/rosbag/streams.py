@@ -18,6 +18,9 @@ from conveyor.formats.rosbag.messages import RosCompressed, RosImage
 DEPTH_TYPES = "sensor_msgs/msg/Image, sensor_msgs/msg/CompressedImage (compressedDepth), foxglove.RawImage"
 _NO_DEPTH = ("color", "colour", "rgb", "infra")
 """Images of such topics may have 16 bits and still be no depth."""
+_OTHER_LENS = ("color", "colour", "rgb")
+"""CameraInfo of such topics is of depth only where that was aligned to colour; infrared images share depth's."""
+_ALIGNED = (*_OTHER_LENS, "aligned", "registered")
 _UNITS = re.compile(r"depth.units", re.IGNORECASE)
 
 
@@ -132,9 +135,18 @@ def _preference(topic: str) -> tuple[bool, bool, str]:
     return topic.endswith("compressedDepth"), "aligned" in topic, topic
 
 
+def _same_lens(images: str, info: str) -> bool:
+    """Whether the intrinsics of `info` can be those of the depth images."""
+    return _has(images, _ALIGNED) or not _has(info, _OTHER_LENS)
+
+
+def _has(topic: str, words: tuple[str, ...]) -> bool:
+    return any(word in topic.lower() for word in words)
+
+
 def _stream(path: Path, bag: BagReader, camera: str, images: str, others: tuple[str, ...]) -> Stream:
     infos = [topic.name for topic in bag.topics if topic.kind == "calibration"]
-    info = nearest(images, infos)
+    info = nearest(images, [info for info in infos if _same_lens(images, info)])
     if info is None:
         known = f"; camera infos there are: {', '.join(infos)}" if infos else f"; its topics: {listing(bag)}"
         raise InputError(
