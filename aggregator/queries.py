@@ -84,6 +84,6 @@ def _whole(query: zenoh.Query, name: str, *, default: int, most: int) -> int:
     text = query.parameters.get(name)
     if text is None:
         return default
-    if not text.isascii() or not text.isdigit() or int(text) > most:
-        raise InputError(f"parameter {name}={text}: give a whole number from 0 to {most}")
+    if not text.isascii() or not text.isdigit() or len(text) > 19 or int(text) > most:
+        raise InputError(f"parameter {name}={text[:20]}: give a whole number from 0 to {most}")
     return int(text)

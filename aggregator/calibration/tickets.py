@@ -116,6 +116,10 @@ def check_ticket(ticket: Ticket) -> Ticket:
         raise InputError(f"a ticket of run {ticket.run} is of kind {ticket.kind!r}; known: {', '.join(KINDS)}")
     if not (math.isfinite(ticket.ticket_g) and ticket.ticket_g > 0):
         raise InputError(f"the ticket says {ticket.ticket_g / 1000:g} kg: give the load's net weight, above 0 kg")
+    if not (math.isfinite(ticket.ticket_sd_g) and ticket.ticket_sd_g >= 0):
+        raise InputError(f"the scale's error is {ticket.ticket_sd_g / 1000:g} kg: give 0 kg or more")
+    if not math.isfinite(ticket.stated_offset_mm):
+        raise InputError(f"the resting offset of run {ticket.run} is {ticket.stated_offset_mm:g} mm: give a number")
     if ticket.estimated_g <= 0:
         raise InputError(f"run {ticket.run} counted no tuber: there is nothing to calibrate")
     if ticket.coverage < LEAST_COVERAGE:
@@ -132,7 +136,7 @@ def check_ticket(ticket: Ticket) -> Ticket:
         )
     if (ticket.kind == "tubers") != bool(ticket.singles):
         raise InputError(f"{ticket.name}: single weights belong to kind 'tubers', and to no other")
-    if any(min(one.scale_g, one.weighed_g, one.sd_g) <= 0 for one in ticket.singles):
+    if not all(0 < value < math.inf for one in ticket.singles for value in (one.scale_g, one.weighed_g, one.sd_g)):
         raise InputError(f"{ticket.name}: every single weight and its standard deviation must be above 0 g")
     return ticket
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -205,3 +206,21 @@ def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Pat
     assert totals[-1].sums.tickets == 0
     assert totals[-1].weighed == 1
     assert "the ticket says 5000.0 kg" in refused[0]
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        LoadOrder("n", "note", load="1", fields={"name": "x" * 300}),
+        LoadOrder("t", "ticket", load="1", kg=6.0, scale_error_kg=math.nan),
+        LoadOrder("t", "ticket", load="1", kg=math.inf),
+    ],
+)
+def test_an_order_that_no_line_would_take_is_refused_at_rest(tmp_path: Path, order: LoadOrder) -> None:
+    """A name too long for a message was kept, and ended the aggregator at each of its starts."""
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    before = path.read_bytes()
+    with pytest.raises(InputError):
+        order_at_rest(path, order)
+    assert path.read_bytes() == before

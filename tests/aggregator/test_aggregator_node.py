@@ -131,6 +131,8 @@ def test_killed_in_the_middle_it_counts_everything_once(line: tuple[LineConfig, 
             assert all(tuber["tuber_id"] > 1 for tuber in rest)
             with pytest.raises(Exception, match="limit=many: give a whole number"):
                 observer.query(topics.QUERY_TUBERS, parameters="limit=many")
+            with pytest.raises(Exception, match="since=99999999999999999999: give a whole number"):
+                observer.query(topics.QUERY_TUBERS, parameters=f"since={'9' * 5000}")
             segmenters.deliver()
             wait_until(lambda: (totals := observer.totals()) and totals.final, what="final totals")
     code, said = process.end()

@@ -79,6 +79,9 @@ def test_tickets_of_other_weights_do_not_count() -> None:
         (ticket(1.0, coverage=0.5), "50 % of the belt"),
         (Ticket("r", MODEL, 1e6, 0, 0.0, 0, 1.0), "counted no tuber"),
         (Ticket("r", MODEL, -5.0, 0, 1e6, 0, 1.0), "above 0 kg"),
+        (Ticket("r", MODEL, 1e6, -10.0, 1e6, 0, 1.0), r"scale's error is -0\.01 kg"),
+        (Ticket("r", MODEL, 1e6, math.nan, 1e6, 0, 1.0), "scale's error is nan kg"),
+        (Ticket("r", MODEL, 1e6, 0, 1e6, 0, 1.0, stated_offset_mm=math.nan), "resting offset of run r is nan mm"),
     ],
 )
 def test_a_ticket_of_another_load_is_refused(bad: Ticket, says: str) -> None:
