@@ -9,7 +9,7 @@ from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.config_yield import GnssConfig
 from conveyor.delivery import ReliablePublisher
-from conveyor.errors import ConfigError, DeviceError
+from conveyor.errors import ConfigError, DeviceError, UnsendableError
 from conveyor.formats.nmea import Fix, NmeaFixes
 from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter
 from conveyor.messages import Position
@@ -89,7 +89,11 @@ class GnssNode:
             hdop=fix.hdop,
             satellites=fix.satellites,
         )
-        position.check()
+        try:
+            position.check()
+        except UnsendableError:  # a receiver's sentence may be whole and say what cannot be, a dilution of 9999.9
+            self._fixes.refused["beyond range"] += 1
+            return
         file.add(position)
         out.put(position)
         self._node.counters.add("positions")

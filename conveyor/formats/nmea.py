@@ -86,7 +86,10 @@ class NmeaFixes:
         if message.msgID == "RMC" and isinstance(message.date, date):
             self._date, self._at = message.date, message.time if isinstance(message.time, time) else None
         elif message.msgID == "ZDA" and message.year and message.month and message.day:
-            self._date, self._at = date(message.year, message.month, message.day), message.time or None
+            try:
+                self._date, self._at = date(message.year, message.month, message.day), message.time or None
+            except ValueError:  # a day that no month has
+                self.refused["damaged"] += 1
 
     def _fix(self, message) -> Fix | None:  # type: ignore[no-untyped-def]
         if not isinstance(message.time, time):

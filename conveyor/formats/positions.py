@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import os
 import zlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -25,6 +26,9 @@ from conveyor.messages import Position
 
 POSITIONS_FILE = "positions.csv"
 COLUMNS = ("n", "time_ns", "fix_ns", "lat_deg", "lon_deg", "quality", "hdop", "satellites", "crc")
+MOST_QUALITY = 9
+LAST_NS = 2**63 - 1
+"""The year 2262: no time is later, and milliseconds taken for seconds are."""
 _LATITUDE = ("lat_deg", "lat", "latitude")
 _LONGITUDE = ("lon_deg", "lon", "long", "lng", "longitude")
 _TIME = ("time_ns", "time_s", "time", "timestamp", "datetime", "utc")
@@ -140,9 +144,29 @@ def _table(data: bytes, path: Path) -> Iterator[Place]:
         try:
             quality = int(row[names["quality"]] or 0) if "quality" in names else 1
             told = _told(row) if "crc" in names else (None, None, 0)
-            yield Place(_time_ns(row[time], time.strip().lower()), float(row[lat]), float(row[lon]), quality, *told)
-        except (TypeError, ValueError) as error:
+            time_ns = _time_ns(row[time], time.strip().lower())
+            place = _within(Place(time_ns, float(row[lat]), float(row[lon]), quality, *told))
+        except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"track {path}, line {number}: {error}") from error
+        yield place
+
+
+def _within(place: Place) -> Place:
+    """The place, if it can be one on Earth; a logger's NaN before its first fix is no fix.
+
+    Raises:
+        ValueError: it cannot; the text says which value is off.
+    """
+    if math.isnan(place.lat_deg) or math.isnan(place.lon_deg):
+        place = replace(place, lat_deg=0.0, lon_deg=0.0, quality=0)
+    if not 0 <= place.time_ns <= LAST_NS:
+        raise ValueError(f"its time lies {place.time_ns / 1e9:g} s after 1970; give seconds, or ISO 8601")
+    for what, value, most in (("latitude", place.lat_deg, 90), ("longitude", place.lon_deg, 180)):
+        if not -most <= value <= most:
+            raise ValueError(f"its {what} is {value:g}; allowed are -{most} to {most}, decimal degrees")
+    if not 0 <= place.quality <= MOST_QUALITY:
+        raise ValueError(f"its quality is {place.quality}; allowed are 0 (no fix) to {MOST_QUALITY}, as in NMEA's GGA")
+    return place
 
 
 def _check(row: dict[str, str], path: Path, number: int) -> None:
@@ -187,6 +211,8 @@ def _gpx(data: bytes, path: Path) -> Iterator[Place]:
         if at is None:
             raise InputError(f"track {path}: a trkpt has no time; a map needs one for each position")
         try:
-            yield Place(_time_ns(at, "time"), float(point.get("lat", "")), float(point.get("lon", "")), 1)
-        except ValueError as error:
+            place = Place(_time_ns(at, "time"), float(point.get("lat", "")), float(point.get("lon", "")), 1)
+            place = _within(place)
+        except (ValueError, OverflowError) as error:
             raise InputError(f"track {path}: {error}") from error
+        yield place

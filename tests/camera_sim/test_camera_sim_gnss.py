@@ -91,6 +91,13 @@ def test_positions_are_kept_row_by_row_and_damage_is_an_error(tmp_path: Path) ->
         pass
 
 
+def test_a_date_that_no_month_has_is_counted_and_not_taken() -> None:
+    fixes = NmeaFixes()
+    assert fixes.push(sentence("GPZDA,100000.00,31,02,2026,00,00")) is None
+    assert fixes.push(gga("100000.00")) is None
+    assert fixes.refused == {"damaged": 1, "no date yet": 1}
+
+
 def test_tracks_of_others_are_read(tmp_path: Path) -> None:
     point = '<trkpt lat="52.7" lon="5.75"><time>{}</time></trkpt>'
     gpx = f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{point}'
@@ -108,10 +115,16 @@ def test_tracks_of_others_are_read(tmp_path: Path) -> None:
         ("a,b\n1,2\n", "needed are a time"),
         ("time,lat,lon\nnoon,1,2\n", "line 2"),
         ("<gpx>", "no GPX"),
+        ("timestamp,lat,lon\n1789380000000,52.7,5.75\n", "line 2: its time lies 1.78938e\\+12 s after 1970"),
+        ("time,lat,lon\ninf,52.7,5.75\n", "line 2"),
+        ("time,lat,lon\n1789380000,5230.123,5.75\n", "line 2: its latitude is 5230.12"),
+        ("time,lat,lon,quality\n1789380000,52.7,5.75,300\n", "line 2: its quality is 300"),
     ):
         (tmp_path / "bad").write_text(text)
         with pytest.raises(InputError, match=told):
             read_positions(tmp_path / "bad")
+    (tmp_path / "nan").write_text("time,lat,lon\n1789380000,nan,nan\n")
+    assert [place.quality for place in read_positions(tmp_path / "nan")] == [0], "a logger without a fix yet"
 
 
 def test_a_source_that_is_none_or_not_there_is_told() -> None:
