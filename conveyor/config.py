@@ -358,12 +358,14 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
     sections: dict[str, type[Section]] = {
         "link": LinkConfig,
         "access": AccessConfig,
+        "belt": BeltConfig,
         "segmenter": SegmenterConfig,
         "regressor": RegressorConfig,
         "aggregator": AggregatorConfig,
         "foreign": ForeignConfig,
         "viewer": ViewerConfig,
         "alarms": AlarmsConfig,
+        "gnss": GnssConfig,
     }
     return sorted(sections[path[0]].model_fields) if path[0] in sections else []
 

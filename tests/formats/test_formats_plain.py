@@ -132,6 +132,8 @@ def test_intrinsics_of_common_layouts_are_read(name: str, tmp_path: Path) -> Non
         ('{"left": {"K": [[1,0,2],[0,1,2],[0,0,1]]}, "right": {"K": [[1,0,2],[0,1,2],[0,0,1]]}}', "2 cameras"),
         ("1 0 2\n0 1 2\n", "cannot be used; expected"),
         ('{"K": [[600, 0, 40], [0, 600, 30], [0, 0, 0]]}', "holds no camera's"),
+        (f'{{"fx": 1{"0" * 400}, "fy": 600, "cx": 40, "cy": 30}}', "holds no camera's"),
+        (f'{{"K": [1{"0" * 400}, 0, 40, 0, 600, 30, 0, 0, 1]}}', "holds no camera's"),
     ],
 )
 def test_intrinsics_that_cannot_be_used_are_named(content: str, text: str, tmp_path: Path) -> None:
@@ -164,6 +166,17 @@ def two_arrays(folder: Path) -> None:
     np.savez(folder / "depth_2.npz", a=millimetres(0), b=millimetres(1))
 
 
+def whole_after_decimal(folder: Path) -> None:
+    for n in (0, 1):
+        (folder / f"depth_{n}.png").unlink()
+    np.save(folder / "depth_0.npy", (millimetres(0) / 1000).astype(np.float32))
+    png(folder / "depth_1.png", millimetres(1))
+
+
+def pages(folder: Path) -> None:
+    assert cv2.imwritemulti(str(folder / "depth_2.tiff"), [millimetres(n) for n in range(3)])
+
+
 WRONG: dict[str, tuple[dict[str, Any], Callable[[Path], None] | None, str]] = {
     "no unit": ({"depth_unit": None}, None, r"give --depth-unit.*holds whole numbers around 460: that is 0.46 m at"),
     "no intrinsics": ({"intrinsics": None}, None, r"give --intrinsics K\.json"),
@@ -176,6 +189,14 @@ WRONG: dict[str, tuple[dict[str, Any], Callable[[Path], None] | None, str]] = {
     "8 bits": ({}, grey, r"depth_2\.png has 8 bits per pixel"),
     "cut short": ({}, short, r"depth_2\.png is cut short or no image"),
     "whole and decimal": ({}, metres, r"depth_2\.npy holds decimal numbers, the frames before it whole ones"),
+    "decimal and whole": (
+        {"depth_unit": 1},
+        whole_after_decimal,
+        r"depth_1\.png holds whole numbers, the frames before it decimal ones",
+    ),
+    "many pages": ({}, pages, r"depth_2\.tiff holds 3 pages; save each frame as a file"),
+    "a pattern from the root": ({"pattern": "/abs/*.npy"}, None, r"--pattern '/abs/\*\.npy' is none for files within"),
+    "no pattern": ({"pattern": ""}, None, r"--pattern '' is none for files within"),
     "which array": ({}, two_arrays, r"depth_2\.npz needs one image, or one named 'depth'; it has a \(60, 80\)"),
     "nothing there": ({"pattern": "*.exr"}, None, r"no depth frames .* match '\*\.exr'; there is nothing"),
 }

@@ -22,10 +22,14 @@ USUAL = "0.001: millimetres (Azure Kinect, Kinect, OAK, most RealSense); 0.0001:
 
 @dataclass(frozen=True, slots=True)
 class DepthUnit:
-    """`given_m`: metres per stored unit. `stored_m`: metres per unit of what `convert` makes of it."""
+    """`given_m`: metres per stored unit. `stored_m`: metres per unit of what `convert` makes of it.
+
+    `decimal`: the files hold decimal numbers.
+    """
 
     given_m: float
     stored_m: float
+    decimal: bool = False
 
     @classmethod
     def of(cls, given_m: float | None, first: NDArray[Any], *, where: Path, option: str = "--depth-unit") -> DepthUnit:
@@ -54,21 +58,24 @@ class DepthUnit:
             metres = decimal and NEAREST_M <= middle <= FARTHEST_M
             fix = f"they are metres: give {option} 1" if metres else f"give another one ({USUAL})"
             raise InputError(f"{option} is {given_m:g}, but {told}, so what it shows lies {middle_m:.4g} m away; {fix}")
-        return cls(given_m, FLOAT_UNIT_M if decimal else given_m)
+        return cls(given_m, FLOAT_UNIT_M if decimal else given_m, decimal)
 
     def convert(self, frame: NDArray[Any], *, where: Path) -> NDArray[np.uint16]:
         """(H, W) uint16 in units of `stored_m`, 0 = no depth. Decimal depth that is not finite, negative or beyond
         6.5 m is no depth.
 
         Raises:
-            InputError: whole numbers that 16 bits do not hold, or decimal ones where the first frame had whole ones.
+            InputError: whole numbers that 16 bits do not hold, or whole ones where the first frame had decimal ones,
+                and the other way round.
         """
         if frame.dtype.kind == "f":
-            if self.stored_m != FLOAT_UNIT_M:
+            if not self.decimal:
                 raise InputError(f"{where} holds decimal numbers, the frames before it whole ones: import them apart")
             with np.errstate(invalid="ignore", over="ignore"):
                 units = np.round(np.nan_to_num(frame.astype(np.float64), nan=0.0) * (self.given_m / FLOAT_UNIT_M))
             return np.where((units > 0) & (units < 65535), units, 0).astype(np.uint16)
+        if self.decimal:
+            raise InputError(f"{where} holds whole numbers, the frames before it decimal ones: import them apart")
         if frame.dtype != np.uint16 and frame.size and not (frame.min() >= 0 and frame.max() <= 65535):
             raise InputError(f"{where} holds {frame.min()} to {frame.max()}; 16-bit depth is 0 (none) to 65535")
         return np.ascontiguousarray(frame, np.uint16)

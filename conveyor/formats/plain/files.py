@@ -15,7 +15,8 @@ from conveyor.errors import InputError
 from conveyor.formats.png16 import is_whole_png
 from conveyor.wire import MAX_ARRAY_BYTES
 
-IMAGES = (".png", ".tif", ".tiff")
+TIFFS = (".tif", ".tiff")
+IMAGES = (".png", *TIFFS)
 MASKS, MOST_OBJECTS = "mask", 2000
 ENDINGS = (*IMAGES, ".npy", ".npz", ".mat")
 
@@ -30,7 +31,10 @@ def frame_files(folder: Path, pattern: str) -> list[Path]:
         return [folder]
     if not folder.is_dir():
         raise InputError(f"{folder} does not exist; name the folder that holds the depth frames")
-    inside = sorted((path for path in folder.glob(pattern) if path.is_file()), key=_by_number)
+    try:
+        inside = sorted((path for path in folder.glob(pattern) if path.is_file()), key=_by_number)
+    except (NotImplementedError, ValueError) as error:
+        raise InputError(f"--pattern '{pattern}' is none for files within {folder}; give one like '*.png'") from error
     files = [path for path in inside if path.suffix.lower() in ENDINGS]
     if not files:
         there = ", ".join(sorted({path.suffix or path.name for path in inside})) or "nothing"
@@ -95,10 +99,19 @@ def _image(path: Path) -> NDArray[Any]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     whole = path.suffix.lower() != ".png" or is_whole_png(data)
+    pages = _pages(data) if path.suffix.lower() in TIFFS else 1
+    if pages > 1:
+        raise InputError(f"{path} holds {pages} pages; save each frame as a file, or all of them as one .npy")
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if whole and len(data) else None
     if image is None:
         raise InputError(f"{path} is cut short or no image; copy it again, or remove it: its number is then a gap")
     return np.asarray(image)
+
+
+def _pages(tiff: NDArray[np.uint8]) -> int:
+    """How many images OpenCV finds in a TIFF: 0 where it is none."""
+    read, pages = cv2.imdecodemulti(tiff, cv2.IMREAD_UNCHANGED) if len(tiff) else (False, ())
+    return len(pages) if read else 0
 
 
 def _numpy(path: Path, wanted: str = "depth") -> NDArray[Any]:

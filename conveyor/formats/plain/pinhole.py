@@ -154,7 +154,7 @@ def _matrix(value: Any) -> NDArray[np.float64] | None:
         value = value.get("data")
     try:
         flat = np.asarray(value, np.float64).ravel() if isinstance(value, list) else np.empty(0)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         return None
     if flat.shape != (9,) or not np.isfinite(flat).all():
         return None
@@ -186,4 +186,8 @@ def _numbers(value: Any) -> tuple[float, ...]:
 def _number(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value) if np.isfinite(value) else None
+    try:
+        number = float(value)
+    except OverflowError:  # whole numbers have no limit in JSON
+        return None
+    return number if np.isfinite(number) else None
