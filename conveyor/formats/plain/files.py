@@ -15,8 +15,7 @@ from conveyor.errors import InputError
 from conveyor.formats.png16 import is_whole_png
 from conveyor.wire import MAX_ARRAY_BYTES
 
-TIFFS = (".tif", ".tiff")
-IMAGES = (".png", *TIFFS)
+IMAGES = (".png", ".tif", ".tiff")
 MASKS, MOST_OBJECTS = "mask", 2000
 ENDINGS = (*IMAGES, ".npy", ".npz", ".mat")
 
@@ -99,19 +98,12 @@ def _image(path: Path) -> NDArray[Any]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
     whole = path.suffix.lower() != ".png" or is_whole_png(data)
-    pages = _pages(data) if path.suffix.lower() in TIFFS else 1
-    if pages > 1:
-        raise InputError(f"{path} holds {pages} pages; save each frame as a file, or all of them as one .npy")
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if whole and len(data) else None
-    if image is None:
+    _, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED) if whole and len(data) else (False, ())
+    if not pages:
         raise InputError(f"{path} is cut short or no image; copy it again, or remove it: its number is then a gap")
-    return np.asarray(image)
-
-
-def _pages(tiff: NDArray[np.uint8]) -> int:
-    """How many images OpenCV finds in a TIFF: 0 where it is none."""
-    read, pages = cv2.imdecodemulti(tiff, cv2.IMREAD_UNCHANGED) if len(tiff) else (False, ())
-    return len(pages) if read else 0
+    if len(pages) > 1:
+        raise InputError(f"{path} holds {len(pages)} pages; save each frame as a file, or all of them as one .npy")
+    return np.asarray(pages[0])
 
 
 def _numpy(path: Path, wanted: str = "depth") -> NDArray[Any]:

@@ -16,11 +16,11 @@ from conveyor.formats.rosbag.depth import SHORT_ENCODINGS, depth_encoding, unsup
 from conveyor.formats.rosbag.messages import RosCompressed, RosImage
 
 DEPTH_TYPES = "sensor_msgs/msg/Image, sensor_msgs/msg/CompressedImage (compressedDepth), foxglove.RawImage"
-_NO_DEPTH = ("color", "colour", "rgb", "infra")
-"""Images of such topics may have 16 bits and still be no depth."""
-_OTHER_LENS = ("color", "colour", "rgb")
+_COLOUR = ("color", "colour", "rgb")
 """CameraInfo of such topics is of depth only where that was aligned to colour; infrared images share depth's."""
-_ALIGNED = (*_OTHER_LENS, "aligned", "registered")
+_ALIGNED = (*_COLOUR, "aligned", "registered")
+_NO_DEPTH = (*_COLOUR, "infra")
+"""Images of such topics may have 16 bits and still be no depth."""
 _UNITS = re.compile(r"depth.units", re.IGNORECASE)
 
 
@@ -111,7 +111,7 @@ def _depth_topics(bag: BagReader) -> list[str]:
     named += [t.name for t in compressed if "depth" in t.name.lower() and unsupported(_first_image(bag, t)) is None]
     if named:
         return sorted(named)
-    images = [topic for topic in images if not any(word in topic.name.lower() for word in _NO_DEPTH)]
+    images = [topic for topic in images if not _has(topic.name, _NO_DEPTH)]
     found = [topic.name for topic in images if _is_depth(_first_image(bag, topic))]
     return sorted(found + [topic.name for topic in compressed if unsupported(_first_image(bag, topic)) is None])
 
@@ -137,7 +137,7 @@ def _preference(topic: str) -> tuple[bool, bool, str]:
 
 def _same_lens(images: str, info: str) -> bool:
     """Whether the intrinsics of `info` can be those of the depth images."""
-    return _has(images, _ALIGNED) or not _has(info, _OTHER_LENS)
+    return _has(images, _ALIGNED) or not _has(info, _COLOUR)
 
 
 def _has(topic: str, words: tuple[str, ...]) -> bool:
