@@ -3,7 +3,8 @@ its own that none waits for."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor import topics
@@ -25,25 +26,22 @@ MOST_POSITIONS = 1024
 
 
 class _Positions:
-    """The machine's positions, as `positions.csv` of a run has them; there is no file before the first one."""
+    """The machine's positions as they come, each once."""
 
-    def __init__(self, node: Node, path: Path, files: ExitStack) -> None:
+    def __init__(self, node: Node) -> None:
         self._heard = ReliableSubscriber(node, topics.POSITION, Position, capacity=MOST_POSITIONS, receiver="*")
-        self._counters, self._path, self._files = node.counters, path, files
-        self._writer: PositionsWriter | None = None
+        self._counters = node.counters
         self._newest: dict[tuple[str, str], tuple[int, int]] = {}
         for counter in ("positions_written", "positions_duplicate"):
             self._counters.add(counter, 0)
 
-    def keep(self) -> None:
+    def write_to(self, parts: _Parts) -> None:
         """Write what has come, without waiting for more."""
         while (at := self._heard.get(0.0)) is not None:
             if not self._is_new(at):
                 self._counters.add("positions_duplicate")
                 continue
-            if self._writer is None:
-                self._writer = self._files.enter_context(PositionsWriter(self._path))
-            self._writer.add(at)
+            parts.open.add(at)
             self._counters.add("positions_written")
 
     def _is_new(self, at: Position) -> bool:
@@ -72,6 +70,71 @@ class _Gaps:
         return 0 if before is None else frame.seq - before - 1
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A file of a recording: where it is, and how many frames were written to it."""
+
+    path: Path
+    frames: int
+
+
+class _OpenPart:
+    """The file that is being written and the positions beside it; `runs`: each camera's frames in it are of one."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.runs: dict[str, str] = {}
+        self._files = ExitStack()
+        self._positions: PositionsWriter | None = None
+        self.writer = self._files.enter_context(McapFrameWriter(path))
+
+    def write(self, frame: Frame, *, fps: float | None) -> None:
+        """Append `frame` to the file."""
+        self.runs[frame.camera] = frame.run
+        self.writer.add_camera(frame.camera, fps=fps)
+        self.writer.write(frame)
+
+    def add(self, at: Position) -> None:
+        """Append a row to the positions; there is no file before the first one."""
+        if self._positions is None:
+            self._positions = self._files.enter_context(PositionsWriter(positions_beside(self.path)))
+        self._positions.add(at)
+
+    def close(self) -> Part:
+        """End the file."""
+        self._files.close()
+        return Part(self.path, self.writer.messages)
+
+
+class _Parts:
+    """The files of one recording, one after the other: a camera that begins another run begins another part.
+
+    Attributes:
+        left: camera and run of frames that are not taken any more. Two lines that run at once under one name would
+            begin a part with every frame.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self.left: set[tuple[str, str]] = set()
+        self.done: list[Part] = []
+        self.open = _OpenPart(next_part(out))
+
+    def write(self, frame: Frame, *, fps: float | None) -> bool:
+        """Append `frame`; returns whether a part was begun for it."""
+        before = self.open.runs.get(frame.camera, frame.run)
+        if before != frame.run:
+            self.left.add((frame.camera, before))
+            self.close()
+            self.open = _OpenPart(next_part(self._out))
+        self.open.write(frame, fps=fps)
+        return before != frame.run
+
+    def close(self) -> None:
+        """End the part that is open."""
+        self.done.append(self.open.close())
+
+
 def next_part(out: Path) -> Path:
     """`out`, or where it holds a recording already the first free one of `<name>-2.mcap`, `<name>-3.mcap`, ..."""
     part, n = out, 1
@@ -81,54 +144,55 @@ def next_part(out: Path) -> Path:
     return part
 
 
-def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> tuple[int, Path]:
-    """Record until stopped; returns how many frames were written, and where.
+def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[Part]:
+    """Record until stopped; returns the files that were written, in their order, at least one.
 
-    Nothing is overwritten, and a recorder that is started again goes on: where `out` exists, in a new part beside it.
+    Nothing is overwritten, and a recorder goes on: where `out` exists, in a new part beside it; where a camera begins
+    another run, because the line was stopped and started, in the next part. In a part each camera's numbers rise.
 
     Raises:
         StorageError: the disk is full, or gone.
     """
-    part = next_part(out)
-    try:
-        return _record(config, part, run=run, name=name, began_as=out), part
-    except OSError as error:
-        with suppress(OSError):
-            if part.stat().st_size < CHUNK_BYTES:  # not one chunk: on a full disk every start would leave such a file
-                part.unlink()
-        raise StorageError(f"recording {told(error, part)}") from error
+    with Node("recorder", name, config=config, run=run) as node:
+        parts = _Parts(out)
+        if parts.open.path != out:
+            node.log.warning("%s holds a recording: going on in %s", out, parts.open.path)
+        try:
+            with closing(parts):
+                _record(node, parts)
+        except OSError as error:
+            part = parts.open.path
+            with suppress(OSError):
+                if part.stat().st_size < CHUNK_BYTES:  # no chunk: on a full disk every start would leave such a file
+                    part.unlink()
+            raise StorageError(f"recording {told(error, part)}") from error
+    return parts.done
 
 
-def _record(config: LineConfig, part: Path, *, run: str, name: str, began_as: Path) -> int:
-    """Record into `part` until stopped; returns how many frames were written."""
+def _record(node: Node, parts: _Parts) -> None:
+    """Record into `parts` until `node` is stopped."""
     gaps = _Gaps()
-    with (
-        Node("recorder", name, config=config, run=run) as node,
-        McapFrameWriter(part) as writer,
-        ExitStack() as files,
-    ):
-        if part != began_as:
-            node.log.warning("%s holds a recording: going on in %s", began_as, part)
-        infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
-        frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
-        positions = _Positions(node, positions_beside(part), files)
-        for counter in ("frames_written", "frames_missing", "frames_duplicate"):
-            node.counters.add(counter, 0)
-        while not node.stop.is_set() or len(frames):
-            frame = frames.get(0.0 if node.stop.is_set() else SYNC_EVERY_S / 2)
-            node.progress()
-            positions.keep()
-            if frame is None:
-                writer.sync()
-                continue
-            missing = gaps.note(frame)
-            if missing is None:
-                node.counters.add("frames_duplicate")
-                continue
-            node.counters.add("frames_missing", missing)
-            fps = {info.camera: info.fps for info in infos.latest().values()}
-            writer.add_camera(frame.camera, fps=fps.get(frame.camera))
-            writer.write(frame)
-            node.counters.add("frames_written")
-        node.log.info("%d frames in %s", writer.messages, part)
-        return writer.messages
+    infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, camera="*")
+    frames = LatestSubscriber(node, topics.FRAME, Frame, capacity=RING_FRAMES, camera="*")
+    positions = _Positions(node)
+    for counter in ("frames_written", "frames_missing", "frames_duplicate", "frames_of_another_run"):
+        node.counters.add(counter, 0)
+    while not node.stop.is_set() or len(frames):
+        frame = frames.get(0.0 if node.stop.is_set() else SYNC_EVERY_S / 2)
+        node.progress()
+        positions.write_to(parts)
+        if frame is None:
+            parts.open.writer.sync()
+            continue
+        if (frame.camera, frame.run) in parts.left:
+            node.counters.add("frames_of_another_run")
+            continue
+        missing = gaps.note(frame)
+        if missing is None:
+            node.counters.add("frames_duplicate")
+            continue
+        node.counters.add("frames_missing", missing)
+        fps = {info.camera: info.fps for info in infos.latest().values()}
+        if parts.write(frame, fps=fps.get(frame.camera)):
+            node.log.info("camera %s began run %s: going on in %s", frame.camera, frame.run, parts.open.path)
+        node.counters.add("frames_written")

@@ -36,11 +36,15 @@ def convert_recording(
     form: TargetFormat = "auto",
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
+    part: int | None = None,
     on_frame: Callable[[int, int], None] = lambda done, total: None,
 ) -> Converted:
     """Write the recording at `source` to `target` in the format `form`; 'auto' goes by the name of `target`.
 
     Frames keep their numbers, times, travel and bytes; colour in PNG files becomes JPEG, the only loss.
+
+    Args:
+        part: which run of an MCAP file that holds several, from 1 on.
 
     Raises:
         InputError: `source` unusable, `target` there already, or a depth scale that contradicts the belt distance
@@ -49,7 +53,7 @@ def convert_recording(
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
     sources: list[Source] = [
-        open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m)
+        open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m, part=part)
         for name in camera_names(source)
     ]
     return write_recording(sources, target, files=recording_files(source), form=form, on_frame=on_frame)

@@ -80,6 +80,7 @@ def open_source(
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
     ignore_masks: bool = False,
+    part: int | None = None,
 ) -> PreparedSource:
     """The frames of one camera of a recording, its depth scale checked against its belt distance.
 
@@ -88,6 +89,7 @@ def open_source(
         name: what the line calls it; default: the recording's own name.
         belt_distance_m, depth_scale_m: instead of what the recording says.
         ignore_masks: leave out the recording's own masks.
+        part: which run of an MCAP file that holds several, from 1 on.
 
     Raises:
         InputError: no recording of a known kind, no such camera, or one that cannot be used.
@@ -97,7 +99,7 @@ def open_source(
     kind = recording_kind(path)
     by_topic = kind == "rosbag" and camera is not None and camera.startswith("/")
     chosen = camera if by_topic and camera else _choose(path, list(camera_names(path)), camera)
-    inner = open_unchecked(path, kind, chosen)
+    inner = open_unchecked(path, kind, chosen, part=part)
     return PreparedSource(
         inner,
         where=str(path),
@@ -154,18 +156,20 @@ def _choose(path: Path, known: list[str], camera: str | None) -> str:
     return camera
 
 
-def open_unchecked(path: Path, kind: Kind, camera: str) -> RecordedSource:
+def open_unchecked(path: Path, kind: Kind, camera: str, *, part: int | None = None) -> RecordedSource:
     """The source as it is recorded: for those who look for faults.
 
     Raises:
-        InputError: it cannot be opened, or calls its camera what is no plain name.
+        InputError: it cannot be opened, has no parts, or calls its camera what is no plain name.
     """
-    source = _open(path, kind, camera)
+    if part is not None and kind != "mcap":
+        raise InputError(f"{path} has no parts: only MCAP recordings of Tuberline's can hold several runs")
+    source = _open(path, kind, camera, part)
     plain_name(source.description.name, where=path)
     return source
 
 
-def _open(path: Path, kind: Kind, camera: str) -> RecordedSource:
+def _open(path: Path, kind: Kind, camera: str, part: int | None) -> RecordedSource:
     if kind == "folder":
         from conveyor.formats.folder.reader import FolderSource
 
@@ -173,7 +177,7 @@ def _open(path: Path, kind: Kind, camera: str) -> RecordedSource:
     if kind == "mcap":
         from conveyor.formats.mcap.reader import McapSource
 
-        return McapSource(path, camera)
+        return McapSource(path, camera, part=part)
     if kind == "rosbag":
         from conveyor.formats.rosbag.reader import RosBagSource
 

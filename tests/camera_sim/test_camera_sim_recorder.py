@@ -14,7 +14,7 @@ from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor import topics
 from conveyor.config import LinkConfig
-from conveyor.delivery import ReliablePublisher
+from conveyor.delivery import LatestPublisher, ReliablePublisher
 from conveyor.errors import PASSING
 from conveyor.formats import describe_recording, open_source
 from conveyor.formats.conversion import convert_recording
@@ -101,15 +101,15 @@ def test_a_killed_recorder_loses_at_most_its_last_chunk(
             counters = side.counters("recorder")
             recorder.kill()
             recorder.wait(30)
-    saved = recover(out, tmp_path / "mended.mcap")
+    saved = recover(out, tmp_path / "saved.mcap")
     frames_per_chunk = (1 << 20) // (320 * 180 * 2) + 1
     assert not saved.whole
     assert counters is not None
     assert saved.messages["camera/front/frame"] >= counters.values["frames_written"] - frames_per_chunk
     original = {item.seq: item.encode() for item in open_source(tmp_path / "long").frames(run="r")}
-    mended = list(open_source(tmp_path / "mended.mcap").frames(run="r"))
-    assert [item.seq for item in mended] == sorted({item.seq for item in mended})
-    assert all(item.encode() == original[item.seq] for item in mended)
+    whole = list(open_source(tmp_path / "saved.mcap").frames(run="r"))
+    assert [item.seq for item in whole] == sorted({item.seq for item in whole})
+    assert all(item.encode() == original[item.seq] for item in whole)
 
 
 def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
@@ -127,6 +127,31 @@ def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
                 told, _ = recorder.communicate(timeout=30)
                 assert (recorder.returncode, told) == (0, f"0 frames in {part}\n")
     assert next_part(out) == tmp_path / "line-3.mcap"
+
+
+def test_a_line_that_is_started_again_begins_a_new_part(
+    link: LinkConfig, small_recording: Path, tmp_path: Path
+) -> None:
+    """Its numbers begin at 0 again: in one file the second run hid behind the first, and nothing told of it."""
+    config, out = line(link, path=small_recording), tmp_path / "line.mcap"
+    first = next(item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame))
+    with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
+        wait_until(lambda: side.counters("recorder"), what="the recorder")
+        frames = LatestPublisher(side.node, topics.FRAME, camera="front")
+        wait_until(lambda: frames.has_listener, what="the recorder to listen")
+        for run, seq in [("a", 0), ("a", 1), ("b", 0), ("a", 2), ("b", 1), ("b", 2)]:
+            frames.put(replace(first, run=run, seq=seq))
+        wait_until(
+            lambda: (c := side.counters("recorder")) and c.values["frames_written"] == 5, what="5 frames in the files"
+        )
+        recorder.send_signal(signal.SIGTERM)
+        told, _ = recorder.communicate(timeout=30)
+        counters = side.counters("recorder")
+    assert told == f"2 frames in {out}\n3 frames in {tmp_path / 'line-2.mcap'}\n"
+    assert counters is not None
+    assert counters.values["frames_of_another_run"] == 1, "a run that was left does not come back"
+    assert [item.seq for item in open_source(out).frames(run="r")] == [0, 1]
+    assert [item.seq for item in open_source(tmp_path / "line-2.mcap").frames(run="r")] == [0, 1, 2]
 
 
 def test_a_recorder_without_room_is_tried_again_and_leaves_no_empty_parts(

@@ -1,4 +1,4 @@
-"""MCAP recordings: nothing changes on the way in and out, and a killed writer's file can be mended."""
+"""MCAP recordings: nothing changes on the way in and out, and a killed writer's file can be saved."""
 
 from __future__ import annotations
 
@@ -133,20 +133,22 @@ def test_an_undecodable_message_is_refused_by_number_and_the_rest_goes_on(mcap: 
 
 
 @pytest.mark.parametrize("kept", [0.15, 0.5, 0.9, 0.999])
-def test_a_cut_file_is_refused_with_the_mend_and_mended_up_to_the_cut(mcap: Path, tmp_path: Path, kept: float) -> None:
+def test_a_cut_file_is_refused_with_the_way_out_and_saved_up_to_the_cut(
+    mcap: Path, tmp_path: Path, kept: float
+) -> None:
     whole = [item.encode() for item in open_source(mcap).frames(run="x")]
     data = mcap.read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(data[: int(len(data) * kept)])
     with pytest.raises(InputError, match=r"tuberline recover"):
         open_source(cut)
-    saved = recover(cut, tmp_path / "mended.mcap")
+    saved = recover(cut, tmp_path / "saved.mcap")
     assert not saved.whole
     count = saved.messages.get("camera/front/frame", 0)
     assert count >= int(kept * len(whole)) - 10  # at most one chunk of 1 MiB is lost
     if count:
-        mended = [item.encode() for item in open_source(tmp_path / "mended.mcap").frames(run="x")]
-        assert mended == whole[:count]
+        saved = [item.encode() for item in open_source(tmp_path / "saved.mcap").frames(run="x")]
+        assert saved == whole[:count]
 
 
 def test_a_flipped_bit_loses_what_follows_and_nothing_silently(mcap: Path, tmp_path: Path) -> None:
@@ -155,7 +157,7 @@ def test_a_flipped_bit_loses_what_follows_and_nothing_silently(mcap: Path, tmp_p
     (tmp_path / "bad.mcap").write_bytes(data)
     with pytest.raises(InputError, match=r"cut or damaged.*tuberline recover"):
         list(open_source(tmp_path / "bad.mcap").frames(run="x"))
-    saved = recover(tmp_path / "bad.mcap", tmp_path / "mended.mcap")
+    saved = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
     assert saved.damage
     assert saved.lost_bytes > 0
     assert 0 < saved.messages["camera/front/frame"] < describe_recording(mcap).cameras[0].frames
@@ -221,3 +223,30 @@ def test_info_warns_of_a_belt_distance_that_is_not_seen(small_recording: Path) -
         warnings = inspect_recording(small_recording).cameras[0].warnings
         assert any(text in warning for warning in warnings), (given, warnings)
     assert np.isclose(camera["belt_distance_m"], 0.46, atol=0.002)
+
+
+def test_a_second_run_in_the_same_file_is_told_and_can_be_taken_out(small_recording: Path, tmp_path: Path) -> None:
+    """A recorder once went on in one file when the line was started again; the second run was left out unsaid."""
+    frames = [item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame)][:5]
+    two = tmp_path / "two.mcap"
+    with McapFrameWriter(two) as writer:
+        for run in ("a", "b"):
+            for frame in frames:
+                if (run, frame.seq) != ("b", 1):
+                    writer.write(replace(frame, run=run))
+    for read in (
+        lambda: list(open_source(two).frames(run="x")),
+        lambda: info(two),
+        lambda: convert(two, tmp_path / "c"),
+    ):
+        with pytest.raises(InputError, match=r"after frame 4 of camera 'front' the numbers begin at 0 again.*--part 1"):
+            read()
+    assert not (tmp_path / "c").exists()
+    for part, numbers in ((1, [0, 1, 2, 3, 4]), (2, [0, 2, 3, 4])):
+        convert(two, tmp_path / f"{part}.mcap", part=part)
+        taken = list(open_source(tmp_path / f"{part}.mcap").frames(run="r"))
+        assert [item.encode() for item in taken] == [frames[n].encode() for n in numbers]
+    with pytest.raises(InputError, match="no part 3 of camera 'front': it holds 2"):
+        convert(two, tmp_path / "3.mcap", part=3)
+    with pytest.raises(InputError, match="has no parts: only MCAP"):
+        convert(small_recording, tmp_path / "4.mcap", part=1)

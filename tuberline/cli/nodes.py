@@ -35,8 +35,8 @@ def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "re
     config
         The line's TOML file.
     out
-        The file to write. Where it exists, a new part is begun beside it: NAME-2.mcap. After a crash
-        `tuberline recover` saves all but the last second.
+        The file to write. Where it exists, or a camera begins another run, a new part is begun beside it: NAME-2.mcap.
+        After a crash `tuberline recover` saves all but the last second.
     run
         Id of this run, for the counters only.
     name
@@ -45,8 +45,8 @@ def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "re
     from camera_sim.recorder import run_recorder
     from conveyor.config import load_config
 
-    written, part = run_recorder(load_config(config), out, run=run or _new_run(), name=name)
-    sys.stdout.write(f"{written} frames in {part}\n")
+    for part in run_recorder(load_config(config), out, run=run or _new_run(), name=name):
+        sys.stdout.write(f"{part.frames} frames in {part.path}\n")
 
 
 def gnss(*, config: Path, run: str | None = None, recorded: bool = False) -> None:

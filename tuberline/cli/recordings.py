@@ -80,6 +80,7 @@ def convert(
     run: str | None = None,
     belt_distance_m: float | None = None,
     depth_scale_m: float | None = None,
+    part: int | None = None,
     json: bool = False,
 ) -> None:
     """Convert a recording to a folder, to MCAP or to ROS 2 topics, lossless; or a run with its tubers for Foxglove.
@@ -101,6 +102,8 @@ def convert(
         Instead of what the recording says.
     depth_scale_m
         Metres per depth unit, instead of what the recording says.
+    part
+        Which run, from 1 on, of an MCAP file into which several were recorded. Not for foxglove.
     json
         Say what was written as JSON.
     """
@@ -112,6 +115,8 @@ def convert(
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
     if format != "foxglove" and (recording is not None or run is not None):
         raise InputError("--recording and --run are for --format foxglove, which shows what a run counted")
+    if format == "foxglove" and part is not None:
+        raise InputError("--part is not for --format foxglove: take the run out with `tuberline convert` first")
     with whole_output(target) as partial, frames_bar() as on_frame:
         stated: dict[str, Any] = {"belt_distance_m": belt_distance_m, "depth_scale_m": depth_scale_m}
         if format == "foxglove":
@@ -119,7 +124,7 @@ def convert(
 
             done = write_foxglove(source, partial, recording=recording, run=run, on_frame=on_frame, **stated)
         else:
-            done = convert_recording(source, partial, form=format, on_frame=on_frame, **stated)
+            done = convert_recording(source, partial, form=format, part=part, on_frame=on_frame, **stated)
     if json:
         report = {"out": str(target), "frames": done.frames, "refused": done.refused}
         sys.stdout.write(json_module.dumps(report) + "\n")

@@ -96,11 +96,17 @@ def mcap_attachments(path: Path) -> dict[str, bytes]:
 
 
 class McapSource:
-    """Frames of one camera in file order: a jump of the camera's clock does not reorder them."""
+    """Frames of one camera in file order: a jump of the camera's clock does not reorder them.
 
-    def __init__(self, path: Path, camera: str) -> None:
+    Recorders up to 0.1 went on in the same file when the line was started again. The second run's numbers, and the
+    belt's travel, begin at 0 again there: `part` says which of a file's runs to read, from 1 on. Without it a second
+    one is an error, for frames of two runs cannot be taken for one belt's.
+    """
+
+    def __init__(self, path: Path, camera: str, *, part: int | None = None) -> None:
         self._path = path
         self._camera = camera
+        self._part = part
         channel = next((c for c in mcap_channels(path) if c.camera == camera), None)
         if channel is None or channel.messages == 0:
             raise InputError(f"{path} has no frames of camera '{camera}'")
@@ -115,7 +121,7 @@ class McapSource:
         """Frames in file order; what does not decode, or has no rigid pose, is refused and the rest goes on.
 
         Raises:
-            InputError: a chunk is damaged.
+            InputError: a chunk is damaged, or a second run begins and no `part` was chosen.
         """
         rigid = self._description.belt_from_camera
         for item in self._decoded(run, after):
@@ -130,22 +136,39 @@ class McapSource:
             yield item
 
     def _decoded(self, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        with open_mcap(self._path) as reader:
-            for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
-                if message.sequence <= after:
-                    continue
-                try:
-                    # Whom it followed on the link it was recorded from says nothing of its way from here.
-                    yield replace(Frame.decode(message.data), run=run, after_seq=None)
-                except MessageError as error:
-                    text = f"frame {message.sequence} of camera '{self._camera}' in {self._path}: {error}"
-                    yield Refused(message.sequence, "undecodable", text)
+        for message in self._messages():
+            if message.sequence <= after:
+                continue
+            try:
+                # Whom it followed on the link it was recorded from says nothing of its way from here.
+                yield replace(Frame.decode(message.data), run=run, after_seq=None)
+            except MessageError as error:
+                text = f"frame {message.sequence} of camera '{self._camera}' in {self._path}: {error}"
+                yield Refused(message.sequence, "undecodable", text)
 
     def keys(self) -> list[FrameKey]:
         """From the messages' sequence numbers and log times."""
+        return [FrameKey(message.sequence, message.log_time) for message in self._messages()]
+
+    def _messages(self) -> Iterator[Any]:
+        """The camera's messages of one run, their numbers rising."""
+        part, newest = 1, -1
         with open_mcap(self._path) as reader:
-            messages = reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False)
-            return [FrameKey(message.sequence, message.log_time) for _, _, message in messages]
+            for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
+                if message.sequence <= newest:
+                    part += 1
+                    if self._part is None:
+                        raise InputError(
+                            f"{self._path}: after frame {newest} of camera '{self._camera}' the numbers begin at "
+                            f"{message.sequence} again: the line was started a second time while this was recorded. "
+                            f"Take each run out by itself: `tuberline convert {self._path} RUN-1.mcap --part 1`, then "
+                            "--part 2 and so on"
+                        )
+                newest = message.sequence
+                if self._part in (None, part):
+                    yield message
+        if self._part is not None and self._part > part:
+            raise InputError(f"{self._path} has no part {self._part} of camera '{self._camera}': it holds {part}")
 
     def _describe(self, channel: McapChannel) -> CameraDescription:
         first, times = None, []
