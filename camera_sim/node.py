@@ -68,6 +68,8 @@ class CameraNode:
                 node.counters.add("frames_missed", 0)
             if isinstance(self._source, PolledSource):
                 self._source.attach(self._while_silent)
+            for note in self._source.description.notes:
+                node.log.warning("%s: %s", self._source.description.origin, note)
             self._tell("starting")
             try:
                 self._publish_all()

@@ -152,6 +152,24 @@ def test_travel_may_be_absent(small_settings: SceneSettings, tmp_path: Path) -> 
     assert all(isinstance(item, Frame) and item.travel_m is None for item in _items(tmp_path / "r"))
 
 
+def test_travel_that_is_set_back_goes_on(small_recording: Path) -> None:
+    """The tubers behind lay where those before had lain, and were taken for the same: half a belt was not counted."""
+    folder = next(small_recording.glob("*/frames.csv")).parent
+    head, *rows = (folder / "frames.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    travel_m = [float(cell[2]) for cell in cells]
+    half = len(cells) // 2
+    back_m = travel_m[half]
+    assert back_m > 0.3
+    for cell in cells[half:]:
+        cell[2] = repr(float(cell[2]) - back_m)
+    (folder / "frames.csv").write_text("\n".join([head, *(",".join(cell) for cell in cells)]) + "\n")
+    source = open_source(small_recording)
+    read_m = [item.travel_m for item in source.frames(run="r") if isinstance(item, Frame)]
+    assert read_m == pytest.approx(travel_m, abs=0.001), "what the belt moved in between is its median step"
+    assert f"sets travel_m back at seq {half}: it is taken to go on" in source.description.notes[0]
+
+
 def test_what_is_no_recording_lists_what_was_looked_for(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     for path in (tmp_path, tmp_path / "notes.txt"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,10 @@ class FrameRow:
     seq: int
     captured_ns: int
     travel_m: float | None
+
+
+SET_BACK_M = 0.25
+"""Between two frames no belt runs back that far: its counter was set back."""
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -155,6 +159,30 @@ def read_frame_rows(path: Path) -> list[FrameRow]:
     if not rows:
         raise InputError(f"{path} names no frames")
     return rows
+
+
+def travel_going_on(rows: list[FrameRow]) -> tuple[list[FrameRow], list[int]]:
+    """Rows whose belt travel goes on where it was set back, and the numbers of the frames where that was done.
+
+    A counter that starts again puts other tubers where the first ones lay, and they would be taken for the same. What
+    the belt moved meanwhile is taken from its median speed, by the clock, or by frame numbers where that fell back too.
+    """
+    given = [n for n, row in enumerate(rows) if row.travel_m is not None]
+    travel_m = np.array([rows[n].travel_m for n in given], float)
+    frames = np.diff([rows[n].seq for n in given])
+    ns = np.diff([rows[n].captured_ns for n in given])
+    moved_m = np.diff(travel_m)
+    set_back = moved_m < -SET_BACK_M * frames
+    if not set_back.any():
+        return rows, []
+    forward = (moved_m > 0) & (ns > 0)
+    by_clock_m = ns * np.median(moved_m[forward] / ns[forward]) if forward.any() else 0.0 * frames
+    by_number_m = frames * np.median(moved_m[forward] / frames[forward]) if forward.any() else 0.0 * frames
+    steps_m = np.where(set_back, np.where(ns > 0, by_clock_m, by_number_m), moved_m)
+    going_on = list(rows)
+    for n, at_m in zip(given[1:], travel_m[0] + np.cumsum(steps_m), strict=True):
+        going_on[n] = replace(rows[n], travel_m=float(at_m))
+    return going_on, [rows[n].seq for n, back in zip(given[1:], set_back, strict=True) if back]
 
 
 def _row(path: Path, number: int, cells: list[str]) -> FrameRow:

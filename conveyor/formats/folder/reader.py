@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.folder.layout import FrameRow, describe, read_camera_file, read_frame_rows
+from conveyor.formats.folder.layout import (
+    FrameRow,
+    describe,
+    read_camera_file,
+    read_frame_rows,
+    travel_going_on,
+)
 from conveyor.formats.png16 import Refusal, read_png16
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
@@ -22,10 +29,16 @@ class FolderSource:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._rows = read_frame_rows(folder / "frames.csv")
+        self._rows, set_back = travel_going_on(read_frame_rows(folder / "frames.csv"))
         self._description = describe(
             read_camera_file(folder / "camera.json"), origin=f"folder {folder}", frames=len(self._rows)
         )
+        if set_back:
+            told = (
+                f"frames.csv sets travel_m back at seq {', '.join(map(str, set_back[:5]))}: it is taken to go on there "
+                "at the belt's usual speed"
+            )
+            self._description = replace(self._description, notes=(told,))
         if not (folder / "depth").is_dir():
             raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
 
