@@ -147,7 +147,7 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     Raises:
         InputError: some of its tubers have one already and `again`, which replaces it, is not given.
     """
-    of_same = [known for known in tickets if _same_tubers(known, ticket)]
+    of_same = [known for known in tickets if same_tubers(known, ticket)]
     if of_same and not again:
         found = of_same[0]
         if found.key == ticket.key:
@@ -159,12 +159,14 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     return (*(known for known in tickets if known not in of_same), ticket)
 
 
-def _same_tubers(one: Ticket, other: Ticket) -> bool:
-    """Of a kind and a run, and the same or overlapping parts of it."""
+def same_tubers(one: Ticket, other: Ticket) -> bool:
+    """Of a kind and a run, and the same or overlapping parts of it; a whole run holds all of its loads."""
     if one.key == other.key:
         return True
     if (one.kind, one.run) != (other.kind, other.run):
         return False
+    if "" in (one.part, other.part):
+        return True
     parts = Part.named(one.part), Part.named(other.part)
     return parts[0] is not None and parts[1] is not None and parts[0].overlaps(parts[1])
 

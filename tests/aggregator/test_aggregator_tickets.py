@@ -15,6 +15,7 @@ from aggregator.calibration.correction import LOAD_SDS
 from aggregator.calibration.load import ticket_of
 from aggregator.calibration.part import Part
 from aggregator.calibration.tickets import Ticket, check_ticket, read_tickets, set_aside, with_ticket, write_tickets
+from aggregator.ledger.load_totals import with_own
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from tests.aggregator.belt_story import tell
@@ -183,6 +184,19 @@ def test_a_ticket_of_a_ledger_knows_its_run_weights_and_coverage(tmp_path: Path)
     assert {found.model} == models
     assert found.estimated_g == pytest.approx(weighed_g / found.coverage, rel=1e-6)
     assert 0 < found.estimated_sd_g < 0.2 * weighed_g
+
+
+def test_a_whole_run_holds_its_loads() -> None:
+    """A ticket for all of a run and tickets for two of its loads stood side by side, and each tuber counted twice."""
+    whole = replace(ticket(0.95), kind="load", part="")
+    loads = [replace(whole, part=f"load {n}", ticket_g=whole.ticket_g / 2) for n in (1, 2)]
+    assert len(with_ticket(with_ticket((), loads[0], again=False), loads[1], again=False)) == 2
+    with pytest.raises(InputError, match="hold the same tubers"):
+        with_ticket((whole,), loads[0], again=False)
+    with pytest.raises(InputError, match="hold the same tubers"):
+        with_ticket(tuple(loads), whole, again=False)
+    assert with_ticket(tuple(loads), whole, again=True) == (whole,)
+    assert with_own([whole, replace(whole, run="another")], loads) == [replace(whole, run="another"), *loads]
 
 
 @pytest.mark.parametrize(
