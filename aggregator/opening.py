@@ -7,11 +7,12 @@ from collections.abc import Callable, Sequence
 
 from aggregator.core.machine import Aggregation, Restored
 from aggregator.ledger.files import write_whole
+from aggregator.ledger.stated import CONFIG_FILE
 from aggregator.ledger.writer import Ledger
 from conveyor import __version__
 from conveyor.config import LineConfig, dump_toml
 
-CONFIG_FILE, KEPT = "line.toml", "# as the aggregator last had it; map, report and export read it\n"
+KEPT = "# as the aggregator last had it; map, report and export read it\n"
 LIVE_REACH_MM = 15.0
 """Behind a tuber of a live line with an encoder no other camera's track of it is waited for any longer: places of two
 cameras agree to 9.3 mm on a simulated belt of 200 tubers. One that lies farther behind comes late, and counts once."""

@@ -22,7 +22,7 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
-from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket
+from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket, with_own
 from aggregator.ledger.reader import read_marks
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
@@ -85,8 +85,7 @@ class Reporter:
             return self._given
         if self._by_loads[0] != known:
             found, _ = tickets_of(self._ledger, self._seen(now_s), cultivar=self._config.aggregator.cultivar)
-            keys = {ticket.key for ticket in found}
-            self._by_loads = known, (*(ticket for ticket in self._given if ticket.key not in keys), *found)
+            self._by_loads = known, tuple(with_own(self._given, found))
         return self._by_loads[1]
 
     def _seen(self, now_s: float) -> dict[str, Seen]:

@@ -10,7 +10,7 @@ from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load, LoadTicket
 from aggregator.ledger.earlier_loads import heights_before
-from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_of
+from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_beside
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
 from conveyor.errors import InputError
@@ -20,14 +20,15 @@ from conveyor.messages.base import plain
 def told_loads(
     view: LedgerView, *, limit: int, undone: bool = False, contract: Contract | None = None
 ) -> list[dict[str, Any]]:
-    """The newest loads first, calibrated by the tickets of this ledger's loads. Names and units as in
-    `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what scales said), `said` (all
-    that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket does not calibrate) and
-    `jacket_g` (gross less net less foreign matter: soil on tubers).
+    """The newest loads first, calibrated by the tickets of this ledger's loads and of the config beside it.
+
+    Names and units as in `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what
+    scales said), `said` (all that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket
+    does not calibrate) and `jacket_g` (gross less net less foreign matter: soil on tubers).
     """
     ledger = ReadLoads(view)
     seen = ledger.seen()
-    tickets, _ = tickets_of(ledger, seen)
+    tickets, _ = tickets_beside(ledger)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]
     return [_told(ledger, load, seen, tickets, contract) for load in newest]
@@ -39,12 +40,21 @@ def _told(
     found = count_load(ledger, load, seen)
     refused = []
     try:
-        load_ticket(load, found)
+        load_ticket(load, found, cultivar=ledger.stated.cultivar)
     except InputError as error:
         refused.append(str(error))
     is_open = any(ledger.loads.open_load(run) is load and not ledger.runs[run].finished for run, _ in load.spans)
     net, gross = load.ticket(net=True), load.ticket(net=False)
-    now = load_now(load, found, tickets, contract=contract, earlier=heights_before(ledger, load))
+    now = load_now(
+        load,
+        found,
+        tickets,
+        prior=ledger.prior(load.run),
+        cultivar=ledger.stated.cultivar,
+        contract=contract,
+        densities=ledger.stated.densities,
+        earlier=heights_before(ledger, load, cultivar=ledger.stated.cultivar),
+    )
     values: dict[str, Any] = plain(now)
     return {
         **values,

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.calibration.load_tickets import load_ticket
-from aggregator.calibration.tickets import Ticket
+from aggregator.calibration.tickets import Ticket, same_tubers
 from aggregator.core.coverage import Coverage, Moment
 from aggregator.core.load_orders import find
 from aggregator.core.load_sums import LoadSums
@@ -16,7 +19,16 @@ from aggregator.core.load_told import LoadCounted, counted, span_coverage
 from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
-from aggregator.ledger.reader import RunRow, coverage_of, ledger_file, read_runs, read_sums, reading
+from aggregator.ledger.reader import (
+    RunRow,
+    coverage_of,
+    ledger_file,
+    read_runs,
+    read_summary,
+    read_sums,
+    reading,
+)
+from aggregator.ledger.stated import Stated, stated_beside
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
 
@@ -62,7 +74,10 @@ def count_load(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> LoadCounte
 
 
 def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], list[str]]:
-    """(the tickets of a ledger's loads that can calibrate, why the others cannot, in words)."""
+    """(the tickets of a ledger's loads that can calibrate, why the others cannot, in words).
+
+    `cultivar`: of loads that name no variety.
+    """
     tickets, refused = [], []
     for load in ledger.loads.loads.values():
         if load.ticket(net=True) is None:
@@ -74,6 +89,18 @@ def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") ->
         else:
             tickets += [ticket] if ticket is not None else []
     return tickets, refused
+
+
+def tickets_beside(ledger: ReadLoads) -> tuple[list[Ticket], list[str]]:
+    """(all that calibrates a ledger that is read: its loads' own tickets and its config's; what cannot, in words)."""
+    own, words = tickets_of(ledger, ledger.seen(), cultivar=ledger.stated.cultivar)
+    return with_own(ledger.stated.tickets, own), [*ledger.stated.words, *words]
+
+
+def with_own(given: Sequence[Ticket], own: Sequence[Ticket]) -> list[Ticket]:
+    """All tickets: of those that hold the same tubers the loads' own, else the later one given."""
+    latest = {ticket.key: ticket for ticket in given}.values()
+    return [*(ticket for ticket in latest if not any(same_tubers(ticket, one) for one in own)), *own]
 
 
 def unused_ticket(ledger: Sums, event: LoadEvent, seen: Mapping[str, Seen]) -> str:
@@ -112,6 +139,16 @@ class ReadLoads:
         self.loads = read_book(view)
         self.runs = {run.run: run for run in read_runs(view)}
         self._sums: dict[str, dict[int, SpanSums]] = {}
+
+    @cached_property
+    def stated(self) -> Stated:
+        """By the config beside the ledger."""
+        return stated_beside(self._view.path)
+
+    def prior(self, run: str) -> Prior:
+        """What the line stated of its resting level in `run`; as wide as before any calibration where it did not."""
+        summary = read_summary(self._view, run)
+        return prior_told(json.loads(summary).get("belt", {}) if summary else {})
 
     def span_sums(self, run: str) -> Mapping[int, SpanSums]:
         """The sums of each stretch of a run."""

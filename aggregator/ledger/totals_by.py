@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from aggregator.calibration.correction import Prior, prior_told
+from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
 from aggregator.calibration.together import OneLoad, Together, together
 from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.load_totals import ReadLoads, count_load, tickets_of
-from aggregator.ledger.reader import RunRow, ledger_file, read_summary, reading
-from aggregator.ledger.verified import LedgerView
+from aggregator.ledger.load_totals import ReadLoads, count_load, tickets_of, with_own
+from aggregator.ledger.reader import RunRow, ledger_file, reading
 from conveyor.errors import InputError
 
 BY = ("load", "field", "variety", "day", "season")
@@ -63,7 +61,8 @@ def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ())
     Args:
         paths: folders of runs, or ledgers.
         by: one of `BY`.
-        tickets: more than the ledgers' own loads have, which take the place of such of the same load.
+        tickets: more than the ledgers' own loads have and the configs beside them name. Of two of the same load its
+            own is taken, else the one given here.
 
     Raises:
         LedgerError: a ledger that cannot be read. InputError: `by` is none of these.
@@ -78,16 +77,17 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> tuple
     """(every load of these ledgers, tickets that cannot calibrate, in words); as `totals_by`."""
     with ExitStack() as stack:
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
-        views = [stack.enter_context(reading(file)) for file in files]
-        ledgers = [(view, ReadLoads(view)) for view in views]
-        own, refused = [], []
-        for _, ledger in ledgers:
-            found, words = tickets_of(ledger, ledger.seen())
+        ledgers = [ReadLoads(stack.enter_context(reading(file))) for file in files]
+        own: list[Ticket] = []
+        refused: list[str] = []
+        for ledger in ledgers:
+            found, words = tickets_of(ledger, ledger.seen(), cultivar=ledger.stated.cultivar)
             own += found
-            refused += words
-        keys = {ticket.key for ticket in own}
-        known = [*(ticket for ticket in tickets if ticket.key not in keys), *own]
-        return [load for view, ledger in ledgers for load in labelled(view, ledger, known)], refused
+            refused += (*ledger.stated.words, *words)
+        loads = []
+        for ledger in ledgers:
+            loads += labelled(ledger, with_own((*ledger.stated.tickets, *tickets), own))
+        return loads, refused
 
 
 def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
@@ -98,14 +98,14 @@ def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
     return [total_of(label, group) for label, group in groups.items()]
 
 
-def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
+def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
     """Every load of a ledger, runs without loads and what passed without one included, in the order they began."""
     seen = ledger.seen()
     found: list[tuple[int, Labelled]] = []
     for load in ledger.loads.loads.values():
         if load.spans and not load.undone:
             counted = count_load(ledger, load, seen)
-            one = _one(counted, tickets, _prior(view, load.run), load.variety)
+            one = _one(counted, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar)
             net = load.ticket(net=True)
             net_g = net.ticket_g if net else None
             found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m)))
@@ -113,7 +113,7 @@ def labelled(view: LedgerView, ledger: ReadLoads, tickets: Sequence[Ticket]) -> 
         rest = ledger.without_load(name, seen[name]) if name in ledger.loads.spans else ledger.whole(run)
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
-            one = _one(rest, tickets, _prior(view, name), "")
+            one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
             found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
@@ -133,12 +133,6 @@ def _labels(load: Load) -> dict[str, str]:
 def _run_labels(run: RunRow, label: str) -> dict[str, str]:
     day = time.strftime("%Y-%m-%d", time.localtime(run.started_ns / 1e9))
     return {"load": label, "field": NOT_TOLD, "variety": NOT_TOLD, "day": day, "season": day[:4]}
-
-
-def _prior(view: LedgerView, run: str) -> Prior:
-    """What the line stated of its resting level in that run; as wide as before any calibration where it did not."""
-    summary = read_summary(view, run)
-    return prior_told(json.loads(summary).get("belt", {}) if summary else {})
 
 
 def total_of(label: str, loads: Sequence[Labelled]) -> Total:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from aggregator.calibration.apply import CAMERA, RESTING, TUBERS
-from aggregator.calibration.tickets import read_tickets
+from aggregator.calibration.tickets import Ticket, read_tickets, write_tickets
 from aggregator.calibration.together import OneLoad, together
 from aggregator.core.coverage import Moment
 from aggregator.core.load_sums import LoadSums
@@ -31,6 +31,7 @@ from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_ledger import Loads, S
 from tests.aggregator.virtual_line import undisturbed
+from tuberline.api.runs import read_totals
 from tuberline.cli.calibrate_load import calibrate_load
 from tuberline.cli.ticket_options import TicketOptions
 
@@ -193,6 +194,39 @@ def test_a_ticket_of_a_load_goes_to_the_file_of_tickets(tmp_path: Path) -> None:
     assert (ticket.kind, ticket.part, ticket.cultivar, ticket.model) == ("load", "load 2", "Fontane", "m")
     assert ticket.estimated_g == pytest.approx(1000 * raw_kg)
     assert totals_by([path], "load", tickets=read_tickets(tickets))[0][-1].sums.tickets == 1, "it counts once"
+
+
+def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Path) -> None:
+    """Tickets and cultivar of the config beside a ledger: its export told 1.922 kg where the line had told 2.300 kg."""
+    (tmp_path / "run").mkdir()
+    path, tickets = tmp_path / "run" / "ledger.db", tmp_path / "tickets.json"
+    day_of_loads(path)
+    before = {t.label: t for t in totals_by([path], "load")[0]}
+    earlier = Ticket("monday", "m", 10000.0, 20.0, 9000.0, 90.0, 1.0, tubers=60, per_mm_g=198.0, cultivar="Agria")
+    write_tickets(tickets, [earlier])
+    (config := tmp_path / "run" / "line.toml").write_text(
+        '[cameras.front]\npath = "r"\n[aggregator]\ntickets = "../tickets.json"\ncultivar = "Agria"\n'
+    )
+    told, refused = totals_by([path], "load")
+    after = {t.label: t for t in told}
+    assert refused == []
+    assert [after[label].sums.tickets for label in after] == [1] * len(after)
+    assert [total.sums.estimated_g for total in read_totals(path)] == [total.sums.estimated_g for total in told]
+    more = {label: after[label].sums.estimated_g / before[label].sums.estimated_g for label in before}
+    assert 1.02 < more["2 B"] < more["1 A"] < 10 / 9, "what a ticket of Agria says of Fontane is less"
+    with reading(path) as view:
+        grams = {f"{load['number']} {load['name']}": load["estimated_weight_g"] for load in told_loads(view, limit=9)}
+    assert grams == {label: pytest.approx(after[label].sums.estimated_g) for label in ("1 A", "2 B")}
+    config.write_text(config.read_text().replace('"Agria"', '"Fontane"'))
+    other = {t.label: t.sums.estimated_g for t in totals_by([path], "load")[0]}
+    assert other["story, without a load"] < after["story, without a load"].sums.estimated_g, "of the line's cultivar"
+    assert other["1 A"] == after["1 A"].sums.estimated_g, "a load's own comes before the line's"
+    tickets.unlink()
+    gone, refused = totals_by([path], "load")
+    assert [t.sums.estimated_g for t in gone] == [t.sums.estimated_g for t in before.values()]
+    assert f"{config} names them, they are left out" in refused[0]
+    config.write_text("[aggregator]\ntickts = 1\n")
+    assert "tickets and cultivar that it names are left out" in totals_by([path], "load")[1][0]
 
 
 def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Path) -> None:

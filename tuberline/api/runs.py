@@ -117,7 +117,7 @@ def read_ledger(path: str | Path, *, run: str | None = None) -> Ledger:
 def read_totals(
     *paths: str | Path, by: Literal["load", "field", "variety", "day", "season"] = "load"
 ) -> tuple[Total, ...]:
-    """What the loads of one or many ledgers come to, calibrated by their own tickets.
+    """What the loads of one or many ledgers come to, calibrated by their own tickets and those that their lines name.
 
     Args:
         paths: folders of runs (with their ledger.db), or the ledgers themselves; also while they are being written.

@@ -21,7 +21,8 @@ def totals(
     """Print what the loads of one or many ledgers come to, raw and calibrated, with 90 % intervals.
 
     What loads have in common (the resting level, the camera, a variety's factor) is one error in all of them: the
-    interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate.
+    interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate,
+    and those that the line.toml beside a ledger names.
 
     Parameters
     ----------
@@ -30,7 +31,7 @@ def totals(
     by
         What to add up: loads one by one, or by their field, variety, day or season (the year).
     tickets
-        A file of more tickets, as `tuberline calibrate` keeps it.
+        A file of tickets beside these, as `tuberline calibrate` keeps it.
     json
         For machines.
     """

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from aggregator.core.loads import NO_LOAD, span_of
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.load_totals import ReadLoads, tickets_of
+from aggregator.ledger.load_totals import ReadLoads, tickets_beside
 from aggregator.ledger.reader import (
     LedgerView,
     RunRow,
@@ -232,22 +232,25 @@ def _scale(
     spans = ledger.loads.spans.get(run.run)
     if spans is None:
         told = read_summary(db, run.run)
-        totals = json.loads(told)["totals"] if told else plain(_so_far(db, run))
+        totals = json.loads(told)["totals"] if told else plain(_so_far(db, run, ledger))
         half_g = (totals["estimated_high_g"] - totals["estimated_low_g"]) / 2
         estimate_g = totals["estimated_weight_g"]
         return np.full(len(grams), estimate_g / grams.sum()), 100 * half_g / estimate_g
-    loads = labelled(db, ledger, tickets_of(ledger, ledger.seen())[0])
+    loads = labelled(ledger, tickets_beside(ledger)[0])
     scales = {load.load.number if load.load else NO_LOAD: load.one.scale for load in loads}
     of_tuber = [span_of(spans, float(x_m)).load for x_m in place_x_m]
     sums = total_of(ALL, loads).sums
     return np.array([scales[load] for load in of_tuber]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
 
 
-def _so_far(db: LedgerView, run: RunRow) -> Totals:
+def _so_far(db: LedgerView, run: RunRow, ledger: ReadLoads) -> Totals:
     """The totals of a run that goes on, or was cut off."""
     sums = read_sums(db, run.run)
     seen = coverage_of(run, sums)
-    return LoadTotals(sums.load).message(
+    totals = LoadTotals(
+        sums.load, tickets_beside(ledger)[0], prior=ledger.prior(run.run), cultivar=ledger.stated.cultivar
+    )
+    return totals.message(
         run.run, coverage=seen.share, cameras={}, final=False, belt_m=seen.belt_m, unseen_m=seen.mean_unseen_m()
     )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.reader import ledger_file
+from aggregator.ledger.stated import CONFIG_FILE
 from conveyor.config import load_config
 from conveyor.config_yield import GnssConfig
 from conveyor.errors import InputError
@@ -33,5 +34,5 @@ def settings_of(runs: Sequence[Path], *, width_m: float | None, **given: Any) ->
 
 
 def _gnss(run: Path) -> GnssConfig | None:
-    config = ledger_file(run).parent / "line.toml"
+    config = ledger_file(run).parent / CONFIG_FILE
     return load_config(config).gnss if config.is_file() else None

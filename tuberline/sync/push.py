@@ -16,7 +16,7 @@ from typing import Any
 
 import msgpack
 
-from aggregator.ledger.load_totals import ReadLoads, tickets_of
+from aggregator.ledger.load_totals import ReadLoads, tickets_beside
 from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
 from aggregator.ledger.totals_by import labelled, together_of
 from conveyor.errors import InputError, LinkError
@@ -173,9 +173,9 @@ def batched_tubers(view: LedgerView, run: RunRow, since: int) -> Iterator[tuple[
 def _loads(connection: Any, view: LedgerView, line: str, ledger_id: int) -> int:
     """All loads of a ledger in place of those the database had: a note or a ticket may have changed any of them."""
     ledger = ReadLoads(view)
-    tickets, _ = tickets_of(ledger, ledger.seen())
+    tickets, _ = tickets_beside(ledger)
     rows = []
-    for place, load in enumerate(labelled(view, ledger, tickets)):
+    for place, load in enumerate(labelled(ledger, tickets)):
         sums, raw_g = together_of([load])
         labels = load.labels
         rows.append(

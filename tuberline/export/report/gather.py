@@ -14,6 +14,7 @@ from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import ledger_file, read_summary, reading, the_run
+from aggregator.ledger.stated import CONFIG_FILE
 from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, grouped, total_of
 from conveyor.config import load_config
 from conveyor.config_yield import ForeignConfig
@@ -127,7 +128,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
 
 def _settings(runs: Sequence[Path], contract: Path | None) -> tuple[Contract, ForeignConfig]:
     """The contract given, else that of the line's config beside the first ledger that has one; densities likewise."""
-    files = [ledger_file(run).parent / "line.toml" for run in runs]
+    files = [ledger_file(run).parent / CONFIG_FILE for run in runs]
     configs = [load_config(file) for file in files if file.is_file()]
     named = contract or next((c.aggregator.contract for c in configs if c.aggregator.contract), None)
     return read_contract(named) if named else PLAIN, configs[0].foreign if configs else ForeignConfig()
