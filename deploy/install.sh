@@ -113,12 +113,25 @@ own() {
     [ -n "$destdir" ] || chown "$1" "$2"
 }
 
-facts=$(echo "$checked" | python3 -S -c "
+facts_of() { # the line's name, its cameras and its regressors, one line each, of the config that is on standard input
+    python3 -S -c "
 import json, sys
 line = json.load(sys.stdin)
 print(line['name'], ' '.join(sorted(line['cameras'])), sep='\n')
-print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))")
+print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))"
+}
+facts=$(echo "$checked" | facts_of)
 line=$(echo "$facts" | sed -n 1p)
+installed=$destdir/etc/tuberline/lines/$line.toml
+# What runs here is told by the config that it will run with.
+keep=no
+given=$config
+if [ -e "$installed" ] && ! cmp -s "$config" "$installed" && [ "$replace" = no ]; then
+    keep=yes
+    given="$installed, which is kept without --replace"
+    checked=$("$program" config show "$installed" --json) || fail "fix $installed first, or give --replace"
+    facts=$(echo "$checked" | facts_of)
+fi
 cameras=$(echo "$facts" | sed -n 2p)
 workers=$(echo "$facts" | sed -n 3p)
 units=
@@ -165,7 +178,7 @@ for entry in $(echo "$roles" | tr ',' ' '); do
     camera=* | segmenter=*)
         case " $cameras " in
         *" ${entry#*=} "*) ;;
-        *) fail "camera '${entry#*=}' is not in $config; known: $cameras" ;;
+        *) fail "camera '${entry#*=}' is not in $given; known: $cameras" ;;
         esac
         ;;
     router | aggregator | metrics | alarms | page | camera | segmenter | regressor) ;;
@@ -207,8 +220,7 @@ done
         put "$here/systemd/$file" "/etc/systemd/system/${file#./}" 644
     done
 
-installed=$destdir/etc/tuberline/lines/$line.toml
-if [ -e "$installed" ] && ! cmp -s "$config" "$installed" && [ "$replace" = no ]; then
+if [ "$keep" = yes ]; then
     put "$config" "/etc/tuberline/lines/$line.toml.new" 640
     echo "kept      /etc/tuberline/lines/$line.toml although $config differs: compare with .new, or give --replace"
 else

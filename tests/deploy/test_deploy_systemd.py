@@ -92,6 +92,28 @@ def test_an_installed_config_is_not_overwritten_unless_asked(tmp_path: Path) -> 
     assert installed.read_bytes() == second.read_bytes()
 
 
+def test_what_runs_is_told_by_the_config_that_is_kept(tmp_path: Path) -> None:
+    """A second install with one camera less stopped that camera, though the config kept on the host still had it."""
+    (two := tmp_path / "two.toml").write_text(
+        'name = "site"\n[cameras.front]\npath = "/f"\n[cameras.rear]\npath = "/r"\n'
+    )
+    (other := tmp_path / "other.toml").write_text(two.read_text().replace("rear", "side"))
+    nodes = tmp_path / "root/etc/systemd/system/tuberline@site.target.d/nodes.conf"
+    assert install(tmp_path / "root", config=two).returncode == 0
+    before = nodes.read_bytes()
+    kept = install(tmp_path / "root", config=other)
+    assert kept.returncode == 0, kept.stderr
+    assert "compare with .new, or give --replace" in kept.stdout
+    assert nodes.read_bytes() == before
+    refused = install(tmp_path / "root", "--roles", "camera=side", config=other)
+    assert refused.returncode == 2
+    assert "camera 'side' is not in " in refused.stderr
+    assert "site.toml, which is kept without --replace; known: front rear" in refused.stderr
+    assert nodes.read_bytes() == before
+    assert install(tmp_path / "root", "--replace", "--roles", "camera=side", config=other).returncode == 0
+    assert "camera@site:side" in nodes.read_text()
+
+
 def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
     from tuberline.cli.certs import make
