@@ -31,6 +31,14 @@ class FileOptions:
     resting_offset_m: float = 0.0
     resting_sd_m: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Refuse a depth unit that cannot be."""
+        if self.depth_scale_m is not None and not 0 < self.depth_scale_m <= 1:
+            raise InputError(
+                f"--depth-scale-m is {self.depth_scale_m:g}: allowed is above 0 to 1 metre per unit of depth, 0.001 "
+                "where a unit is a millimetre"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class FileResult:
@@ -138,7 +146,7 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
             read_cloud(path), belt_distance_m=options.belt_distance_m, resting_offset_m=options.resting_offset_m
         )
     intrinsics, stored_scale_m = read_intrinsics(options.intrinsics or find_intrinsics(path))
-    scale_m = options.depth_scale_m or stored_scale_m
+    scale_m = stored_scale_m if options.depth_scale_m is None else options.depth_scale_m
     far_m = max(MAX_DEPTH_M, options.belt_distance_m + 0.05)
     masked = read_pair(path, intrinsics=intrinsics, depth_scale_m=scale_m, max_depth_m=far_m)
     return prepare_depth(

@@ -126,6 +126,13 @@ def test_a_pair_gives_the_same_weight_from_either_file(twin: Path) -> None:
     assert len(weigh_files([depth, rgb], options, weigher)) == 1
 
 
+@pytest.mark.parametrize("scale_m", [0.0, -0.001, float("nan"), 2.0])
+def test_a_depth_unit_that_cannot_be_is_refused(scale_m: float) -> None:
+    """0 was taken for "not given"."""
+    with pytest.raises(InputError, match="allowed is above 0 to 1 metre per unit"):
+        FileOptions(belt_distance_m=0.345, depth_scale_m=scale_m)
+
+
 def test_broken_pairs_are_named(twin: Path) -> None:
     images = twin / "1_rgbd" / "1_image" / "R1-1"
     depth, rgb = images / "R1-1_depth_365.png", images / "R1-1_rgb_365.png"
