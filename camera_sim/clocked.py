@@ -6,6 +6,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Protocol
 
 from conveyor.formats import CameraDescription, Refused
 from conveyor.formats.source import RecordedSource
@@ -17,6 +18,26 @@ LOOK_EVERY_S = 0.02
 AT_ONCE_S = 0.002
 
 
+class Clock(Protocol):
+    """What the module `time` has."""
+
+    def monotonic(self) -> float:
+        """Seconds that never jump."""
+        ...
+
+    def time(self) -> float:
+        """Seconds since 1970."""
+        ...
+
+    def time_ns(self) -> int:
+        """Nanoseconds since 1970."""
+        ...
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait."""
+        ...
+
+
 class ClockedSource:
     """Frames of `inner` when their time has come, the first one at `starts_at_s` (seconds since 1970), stamped with the
     time of the day as a device does.
@@ -25,10 +46,11 @@ class ClockedSource:
     Only the newest frame stays, as with a camera over a belt that stopped.
     """
 
-    def __init__(self, inner: RecordedSource, *, starts_at_s: float, speed: float) -> None:
+    def __init__(self, inner: RecordedSource, *, starts_at_s: float, speed: float, clock: Clock = time) -> None:
         self._inner = inner
+        self._clock = clock
         self._description = replace(inner.description, live=True)
-        self._starts_s = time.monotonic() + starts_at_s - time.time()
+        self._starts_s = clock.monotonic() + starts_at_s - clock.time()
         self._speed = speed
         self._poll: Callable[[float], bool] = lambda still_s: True
 
@@ -50,32 +72,31 @@ class ClockedSource:
         seqs = [key.seq for key in keys]
         at = bisect_left(seqs, after + 1)
         while at < len(keys):
-            at = asked = max(at, min(bisect_left(due_s, time.monotonic() - BEHIND_S), len(keys) - 1))
+            at = asked = max(at, min(bisect_left(due_s, self._clock.monotonic() - BEHIND_S), len(keys) - 1))
             for item in self._inner.frames(run=run, after=seqs[at] - 1):
                 if not self._wait(due_s[at]):
                     return
-                late_s = time.monotonic() - due_s[at]
+                late_s = self._clock.monotonic() - due_s[at]
                 # What was there when it was asked for is given out, however long that took: else on a machine that is
                 # slow enough nothing ever is.
                 if asked < at < len(keys) - 1 and late_s > BEHIND_S:
                     break  # go on where the recording has come to
-                yield item if isinstance(item, Refused) else replace(item, captured_ns=_day_time_ns(due_s[at]))
+                yield item if isinstance(item, Refused) else replace(item, captured_ns=self._day_time_ns(due_s[at]))
                 at += 1
             else:
                 return
 
     def _wait(self, until_s: float) -> bool:
-        since_s = time.monotonic()
-        while (left_s := until_s - time.monotonic()) > 0:
-            if not self._poll(time.monotonic() - since_s):
+        since_s = self._clock.monotonic()
+        while (left_s := until_s - self._clock.monotonic()) > 0:
+            if not self._poll(self._clock.monotonic() - since_s):
                 return False
-            time.sleep(min(left_s, LOOK_EVERY_S))
+            self._clock.sleep(min(left_s, LOOK_EVERY_S))
         return self._poll(0.0)
 
-
-def _day_time_ns(at_s: float) -> int:
-    """The time of the day at a moment of the monotonic clock; both are read at once, or again."""
-    while True:
-        before_s, now_ns = time.monotonic(), time.time_ns()
-        if time.monotonic() - before_s < AT_ONCE_S:
-            return now_ns - round((before_s - at_s) * 1e9)
+    def _day_time_ns(self, at_s: float) -> int:
+        """The time of the day at a moment of the monotonic clock; both are read at once, or again."""
+        while True:
+            before_s, now_ns = self._clock.monotonic(), self._clock.time_ns()
+            if self._clock.monotonic() - before_s < AT_ONCE_S:
+                return now_ns - round((before_s - at_s) * 1e9)
