@@ -44,11 +44,6 @@ def read_attachment(data: bytes) -> Attachment:
     return Attachment(sequence, sent_ns, gid)
 
 
-def write_attachment(attachment: Attachment) -> bytes:
-    """The bytes of an attachment."""
-    return ATTACHMENT.pack(attachment.sequence, attachment.sent_ns, GID_BYTES, attachment.gid)
-
-
 def key_of(topic: str, type_name: str, *, domain: int, type_hash: str = "*") -> str:
     """Key of a topic's publishers; any hash of the type by default, for it differs between ROS distributions."""
     return f"{domain}/{topic.strip('/')}/{dds_type(type_name)}/{type_hash}"

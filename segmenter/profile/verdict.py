@@ -13,7 +13,6 @@ from segmenter.profile.profile import CameraProfile
 Verdict = Literal["inside", "better", "outside", "not seen", ""]
 TOLERANCE = 1.1
 """A measured figure may pass a bound by this factor: two recordings of one camera differ by as much."""
-AROUND_STEP = 0.05
 
 
 @dataclass(frozen=True, slots=True)

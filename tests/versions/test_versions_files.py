@@ -114,7 +114,7 @@ def test_a_ledger_of_0_1_is_audited_totalled_and_exported(tmp_path: Path, capsys
         with pytest.raises(SystemExit) as ended:
             build_app()(words)
         assert ended.value.code in (0, None), words
-    assert capsys.readouterr().out.count("12 tubers in ") == 2
+    assert capsys.readouterr().out.count("12 rows of tubers in ") == 2
     kept = (OLD.parents[1] / "aggregator" / "data" / "v0_1" / "tubers.csv").read_text(encoding="utf-8").splitlines()
     assert len(files["csv"].read_text(encoding="utf-8").splitlines()) == len(kept) == 13
     assert re.search(r"12 tubers.*0\.1\.0", files["html"].read_text(encoding="utf-8"), re.DOTALL)

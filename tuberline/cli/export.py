@@ -96,13 +96,15 @@ def export(
         pdf = form is Format.PDF
         with ledger_bar("report"):
             loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
-        sys.stdout.write(f"report of {loads} loads in {target}\n")
+        sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
         return
     name = "taskdata" if form is Format.ISOXML else what
     target = out or folder / f"{name}.{ENDINGS.get(form, form.value)}"
     with ledger_bar(form.value):
         rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
-    sys.stdout.write(f"{rows} {'records' if form is Format.ISOXML else what} in {target}\n")
+    noun = "record" if form is Format.ISOXML else "row"
+    written = f"{rows} {noun}{'s' * (rows != 1)}"
+    sys.stdout.write(f"{written}{'' if form is Format.ISOXML else f' of {what}'} in {target}\n")
 
 
 def _field(

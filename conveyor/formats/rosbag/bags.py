@@ -38,10 +38,9 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """A message as it is stored: when, under which number (0 where the bag counts none), on which topic, its bytes."""
+    """A message as it is stored: when, on which topic, its bytes."""
 
     stored_ns: int
-    sequence: int
     topic: str
     raw: bytes
     origin: Any
@@ -121,7 +120,7 @@ class _RosbagReader:
             if message is None:
                 return
             connection, stored_ns, raw = message
-            yield Stored(stored_ns, 0, connection.topic, raw, connection.msgtype)
+            yield Stored(stored_ns, connection.topic, raw, connection.msgtype)
 
     def decode(self, message: Stored) -> RosMessage:
         try:
@@ -153,7 +152,7 @@ class _McapReader:
     def stored(self, *topics: str) -> Iterator[Stored]:
         for schema, channel, message in self._reader.iter_messages(topics=list(topics), log_time_order=False):
             origin = (plain_type(schema.name) if schema else "unknown", channel.message_encoding)
-            yield Stored(message.log_time, message.sequence, channel.topic, message.data, origin)
+            yield Stored(message.log_time, channel.topic, message.data, origin)
 
     def decode(self, message: Stored) -> RosMessage:
         type_name, encoding = message.origin
