@@ -7,6 +7,7 @@ advanced subscriber does in an unlucky moment.
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -138,6 +139,7 @@ def test_a_frozen_sender_is_asked_again_and_what_came_meanwhile_waits(
         receiver.session.declare_subscriber(topics.COMMITTED.key(receiver.line, camera="front"), came.append)
         wait_until(lambda: len(came) >= 6, what="six messages")
         sender.send_signal(signal.SIGSTOP)
+        os.waitpid(sender.pid, os.WUNTRACED)  # until all of its threads stand still: a quick one answers first
         beginnings.push(came[3])
         wait_until(lambda: "no answer to the question" in caplog.text, what="the first question to go unanswered")
         beginnings.push(came[4])
