@@ -78,10 +78,16 @@ def row(values: Sequence[Any]) -> tuple[Any, ...]:
 
 def checksum(values: Sequence[Any]) -> int:
     """CRC-32 of a row's columns; None at its end counts for nothing, and -0.0 as the 0.0 that SQLite gives back."""
+    return zlib.crc32(packed(values))
+
+
+def packed(values: Sequence[Any]) -> bytes:
+    """What the checksum of a row is made of; damaged text with the bytes that it has."""
     said = [value + 0.0 if isinstance(value, float) else value for value in values]
     while said and said[-1] is None:
         said.pop()
-    return zlib.crc32(msgpack.packb(said))
+    data: bytes = msgpack.packb(said, unicode_errors="surrogateescape")
+    return data
 
 
 RUN = Table(

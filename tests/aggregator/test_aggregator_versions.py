@@ -83,7 +83,7 @@ def test_a_flipped_weight_of_it_is_found(tmp_path: Path) -> None:
         Ledger(path).__enter__()
     assert version(path) == 1
     report = repair(path)
-    assert "tuber 2 of run" in " ".join(report.repaired)
+    assert "tuber_id '2': one bit had changed" in " ".join(report.repaired)
     assert check_file(path) == []
     assert canonical(path) == (DATA / "v0_1" / "canonical.jsonl").read_text().splitlines()
 
