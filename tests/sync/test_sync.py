@@ -125,6 +125,23 @@ def test_the_link_is_cut_again_and_again(empty: Postgres, ledger: Path, monkeypa
     assert tubers_there(empty) == tubers_of(ledger)
 
 
+def test_a_run_that_began_before_the_others_counts_no_load_twice(empty: Postgres, tmp_path: Path) -> None:
+    """The loads went under the run that began first: a clock set back made that another one, and all counted twice."""
+
+    def loads_there() -> list[tuple[str, int]]:
+        with connect(empty.url) as connection:
+            push(connection, tmp_path)
+            return connection.execute("SELECT load, tubers FROM tuberline.load ORDER BY place").fetchall()
+
+    for run, start_ns in (("tuesday", START_NS), ("wednesday", START_NS + 10**12)):
+        write_run(tmp_path, run=run, crossed_ns=start_ns + np.arange(5) * 10**9, weight_g=np.full(5, 100.0))
+    expected = [("tuesday", 5), ("wednesday", 5)]
+    assert loads_there() == expected
+    write_run(tmp_path, run="reset", crossed_ns=START_NS // 2 + np.arange(3) * 10**9, weight_g=np.full(3, 100.0))
+    for _ in range(2):
+        assert loads_there() == [("reset", 3), *expected]
+
+
 def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
     with connect(empty.url) as connection:
         push(connection, ledger)

@@ -7,7 +7,7 @@ Each tuber carries a checksum of its ledger row, by which a database that holds 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import islice
@@ -107,14 +107,13 @@ def push(connection: Any, path: Path) -> Pushed:
     pushed = Pushed()
     try:
         with reading(file) as view:
-            first_id = None
+            run_ids = []
             for run in read_runs(view):
-                run_id = _run(connection, view, run)
-                first_id = run_id if first_id is None else first_id
+                run_ids.append(_run(connection, view, run))
                 pushed.runs += 1
-                pushed.tubers += _tubers(connection, view, run, run_id)
-            if first_id is not None:
-                pushed.loads = _loads(connection, view, run.line, first_id)
+                pushed.tubers += _tubers(connection, view, run, run_ids[-1])
+            if run_ids:
+                pushed.loads = _loads(connection, view, run.line, run_ids)
     except psycopg.OperationalError as error:
         raise LinkError(f"the database went away: {_first_line(error)}; what was committed is there") from error
     except psycopg.Error as error:
@@ -170,8 +169,12 @@ def batched_tubers(view: LedgerView, run: RunRow, since: int) -> Iterator[tuple[
         yield batch
 
 
-def _loads(connection: Any, view: LedgerView, line: str, ledger_id: int) -> int:
-    """All loads of a ledger in place of those the database had: a note or a ticket may have changed any of them."""
+def _loads(connection: Any, view: LedgerView, line: str, run_ids: Sequence[int]) -> int:
+    """All loads of a ledger in place of those the database had: a note or a ticket may have changed any of them.
+
+    They go under the run that began first. Which one that is changes where a clock was set back: so those under any
+    run of the ledger go.
+    """
     ledger = ReadLoads(view)
     tickets, _ = tickets_beside(ledger)
     rows = []
@@ -181,7 +184,7 @@ def _loads(connection: Any, view: LedgerView, line: str, ledger_id: int) -> int:
         rows.append(
             (
                 line,
-                ledger_id,
+                run_ids[0],
                 place,
                 labels["load"],
                 labels["field"],
@@ -197,7 +200,7 @@ def _loads(connection: Any, view: LedgerView, line: str, ledger_id: int) -> int:
             )
         )
     with connection.transaction(), connection.cursor() as cursor:
-        cursor.execute(f"DELETE FROM {SCHEMA}.load WHERE ledger = %s", (ledger_id,))
+        cursor.execute(f"DELETE FROM {SCHEMA}.load WHERE ledger = ANY(%s)", (list(run_ids),))
         cursor.executemany(f"INSERT INTO {SCHEMA}.load VALUES ({', '.join(['%s'] * 14)})", rows)
     return len(rows)
 
