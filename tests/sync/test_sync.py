@@ -155,16 +155,56 @@ def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, t
         connect("mysql://x")
 
 
-def test_a_damaged_ledger_brings_nothing_wrong(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "copy"
+def damaged(ledger: Path, copy: Path) -> Path:
+    """A copy of a run's folder, with one bit of its last tuber flipped."""
     shutil.copytree(ledger, copy)
     data = bytearray((copy / "ledger.db").read_bytes())
-    at = data.rfind(b"written@0")
-    data[at] ^= 1
+    data[data.rfind(b"written@0")] ^= 1
     (copy / "ledger.db").write_bytes(data)
+    return copy
+
+
+def test_a_damaged_ledger_brings_nothing_wrong(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
+    copy = damaged(ledger, tmp_path / "copy")
     with connect(empty.url) as connection, suppress(LedgerError):
         push(connection, copy)
     assert tubers_there(empty) == tubers_of(ledger)[: len(tubers_there(empty))]
+
+
+def test_one_damaged_ledger_keeps_no_other_from_the_database(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
+    """It ended the sync of all that came after it."""
+    bad, away = damaged(ledger, tmp_path / "bad"), tmp_path / "away"
+    command = [sys.executable, "-m", "tuberline", "sync", empty.url, bad, away, ledger]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert f"{ledger}: " in done.stdout
+    *each, last = done.stderr.splitlines()
+    assert [f"ledger {bad / 'ledger.db'}" in each[0], f"there is no ledger at {away}" in each[1]] == [True, True]
+    assert f"2 of 3 ledgers were not synced: {bad}, {away}" in last
+    assert tubers_there(empty) == tubers_of(ledger)
+
+
+def test_a_ledger_that_is_put_right_comes_with_the_next_round(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
+    """What is wrong with the other is said once, not in every round; before, it ended `--every-s`."""
+    bad, later = damaged(ledger, tmp_path / "bad"), tmp_path / "later"
+    command = [sys.executable, "-m", "tuberline", "sync", empty.url, bad, later, ledger, "--every-s", "1"]
+    made, errors = tmp_path / "made", tmp_path / "errors"
+    write_run(made, run="later", crossed_ns=START_NS + np.arange(9) * 10**9, weight_g=np.full(9, 100.0))
+    with errors.open("w") as stderr, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as to:
+        rounds = (line for line in to.stdout or () if line.startswith(f"{ledger}: "))
+        watchdog = threading.Timer(60, to.kill)
+        watchdog.start()
+        try:
+            assert [f"{n} new tubers" in next(rounds) for n in (TUBERS, 0)] == [True, True]
+            made.rename(later)
+            for _ in range(3):
+                next(rounds)
+        finally:
+            watchdog.cancel()
+            to.kill()
+    said = errors.read_text().splitlines()
+    assert [sum(f"{path}" in line for line in said) for path in (bad / "ledger.db", later)] == [1, 1]
+    assert len(tubers_there(empty)) == TUBERS + 9
 
 
 class Relay:
