@@ -320,31 +320,6 @@ def test_uninstalling_takes_the_units_and_leaves_what_was_written(tmp_path: Path
     assert (refused.returncode, "takes no file" in refused.stderr) == (2, True)
 
 
-def test_the_oldest_recordings_go_first_and_the_newest_stays(tmp_path: Path) -> None:
-    for age, name in enumerate(("new.mcap", "middle.mcap", "old.mcap")):
-        (tmp_path / name).write_bytes(b"x" * 10_000)
-        os.utime(tmp_path / name, (1_700_000_000 - age, 1_700_000_000 - age))
-    prune = [str(DEPLOY / "lib" / "prune"), str(tmp_path)]
-    subprocess.run(prune, env={**os.environ, "TUBERLINE_RECORDINGS_GB": "1"}, check=True)
-    assert len(list(tmp_path.iterdir())) == 3
-    environment = {**os.environ, "TUBERLINE_RECORDINGS_GB": "0"}
-    done = subprocess.run(prune, env=environment, capture_output=True, text=True, check=True)
-    assert [f.name for f in tmp_path.iterdir()] == ["new.mcap"]
-    assert done.stdout.index("old.mcap") < done.stdout.index("middle.mcap")
-
-
-def test_a_recording_that_is_written_stays_with_its_positions(tmp_path: Path) -> None:
-    for age, name in enumerate(("new.positions.csv", "new.mcap", "old.positions.csv", "old.mcap")):
-        (tmp_path / name).write_bytes(b"x" * 10_000)
-        os.utime(tmp_path / name, (1_700_000_000 - age, 1_700_000_000 - age))
-    environment = {**os.environ, "TUBERLINE_RECORDINGS_GB": "0"}
-    done = subprocess.run(
-        [str(DEPLOY / "lib" / "prune"), str(tmp_path)], env=environment, capture_output=True, text=True, check=True
-    )
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["new.mcap", "new.positions.csv"]
-    assert "with its newest recording alone" in done.stderr
-
-
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed: units unchecked")
 def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
     units = tmp_path / "units"
