@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 
 from conveyor.config import load_config
-from conveyor.identity import Identity
+from conveyor.identity import Identity, own_files
 from tests.conftest import ROOT
 from tuberline.cli import build_app
 
@@ -193,6 +194,73 @@ def test_every_pod_runs_a_command_tuberline_takes_unprivileged() -> None:
     assert line.link.router.split("/")[1].split(":")[0] == documents()["Service/tuberline-router"]["metadata"]["name"]
     assert Identity("regressor").common_name(line.name) == "regressor@field"
     assert line.access.regressors == ("*",)
+
+
+CLUSTER = r"""#!/bin/sh
+# In place of a cluster: notes each order, and refuses what one would refuse: a file that is not there, and a namespace
+# that was not made.
+case $* in
+*"-n tuberline "*) grep -q "^apply -f deploy/kubernetes/namespace.yaml" orders || exit 1 ;;
+esac
+for word in "$@"; do
+    file=${word#--from-file=}
+    [ "$file" = "$word" ] || [ -r "${file#*=}" ] || exit 1
+done
+echo "$*" >>orders
+"""
+
+
+def test_the_pages_commands_make_what_the_pods_mount(tmp_path: Path) -> None:
+    """The page made secrets in a namespace that was not there yet, one of them from a file that it made nowhere."""
+    pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
+    section = (ROOT / "docs" / "deploy.md").read_text().split("\n## Kubernetes\n")[1].split("\n\n")[0]
+    (tmp_path / "deploy").symlink_to(ROOT / "deploy")
+    (stand_in := tmp_path / "kubectl").write_text(CLUSTER)
+    stand_in.chmod(0o755)
+    path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", "-e", "-c", section],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    orders = (tmp_path / "orders").read_text().splitlines() if (tmp_path / "orders").exists() else []
+    assert done.returncode == 0, (done.stderr, orders)
+    assert orders[-1] == "apply -k deploy/kubernetes"
+    made = {}
+    for order in orders[1:-1]:
+        name, *files = order.removeprefix("-n tuberline create secret generic ").split()
+        named = [file.removeprefix("--from-file=").rpartition("=") for file in files]
+        made[name] = {key or Path(file).name: tmp_path / file for key, _, file in named}
+    mounted = set()
+    for document in documents().values():
+        pod = document["spec"]["template"]["spec"] if "template" in document.get("spec", {}) else {"volumes": []}
+        mounted |= {volume["secret"]["secretName"] for volume in pod["volumes"] if "secret" in volume}
+    assert set(made) == mounted
+    for name, files in made.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        for key, file in files.items():
+            shutil.copy(file, folder / key)
+        if name == "tuberline-page-token":
+            assert 16 <= len((folder / "token").read_text().strip()) <= 256
+            continue
+        role = name.removeprefix("tuberline-certs-")
+        nodes = {"observer", {"metrics": "observer", "page": "loader"}.get(role, role)}
+        needed = {file.name for node in nodes for file in own_files(folder, node)}
+        assert set(files) == needed, "no node gets a key that is not its own"
+
+
+def test_every_key_that_a_pod_reads_of_the_lines_map_is_in_it() -> None:
+    (generated,) = yaml.safe_load((KUBERNETES / "kustomization.yaml").read_text())["configMapGenerator"]
+    keys = {*generated["files"], *(literal.split("=")[0] for literal in generated["literals"])}
+    text = "".join(file.read_text() for file in MANIFESTS)
+    asked = re.findall(r"configMapKeyRef: {name: (\S+), key: (\S+?)}", text)
+    asked += [(generated["name"], key) for key in re.findall(r"name: line, .*subPath: ([^,]+),", text)]
+    assert {name for name, _ in asked} == {generated["name"]} == set(re.findall(r"configMap: {name: (\S+?)}", text))
+    assert {key for _, key in asked} == keys
 
 
 def test_the_autoscaler_asks_for_a_metric_the_exporter_has() -> None:
