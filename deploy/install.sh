@@ -113,12 +113,14 @@ own() {
     [ -n "$destdir" ] || chown "$1" "$2"
 }
 
-facts_of() { # the line's name, its cameras and its regressors, one line each, of the config that is on standard input
+facts_of() { # the line's name, its cameras, its regressors and its folder of certificates, one line each, of the config that is on standard input
     python3 -S -c "
 import json, sys
 line = json.load(sys.stdin)
 print(line['name'], ' '.join(sorted(line['cameras'])), sep='\n')
-print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))"
+print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))
+certs = line['link']['certs'] or ''
+print(certs if certs.startswith('/') else '/etc/tuberline/certs')"
 }
 facts=$(echo "$checked" | facts_of)
 line=$(echo "$facts" | sed -n 1p)
@@ -134,6 +136,7 @@ if [ -e "$installed" ] && ! cmp -s "$config" "$installed" && [ "$replace" = no ]
 fi
 cameras=$(echo "$facts" | sed -n 2p)
 workers=$(echo "$facts" | sed -n 3p)
+certs_there=$(echo "$facts" | sed -n 4p)
 units=
 stems=
 chosen() { # ROLE NAME: is this one among --roles?
@@ -186,7 +189,7 @@ for entry in $(echo "$roles" | tr ',' ' '); do
     esac
 done
 case ,$roles in
-*,loader*) [ -n "$certs" ] || [ -d "$destdir/etc/tuberline/certs" ] || fail "role loader is a certificate: give --certs DIR. A line without certificates asks for none" ;;
+*,loader*) [ -n "$certs" ] || [ -d "$destdir$certs_there" ] || fail "role loader is a certificate: give --certs DIR. A line without certificates asks for none" ;;
 esac
 [ -n "$units$stems" ] || fail "--roles $roles leaves nothing to run for line '$line'"
 
@@ -202,6 +205,21 @@ if [ -n "$certs" ]; then
             files="$files $file"
         done
     done
+fi
+
+others=
+for file in "$destdir"/etc/tuberline/lines/*.toml; do
+    [ ! -e "$file" ] || [ "$file" = "$installed" ] || others="$others $(basename "$file" .toml)"
+done
+# Two lines of one host: what only one of them could have is refused before anything is changed.
+if [ -n "$others" ]; then
+    {
+        echo "$checked"
+        for other in $others; do
+            "$program" config show "$destdir/etc/tuberline/lines/$other.toml" --json ||
+                echo "install.sh: line '$other' is not compared with this one" >&2
+        done
+    } | python3 -S "$here/lib/clash.py" "$destdir" "$units" "$certs" "$files" || exit 2
 fi
 
 put "$here/systemd/sysusers.conf" /etc/sysusers.d/tuberline.conf 644
@@ -238,8 +256,8 @@ else
 fi
 
 for file in $files; do
-    put "$certs/$file" "/etc/tuberline/certs/$file" 600
-    own tuberline:tuberline "$destdir/etc/tuberline/certs/$file"
+    put "$certs/$file" "$certs_there/$file" 600
+    own tuberline:tuberline "$destdir$certs_there/$file"
 done
 
 if [ -n "$token" ]; then
@@ -255,6 +273,9 @@ if [ -n "$switch_to" ]; then
     [ -n "$destdir" ] || sync # its files are on the disk before they are called
     { grep -v '^TUBERLINE=' "$destdir/etc/tuberline/environment" || true; echo "TUBERLINE=$switch_to"; } >"$nodes"
     put "$nodes" /etc/tuberline/environment 644
+    for other in $others; do
+        echo "restart   tuberline@$other.target when it suits: until then it goes on with the program before"
+    done
 fi
 {
     echo "# Written by install.sh: what runs here of line $line. Run install.sh again to change it."
