@@ -50,8 +50,7 @@ def shell_words(text: str) -> list[str]:
 
 def compose(name: str) -> dict[str, Any]:
     """A compose file with its variables filled in and its merges resolved."""
-    text = filled((DOCKER / name).read_text()).replace("${RECORDINGS:-./recordings}", "./recordings")
-    text = text.replace("${CERTS:-./certs}", "./certs").replace("${PAGE_TOKEN:-/dev/null}", "/dev/null")
+    text = re.sub(r"\$\{\w+:-([^}]*)\}", r"\1", filled((DOCKER / name).read_text()))
     loaded: dict[str, Any] = yaml.safe_load(text)
     return loaded
 
@@ -118,6 +117,21 @@ def test_only_the_router_of_a_site_is_reachable_from_outside() -> None:
     site = load_config(DOCKER / "site.toml")
     assert site.access.enabled
     assert site.link.router.startswith("tls/")
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_a_second_line_on_the_host_publishes_other_ports(name: str) -> None:
+    """Under a project name of its own it got the ports, and the config, of the first."""
+    from deploy.trial.compose import services
+
+    given = {"RUN": RUN, "LINE": "./south.toml", "PAGE_PORT": "9181", "METRICS_PORT": "9109", "ROUTER_PORT": "7448"}
+    both = [services(DOCKER / name, variables) for variables in ({"RUN": RUN}, given)]
+    first, second = (
+        {port.rpartition(":")[0] for one in line.values() for port in one.get("ports", [])} for line in both
+    )
+    assert first
+    assert not first & second
+    assert yaml.safe_load((DOCKER / name).read_text())["configs"]["line"]["file"].startswith("${LINE:-")
 
 
 def test_the_dockerfile_copies_all_packages_and_runs_unprivileged() -> None:
