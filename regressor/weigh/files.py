@@ -13,7 +13,7 @@ from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrins
 from conveyor.formats.potatotwin.layout import pair_of
 from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
-from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_cloud, prepare_depth
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud, distances_told, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weighed, Weigher
 
 
@@ -169,7 +169,4 @@ def distance_fault(where: Path | str, cloud: PreparedCloud) -> str:
     nearest_m = cloud.belt_distance_m + cloud.resting_offset_m - cloud.height_m
     if cloud.height_m > 0.003 and lowest_m < 0.12:
         return ""
-    return (
-        f"{where}: its nearest point is {nearest_m:.3f} m from the camera and the belt {cloud.belt_distance_m:.3f} m: "
-        "check --belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
-    )
+    return f"{where}: {distances_told(nearest_m, cloud.belt_distance_m, cloud.resting_offset_m)}"

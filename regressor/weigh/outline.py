@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 BESIDE_M = 0.005
 """A part of a tuber that a hole cuts off lies within its depth range, give or take this; a false match does not."""
 POINTS_PER_CELL = 4.0
+MOST_CELLS = 2048
+"""Cells along a side of such an image: points far beside the cloud make them larger, not more."""
 FINE_CELLS = 24.0
 """Points per cell of the coarse grid that the cloud's density is measured with."""
 
@@ -43,7 +45,8 @@ def angle_image(points: NDArray[np.float64]) -> AngleImage:
         points: (N, 3), level frame, metres, z > 0.
     """
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    pixel = float(np.sqrt(POINTS_PER_CELL / _density(x, y)))
+    span = max(float(np.ptp(x)), float(np.ptp(y)))
+    pixel = max(float(np.sqrt(POINTS_PER_CELL / _density(x, y))), span / MOST_CELLS)
     x0, y0 = float(x.min()), float(y.min())
     column, row = ((x - x0) / pixel).astype(np.int64), ((y - y0) / pixel).astype(np.int64)
     shape = int(row.max()) + 1, int(column.max()) + 1

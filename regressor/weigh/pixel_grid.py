@@ -61,8 +61,11 @@ def pixel_grid(points_in_camera: NDArray[np.float64]) -> PixelGrid | None:
     width, height = int(u.max()) + 1, int(v.max()) + 1
     if len(np.unique(v * width + u)) < len(z):
         return None
+    units = np.round(z / unit_m)
+    if not units.all():  # nearer than half a unit: no camera sees that
+        return None
     depth = np.zeros((height, width), np.uint16)
-    depth[v, u] = np.round(z / unit_m)
+    depth[v, u] = units
     if _beside(depth > 0) < FEWEST_BESIDE:
         return None
     return PixelGrid(depth, unit_m, fx, fy, cx, cy)

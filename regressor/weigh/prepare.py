@@ -20,7 +20,7 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
-from regressor.weigh.surface import SurfaceFeatures, surface_features
+from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
 
 MAX_HEIGHT_M = 0.08
 MIN_POINTS = 30
@@ -29,12 +29,16 @@ STEP_M = 0.006
 MAX_EXTENT_M = 0.2
 MAX_POINTS = 60_000
 VOXEL_M = 0.0005
+NEAREST_M, FARTHEST_M = 0.001, 1000.0
+"""No camera over a belt sees so near, none so far: the one is left out of a cloud, the other is no number of a place.
+"""
 
 
 REASONS = {
     "empty_cloud": "it has no points",
     "too_few_points": f"it has fewer than {MIN_POINTS} points after cleaning",
-    "not_finite": "it has points that are not finite",
+    "not_finite": f"it has points that are not finite, or {FARTHEST_M:g} m away or more",
+    "below_belt": f"no point of it lies {1e3 * LEAST_HEIGHT_M:g} mm or more above the level that it rests on",
     "out_of_range": "its weight is none that a tuber can have",
     "not_a_cloud": "it is not an array of shape (N, 3)",
 }
@@ -43,8 +47,8 @@ REASONS = {
 class RefusedCloud(InputError):
     """A cloud that cannot be weighed; `reason` is what is counted and reported."""
 
-    def __init__(self, reason: str) -> None:
-        super().__init__(f"the cloud cannot be weighed: {REASONS[reason]}")
+    def __init__(self, reason: str, detail: str = "") -> None:
+        super().__init__(f"the cloud cannot be weighed: {REASONS[reason]}{detail and '; '}{detail}")
         self.reason = reason
 
 
@@ -81,7 +85,7 @@ def prepare_view(view: View) -> PreparedCloud:
     """The view's cloud, over its own resting level.
 
     Raises:
-        RefusedCloud: empty, too few points, not finite.
+        RefusedCloud: empty, too few points, or not above its resting level.
     """
     return prepare_depth(
         view.depth,
@@ -115,7 +119,7 @@ def prepare_depth(
         resting_offset_m: how far the tuber's underside lies below that belt.
 
     Raises:
-        RefusedCloud: empty, too few points.
+        RefusedCloud: empty, too few points, or not above its resting level.
     """
     kept = clean_depth(np.ascontiguousarray(depth), depth_scale_m)
     if np.count_nonzero(kept) < MIN_POINTS:
@@ -124,6 +128,7 @@ def prepare_depth(
     holes = fill_holes(filled)
     inside, measured, in_camera = _points(filled, kept, fx, fy, cx, cy)
     level, distance_m = _level(in_camera, belt_from_camera)
+    _stands_above(level, distance_m, resting_offset_m)
     area = _areas(in_camera, level, fx * fy)
     surface = surface_features(level, area, inside, distance_m=distance_m + resting_offset_m, holes=holes)
     noise_px = crop_noise_px(depth, depth_scale_m=depth_scale_m, fx=fx)
@@ -143,14 +148,17 @@ def prepare_cloud(
         resting_offset_m: how far its underside lies below the belt.
 
     Raises:
-        RefusedCloud: empty, too few points, not finite.
+        RefusedCloud: empty, too few points, not finite, no cloud at all, or not above its resting level.
     """
-    points = np.asarray(points_in_camera, np.float64)
+    try:
+        points = np.asarray(points_in_camera).astype(np.float64, casting="same_kind")
+    except (TypeError, ValueError) as error:
+        raise RefusedCloud("not_a_cloud") from error
     if points.ndim != 2 or points.shape[1] != 3:
         raise RefusedCloud("not_a_cloud")
     if not len(points):
         raise RefusedCloud("empty_cloud")
-    if not np.isfinite(points).all():
+    if not (np.abs(points) < FARTHEST_M).all():
         raise RefusedCloud("not_finite")
     image = pixel_grid(points) if len(points) <= MAX_POINTS else None
     if image is not None:
@@ -170,9 +178,10 @@ def prepare_cloud(
 def _prepare_points(points: NDArray[np.float64], *, belt_distance_m: float, resting_offset_m: float) -> PreparedCloud:
     """A cloud without pixels."""
     points = thinned(points)
-    points = points[_without_strays(points) & (points[:, 2] > 0)]
+    points = points[_without_strays(points) & (points[:, 2] > NEAREST_M)]
     if len(points) < MIN_POINTS:
         raise RefusedCloud("too_few_points")
+    _stands_above(points, belt_distance_m, resting_offset_m)
     image = angle_image(points)
     holes = fill_holes(image.depth_m)
     inside = image.depth_m > 0
@@ -184,6 +193,26 @@ def _prepare_points(points: NDArray[np.float64], *, belt_distance_m: float, rest
     distance_m = belt_distance_m + resting_offset_m
     surface = surface_features(level, area, inside, distance_m=distance_m, holes=holes)
     return _finish(points, np.ones(len(points), np.bool_), belt_distance_m, resting_offset_m, surface)
+
+
+def _stands_above(level: NDArray[np.float64], distance_m: float, resting_offset_m: float) -> None:
+    """Refuse a cloud of which nothing stands above its resting level: it has no top, and no body under it.
+
+    Raises:
+        RefusedCloud: below the belt.
+    """
+    nearest_m = float(level[:, 2].min())
+    if not distance_m + resting_offset_m - nearest_m >= LEAST_HEIGHT_M:
+        raise RefusedCloud("below_belt", distances_told(nearest_m, distance_m, resting_offset_m))
+
+
+def distances_told(nearest_m: float, belt_distance_m: float, resting_offset_m: float) -> str:
+    """For people: how near a cloud comes to the camera, where its belt is, and what to check."""
+    offset = f" (resting offset {1e3 * resting_offset_m:g} mm)" if resting_offset_m else ""
+    return (
+        f"its nearest point is {nearest_m:.3f} m from the camera and the belt {belt_distance_m:.3f} m{offset}: check "
+        "--belt-distance-m and the depth scale (--depth-scale-m: 0.001 for 1 mm units, 0.0001 for the D405's own)"
+    )
 
 
 def thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:

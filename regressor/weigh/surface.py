@@ -20,6 +20,8 @@ from regressor.weigh.profile import PROFILE_NAMES, rim_profile
 
 LEVELS = (0.50, 0.70, 0.85)
 """Of the height: where cross sections are taken."""
+LEAST_HEIGHT_M = 0.001
+"""What is lower has no top that could be measured; heights are taken to be at least so much."""
 CURVATURE_POINTS = 3000
 TOP = 0.6
 """Of the height: from there on up the top's curvature is fitted."""
@@ -96,7 +98,7 @@ def surface_features(
         distance_m: of the optical centre above the resting level.
     """
     heights = distance_m - level[:, 2]
-    height_m = max(_quantiles(_ranked(heights, 0.99), (0.99,))[0], 1e-3)
+    height_m = max(_quantiles(_ranked(heights, 0.99), (0.99,))[0], LEAST_HEIGHT_M)
     area_m2 = float(areas_m2.sum())
     xy = level[:, :2]
     length_m, width_m = _axes(xy)
@@ -294,7 +296,10 @@ def _top(
 def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
     """Area of the equator of the ellipsoid that touches the top with its curvature and is as high as the tuber."""
     unit = float(np.sqrt(area_m2 / np.pi))
-    fit = _quadric(*_top(xy, heights, TOP * height_m), unit)
+    places, high = _top(xy, heights, TOP * height_m)
+    if not len(high):  # all lies at the resting level or below it: no top, no curvature
+        return LARGEST_RATIO * area_m2
+    fit = _quadric(places, high, unit)
     # Heights fall by (x^2 / a^2 + y^2 / b^2) c / 2 near the top of an ellipsoid with half axes a, b and c.
     determinant = float(4 * fit[3] * fit[5] - fit[4] ** 2) / unit**4
     if fit[3] >= 0 or fit[5] >= 0 or determinant <= 0:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -21,7 +23,7 @@ from regressor.network.pointraft import PointRaft
 from regressor.training.labelled import read_labelled
 from regressor.weigh.files import FileOptions, weigh_files
 from regressor.weigh.weigher import Weigher
-from tests.regressor.ellipsoids import D405, ellipsoid_depth_m
+from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, ellipsoid_view
 from tuberline.cli.checkpoints import import_checkpoint
 
 POINTS = np.array([[0.0, 0.1, 0.3], [0.25, -0.5, 0.125], [1.5, 2.0, -3.0]])
@@ -131,6 +133,25 @@ def test_a_depth_unit_that_cannot_be_is_refused(scale_m: float) -> None:
     """0 was taken for "not given"."""
     with pytest.raises(InputError, match="allowed is above 0 to 1 metre per unit"):
         FileOptions(belt_distance_m=0.345, depth_scale_m=scale_m)
+
+
+def test_a_cloud_below_its_belt_is_one_clear_error(tmp_path: Path) -> None:
+    """`tuberline weigh` ended with a traceback; the file beside it was not weighed either."""
+    cloud = ellipsoid_view().points_in_camera_m()
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n"
+    header += "property float x\nproperty float y\nproperty float z\nend_header\n"
+    (tmp_path / "tuber.ply").write_bytes(header.encode() + cloud.astype("<f4").tobytes())
+    flat = np.array([0.0, 0.0, 0.02], np.float32) + cloud * [1, 1, 0] + [0, 0, 0.345]
+    (tmp_path / "low.ply").write_bytes(header.encode() + flat.astype("<f4").tobytes())
+    command = [sys.executable, "-m", "tuberline", "weigh", "low.ply", "tuber.ply", "--belt-distance-m", "0.345"]
+    done = subprocess.run([*command, "--json"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "low.ply: the cloud cannot be weighed: no point of it lies 1 mm or more above" in done.stderr
+    assert "0.365 m from the camera and the belt 0.345 m: check --belt-distance-m" in done.stderr
+    low, tuber = json.loads(done.stdout)
+    assert "weight_g" not in low
+    assert tuber["weight_g"] == pytest.approx(180, rel=0.2)
 
 
 def test_broken_pairs_are_named(twin: Path) -> None:

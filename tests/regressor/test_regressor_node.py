@@ -18,6 +18,7 @@ from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig, RegressorConfig, dump_toml
 from conveyor.delivery import KeptSubscriber, LatestPublisher, Presence, ReliableSubscriber
 from conveyor.errors import InputError
+from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Counters, Weight
 from conveyor.node import Node
 from regressor.serve.node import run_regressor
@@ -55,18 +56,18 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
     wait_until(lambda: work.has_listener, what="the worker's subscription")
     view = ellipsoid_view(name="t1/0")
     empty = replace(ellipsoid_view(name="t2/0"), depth=np.zeros((9, 9), np.uint16))
-    for sent in (view, empty, view):
+    low = replace(ellipsoid_view(name="t3/0"), belt_from_camera=straight_down_belt_from_camera(0.28))
+    for sent in (view, empty, low, view):
         work.put(sent)
-    got = [answers.get(20.0) for _ in range(3)]
-    expected = [weigh_view(Weigher.load(), sent, regressor="r1") for sent in (view, empty, view)]
+    got = [answers.get(20.0) for _ in range(4)]
+    expected = [weigh_view(Weigher.load(), sent, regressor="r1") for sent in (view, empty, low, view)]
     assert got == expected
 
     def counted() -> bool:
         values = next((message.values for message in counters.latest().values()), {})
-        return [
-            values.get(name)
-            for name in ("view_received", "views_weighed", "views_refused_empty_cloud", "views_duplicate")
-        ] == [3, 1, 1, 1]
+        refused = ("views_refused_empty_cloud", "views_refused_below_belt")
+        names = ("view_received", "views_weighed", *refused, "views_duplicate")
+        return [values.get(name) for name in names] == [4, 1, 1, 1, 1]
 
     wait_until(counted, what="the worker's counters")
     os.kill(worker.pid, signal.SIGTERM)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from conveyor.geometry import straight_down_belt_from_camera
+from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.prepare import MAX_POINTS, RefusedCloud, clean_depth, prepare_cloud, prepare_view
 from regressor.weigh.surface import DIRECTIONS, TRIMMED, _widths
 from tests.regressor.ellipsoids import ellipsoid_view
@@ -75,6 +76,68 @@ def test_clouds_that_cannot_be_weighed_are_refused() -> None:
         with pytest.raises(RefusedCloud) as refused:
             prepare_cloud(points, belt_distance_m=0.345)
         assert refused.value.reason == reason
+
+
+@pytest.mark.parametrize("belt_distance_m", [0.1, 0.288, 0.289, 0.2895])
+def test_what_does_not_stand_above_its_belt_is_refused(belt_distance_m: float) -> None:
+    """Views and clouds without a top ended in a division by zero, and with it the regressor."""
+    view = ellipsoid_view()  # its top is 0.289 m from the camera
+    low = replace(view, belt_from_camera=straight_down_belt_from_camera(belt_distance_m))
+    cloud = view.points_in_camera_m()
+    shuffled = cloud + np.random.default_rng(4).uniform(-1e-4, 0, cloud.shape) * [1, 1, 0]
+    assert pixel_grid(shuffled.astype(np.float64)) is None
+    for attempt in (
+        lambda: prepare_view(low),
+        lambda: prepare_cloud(cloud, belt_distance_m=belt_distance_m),
+        lambda: prepare_cloud(shuffled, belt_distance_m=belt_distance_m),
+        lambda: prepare_view(replace(low, resting_offset_m=-0.01)),
+    ):
+        with pytest.raises(RefusedCloud, match=r"nearest point is 0\.289 m .* check --belt-distance-m") as refused:
+            attempt()
+        assert refused.value.reason == "below_belt"
+    # The resting level counts, not the belt.
+    assert prepare_view(replace(low, resting_offset_m=0.19 + 0.01)).height_m > 0.01
+    assert np.isfinite(prepare_view(replace(view, resting_offset_m=-0.0545)).surface.as_array()).all()
+
+
+def test_no_odd_cloud_does_more_than_be_refused() -> None:
+    """Points on a heap, on a line, in one's eye, or far out: divisions by zero, overflows, gigabytes."""
+    rng = np.random.default_rng(6)
+    tuber = ellipsoid_view().points_in_camera_m().astype(np.float64)
+    along = np.linspace(-0.03, 0.03, 400)[:, None]
+    far_off = [np.array(place) + rng.normal(0, 0.001, (20, 3)) for place in ([900.0, 0.0, 0.3], [0.0, 900.0, 0.3])]
+    heavy = np.repeat(tuber, 12, axis=0)
+    heavy[0, 0] = 1e300
+    weighed = (np.tile([0.0, 0.0, 0.3], (400, 1)), along * [1, 1, 0.3] + [0, 0, 0.3], np.vstack([tuber, *far_off]))
+    refused = {
+        "not_finite": (tuber * 1e300, heavy, tuber * 1e5),
+        "too_few_points": (tuber * [1, 1, 1e-300], tuber * 1e-6, -tuber),
+        "below_belt": (tuber * 1000,),
+        "not_a_cloud": (None, [[1, 2, 3], [4, 5]], np.full((50, 3), "here"), tuber.astype(complex)),
+    }
+    with np.errstate(all="raise"):
+        for points in weighed:
+            assert np.isfinite(prepare_cloud(points, belt_distance_m=0.345).surface.as_array()).all()
+        for reason, clouds in refused.items():
+            for points in clouds:
+                with pytest.raises(RefusedCloud) as error:
+                    prepare_cloud(points, belt_distance_m=0.345)  # type: ignore[arg-type]
+                assert error.value.reason == reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_odd_view_does_more_than_be_refused(seed: int) -> None:
+    """Specks, strips and flat patches, on the belt, under it and above it."""
+    rng, view = np.random.default_rng(seed), ellipsoid_view()
+    for _ in range(200):
+        shape = tuple(rng.integers(1, 14, 2))
+        z = rng.choice([1, 100, 300, 344, 345, 60000]) + rng.integers(0, rng.choice([1, 3, 60]), shape)
+        depth = np.where(rng.random(shape) < rng.choice([0.3, 0.9, 1.0]), z, 0).astype(np.uint16)
+        try:
+            cloud = prepare_view(replace(view, u0=0, v0=0, depth=depth))
+        except RefusedCloud:
+            continue
+        assert np.isfinite(cloud.surface.as_array()).all()
 
 
 def test_unusual_clouds_are_flagged() -> None:

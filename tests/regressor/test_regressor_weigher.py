@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from conveyor.camera_range import camera_range
+from conveyor.geometry import straight_down_belt_from_camera
 from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
@@ -18,7 +19,7 @@ from regressor.training.calibration import fused_share
 from regressor.weigh.interval import IntervalRule, calibrate
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.viewscale import view_terms
-from regressor.weigh.weigher import Weigher, weigh_view
+from regressor.weigh.weigher import Weigher, weigh_view, weigh_views
 from tests.regressor.ellipsoids import DENSITY, ellipsoid_view
 
 AXES = (0.042, 0.033, 0.028)
@@ -133,6 +134,21 @@ def test_a_refusal_names_its_reason(weigher: Weigher) -> None:
     answer = weigh_view(weigher, empty, regressor="r1")
     assert (answer.status, answer.reason, answer.weight_g) == ("refused", "empty_cloud", None)
     assert answer.encode()
+
+
+@pytest.mark.parametrize("device", [None, "cpu"])
+def test_a_view_below_its_belt_is_refused_and_the_others_of_its_batch_are_weighed(
+    weigher: Weigher, device: str | None
+) -> None:
+    """A division by zero ended the process, and with it the views beside it."""
+    view = ellipsoid_view(AXES)
+    low = replace(view, belt_from_camera=straight_down_belt_from_camera(0.28))
+    answers = weigh_views(weigher.on(device), [view, low, view], regressor="r1")
+    assert [(answer.status, answer.reason) for answer in answers] == [
+        ("weighed", ""), ("refused", "below_belt"), ("weighed", "")
+    ]  # fmt: skip
+    assert answers[0] == answers[2]
+    assert [answer.reason for answer in weigh_views(weigher.on(device), [low], regressor="r1")] == ["below_belt"]
 
 
 def _drawn(rng: np.random.Generator, tubers: int, *, shared: float = 0.8) -> dict[str, np.ndarray]:
