@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import tuberline
 from conveyor.messages import View
 from regressor.weigh.weigher import Weigher, weigh_view
 from tests.regressor.ellipsoids import ellipsoid_view
+from tuberline.cli.simulate import simulate as simulate_command
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "docs" / "examples").glob("0*.py"))
@@ -125,6 +127,98 @@ def test_what_cannot_be_weighed_is_refused_in_words(view: View) -> None:
         with pytest.raises(tuberline.TuberlineError, match=words):
             attempt()
     assert not Path("nothing").exists()
+
+
+NO_NUMBERS: tuple[Any, ...] = (np.nan, np.inf, -1, "one", None, np.zeros(2))
+"""What none of the numbers of `weigh_depth`, `replay` and `simulate` may be; `belt_distance_m` may be None."""
+
+
+@pytest.mark.parametrize("name", ["belt_distance_m", "depth_scale_m", "u0", "v0", "belt_sd_mm"])
+def test_a_depth_image_with_a_wrong_number_is_refused(view: View, name: str) -> None:
+    given = {"belt_distance_m": 0.345, "depth_scale_m": 0.001, "u0": view.u0, "v0": view.v0, "belt_sd_mm": 2.0}
+    for value in (*NO_NUMBERS, 10**7):
+        with pytest.raises(tuberline.TuberlineError, match=name):
+            tuberline.weigh_depth(view.depth, intrinsics=view.intrinsics, **{**given, name: value})
+
+
+def test_what_is_no_depth_image_is_refused(view: View) -> None:
+    """Lists, masks of NaN and intrinsics as a tuple raised AttributeErrors, or weighed something."""
+    kept = {"depth": view.depth, "mask": view.depth > 0, "intrinsics": view.intrinsics, "weights": None}
+    wrong: dict[str, tuple[Any, ...]] = {
+        "depth": (view.depth.tolist(), None, "depth.png", view.depth[None], view.depth.astype(int)),
+        "mask": (kept["mask"].tolist(), "mask.png", np.full(view.depth.shape, np.nan), np.ones((3, 3), bool)),
+        "intrinsics": (None, (653.8, 652.1, 643.5, 366.1)),
+        "weights": ("weights.safetensors",),
+    }
+    for name, values in wrong.items():
+        for value in values:
+            given = {**kept, name: value}
+            with pytest.raises(tuberline.TuberlineError, match=name):
+                tuberline.weigh_depth(given.pop("depth"), depth_scale_m=0.001, belt_distance_m=0.345, **given)
+    for depth in (np.zeros((0, 0), np.uint16), np.zeros((0, 5), np.uint16)):
+        with pytest.raises(tuberline.TuberlineError, match="it has no points"):
+            tuberline.weigh_depth(depth, intrinsics=view.intrinsics, depth_scale_m=0.001, belt_distance_m=0.345)
+
+
+def test_a_pose_that_is_none_is_refused(view: View) -> None:
+    """(3, 3) raised an IndexError; a mirror, a scaled one, one in millimetres gave weights."""
+    good = view.belt_from_camera
+    in_mm = good.copy()
+    in_mm[2, 3] *= 1000
+    for pose, words in (
+        (good[:3, :3], r"4 rows of 4 numbers, got \(3, 3\)"),
+        (good[:3], r"4 rows of 4 numbers, got \(3, 4\)"),
+        ([], "4 rows of 4 numbers"),
+        ([[1, 2], [3]], "4 rows of 4 numbers"),
+        ("pose", "4 rows of 4 numbers"),
+        (good * np.nan, "no rigid transform"),
+        (good * 2, "no rigid transform"),
+        (good @ np.diag([-1, 1, 1, 1]), "no rigid transform"),
+        (np.zeros((4, 4)), "no rigid transform"),
+        (np.eye(4), "away from the belt"),
+        (in_mm, r"is 345\.0; allowed is 0\.05 to 5"),
+    ):
+        with pytest.raises(tuberline.TuberlineError, match=words):
+            tuberline.weigh_depth(
+                view.depth,
+                intrinsics=view.intrinsics,
+                depth_scale_m=0.001,
+                u0=view.u0,
+                v0=view.v0,
+                belt_from_camera=pose,  # type: ignore[arg-type]
+            )
+
+
+@pytest.mark.parametrize("ending", ["ply", "npy", "npz", "xyz", "txt"])
+def test_a_text_is_no_cloud(tmp_path: Path, ending: str) -> None:
+    (tmp_path / f"note.{ending}").write_text("dear reader\nno numbers here\n", encoding="utf-8")
+    with pytest.raises(tuberline.TuberlineError, match=rf"note\.{ending}"):
+        tuberline.weigh(tmp_path / f"note.{ending}", belt_distance_m=0.345)
+
+
+def test_simulate_and_replay_refuse_what_there_is_not(tmp_path: Path) -> None:
+    """An unknown preset was a bare KeyError, a seed below 0 a ValueError of NumPy's."""
+    out = tmp_path / "out"
+    for name, known in (("preset", "known: easy, field"), ("camera", "known: d405"), ("scene", "known: singulated")):
+        with pytest.raises(tuberline.TuberlineError, match=f"'moon' is unknown; {known}"):
+            tuberline.simulate(out, **{name: "moon"})  # type: ignore[arg-type]
+    for name in ("seed", "tubers", "fps", "speed_mps", "belt_distance_m"):
+        for value in (*NO_NUMBERS, *((1.5,) if name in ("seed", "tubers") else ())):
+            with pytest.raises(tuberline.TuberlineError, match=name):
+                tuberline.simulate(out, **{name: value})
+    for value in (*NO_NUMBERS, 0, 1.5, 65):
+        with pytest.raises(tuberline.TuberlineError, match=r"regressors is .* 1 to 64, a whole number"):
+            tuberline.replay(tmp_path, out=out, regressors=value)
+    assert not out.exists()
+    with pytest.raises(tuberline.TuberlineError, match="seed -1: allowed is 0 to"):
+        simulate_command(out=out, seed=-1)
+
+
+def test_a_truth_that_is_no_object_is_refused(tmp_path: Path) -> None:
+    recording = tuberline.simulate(tmp_path / "belt", tubers=1, fps=5.0, speed_mps=1.0)
+    (tmp_path / "belt" / "truth.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(tuberline.TuberlineError, match="must be a JSON object, got list"):
+        recording.truth()
 
 
 def test_prepared_inputs_give_the_networks_grams(view: View) -> None:

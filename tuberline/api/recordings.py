@@ -12,8 +12,10 @@ from conveyor.errors import InputError
 from conveyor.formats import CameraDescription, Refused, camera_names, describe_recording, open_source
 from conveyor.formats.merged import in_time
 from conveyor.messages import Frame
+from tuberline.api.values import holds
 
 SCENE_RANGES = {
+    "seed": (0, 1e18),
     "tubers": (1, 100_000),
     "fps": (1, 120),
     "speed_mps": (0.01, 5),
@@ -22,6 +24,7 @@ SCENE_RANGES = {
     "heave_mm": (0, 30),
     "heave_hz": (0.1, 20),
 }
+WHOLE = ("seed", "tubers")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +73,11 @@ class Recording:
         if not beside.is_file():
             return None
         try:
-            truth: dict[str, Any] = json.loads(beside.read_text(encoding="utf-8"))
+            truth = json.loads(beside.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise InputError(f"truth {beside} cannot be read: {error}") from error
+        if not isinstance(truth, dict):
+            raise InputError(f"truth {beside} cannot be used: it must be a JSON object, got {type(truth).__name__}")
         return truth
 
 
@@ -107,7 +112,7 @@ def simulate(
 
     Args:
         out: a folder, or a file whose name ends in .mcap. Must not exist.
-        seed: the same seed gives the same recording.
+        seed: the same seed gives the same recording; a whole number from 0.
         tubers: how many ride on the belt, 1 to 100000.
         scene: 'singulated', 'touching', 'crowded', 'piled', 'distractors', 'two-cameras' and others, see `tuberline
             simulate --help`.
@@ -124,7 +129,8 @@ def simulate(
         The recording, opened.
 
     Raises:
-        TuberlineError: `out` exists or cannot be written, or a value out of range.
+        TuberlineError: `out` exists or cannot be written, a scene, camera or preset that there is not, or a value out
+            of range.
     """
     from camera_sim.sim.optics import optics_named
     from camera_sim.sim.presets import PRESETS
@@ -135,11 +141,13 @@ def simulate(
     target = Path(out)
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
-    check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
+    if preset not in PRESETS:
+        raise InputError(f"preset '{preset}' is unknown; known: {', '.join(PRESETS)}")
+    check_ranges(seed=seed, tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
     settings = SceneSettings(
         scene=scene,
-        seed=seed,
-        tubers=tubers,
+        seed=int(seed),
+        tubers=int(tubers),
         preset=PRESETS[preset],
         optics=optics_named(camera),
         fps=fps,
@@ -159,5 +167,6 @@ def check_ranges(**values: float) -> None:
     """
     for name, value in values.items():
         low, high = SCENE_RANGES[name]
-        if not low <= value <= high:
-            raise InputError(f"{name} {value:g}: allowed is {low:g} to {high:g}")
+        if not holds(value, (low, high), whole=name in WHOLE):
+            kind = ", a whole number" if name in WHOLE else ""
+            raise InputError(f"{name} {value}: allowed is {low:g} to {high:g}{kind}")

@@ -11,6 +11,9 @@ from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, rea
 from aggregator.ledger.totals_by import Total, totals_by
 from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
+from tuberline.api.values import in_range
+
+REGRESSORS = (1, 64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,7 @@ def replay(
         recording: of any known format; all its cameras are used.
         out: folder for ledger.db, summary.json and tubers.csv; must not hold a run yet.
         speed: times real time; 0 as fast as the line takes it. Nothing is lost at any speed.
-        regressors: number of weighing processes, at least 1.
+        regressors: number of weighing processes, 1 to 64.
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
@@ -74,11 +77,12 @@ def replay(
     """
     from tuberline.replayer import replay_recording
 
+    in_range("regressors", regressors, REGRESSORS, whole=True)
     replay_recording(
         Path(recording),
         out=Path(out),
         speed=speed,
-        regressors=regressors,
+        regressors=int(regressors),
         weights=Path(weights) if weights is not None else None,
         ignore_masks=ignore_masks,
         resting_offset_mm=resting_offset_mm,

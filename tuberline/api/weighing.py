@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.clouds import read_cloud
+from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.geometry import belt_distance_m as distance_of
 from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import groups_tensor
 from regressor.network.grouping import SharedGroups, group_prefix, group_random
@@ -21,11 +23,13 @@ from regressor.network.sampling import farthest_points
 from regressor.weigh.files import distance_fault
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
+from tuberline.api.values import holds, in_range
 
 BELT_DISTANCE_M = (0.05, 5.0)
 BELT_SD_MM = (0.0, 100.0)
 RESTING_OFFSET_MM = (-20.0, 40.0)
 RESTING_SD_MM = (0.0, 20.0)
+DEPTH_SCALE_M = (1e-6, 0.01)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +111,8 @@ class NetworkInputs:
         """
         if self.groups is None:
             raise InputError("the cloud is 0.2 m wide or wider: the exported network does not take it, `weigh` does")
-        _in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
-        _in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
+        in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
+        in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
         return {
             "groups": self.groups[None],
             "height_m": np.array([self.standing_m], np.float32),
@@ -162,11 +166,11 @@ def weigh(
         Grams with the 90 % interval and flags. The same cloud gives the same bits.
 
     Raises:
-        TuberlineError: a cloud that cannot be weighed (empty, too few points, not finite, not (N, 3)), that floats
-            above the belt or lies below it, or a distance out of range.
+        TuberlineError: a file that holds no cloud, a cloud that cannot be weighed (empty, too few points, not finite,
+            not (N, 3)), that floats above the belt or lies below it, or a distance out of range.
     """
-    _in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
-    _in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
+    in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
+    in_range("resting_sd_mm", resting_sd_mm, RESTING_SD_MM)
     prepared = _prepared(cloud, belt_distance_m, resting_offset_mm)
     return _weighed(prepared, belt_sd_mm, weights, resting_sd_mm)
 
@@ -189,34 +193,29 @@ def weigh_depth(
     Args:
         depth: (h, w) uint16 in units of `depth_scale_m` metres, 0 = no depth.
         intrinsics: of the full image, pixels.
-        depth_scale_m: metres per unit: 0.001 where a unit is a millimetre, 0.0001 for the D405's own.
+        depth_scale_m: metres per unit, 1e-6 to 0.01: 0.001 where a unit is a millimetre, 0.0001 for the D405's own.
         belt_distance_m: from the camera to the belt along the optical axis, metres, of a camera that looks straight
             down; or else give `belt_from_camera`.
         belt_from_camera: (4, 4) rigid transform from the camera's frame to the belt's, of a tilted camera.
-        mask: (h, w) bool, the pixels of the tuber; None takes all that have depth.
-        u0, v0: column and row of the crop's first pixel in the full image.
+        mask: (h, w) bool, or whole numbers that are not 0 on the tuber's pixels; None takes all that have depth.
+        u0, v0: column and row of the crop's first pixel in the full image, which holds the whole crop.
         belt_sd_mm, weights: as for `weigh`.
 
     Returns:
         As for `weigh`.
 
     Raises:
-        TuberlineError: a depth image that cannot be weighed, neither or both of the belt's two forms, or a value out
-            of range.
+        TuberlineError: a depth image that cannot be weighed, neither or both of the belt's two forms, a transform that
+            is not rigid or does not look down on the belt, or a value out of range.
     """
-    if depth.ndim != 2 or depth.dtype != np.uint16:
-        raise InputError(f"depth is {depth.dtype} {depth.shape}; expected uint16 of shape (h, w)")
-    if mask is not None and mask.shape != depth.shape:
-        raise InputError(f"mask is {mask.shape}, the depth image {depth.shape}: they must have the same shape")
+    _check_image(depth, mask, intrinsics, u0, v0)
     if (belt_distance_m is None) == (belt_from_camera is None):
         raise InputError("give belt_distance_m (a camera that looks straight down) or belt_from_camera, one of them")
-    if not 0 < depth_scale_m <= 0.01:
-        raise InputError(f"depth_scale_m is {depth_scale_m}; allowed is above 0 to 0.01 metres per unit")
+    if not holds(depth_scale_m, DEPTH_SCALE_M):
+        raise InputError(f"depth_scale_m is {depth_scale_m}; allowed is 0.000001 to 0.01 metres per unit")
     if belt_distance_m is not None:
-        belt_from_camera = straight_down_belt_from_camera(
-            _in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
-        )
-    assert belt_from_camera is not None
+        belt_from_camera = straight_down_belt_from_camera(in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M))
+    pose = _checked_pose(belt_from_camera)
     prepared = prepare_depth(
         depth if mask is None else np.where(mask, depth, 0).astype(np.uint16),
         depth_scale_m=depth_scale_m,
@@ -224,7 +223,7 @@ def weigh_depth(
         fy=intrinsics.fy,
         cx=intrinsics.cx - u0,
         cy=intrinsics.cy - v0,
-        belt_from_camera=np.asarray(belt_from_camera, np.float64),
+        belt_from_camera=pose,
     )
     return _weighed(prepared, belt_sd_mm, weights)
 
@@ -245,9 +244,9 @@ def prepare(
     Raises:
         TuberlineError: as for `weigh`.
     """
-    _in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
+    in_range("resting_offset_mm", resting_offset_mm, RESTING_OFFSET_MM)
     prepared = _prepared(cloud, belt_distance_m, resting_offset_mm)
-    sidecar = (weights or _shipped()).sidecar
+    sidecar = _loaded(weights).sidecar
     count = min(len(prepared.points), sidecar.input.points)
     if sidecar.start.kind == "prefix":
         groups = group_prefix(prepared.points, points=sidecar.input.points)
@@ -266,19 +265,66 @@ def prepare(
 def _prepared(
     cloud: NDArray[np.floating] | str | Path, belt_distance_m: float, resting_offset_mm: float = 0.0
 ) -> PreparedCloud:
-    _in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
+    in_range("belt_distance_m", belt_distance_m, BELT_DISTANCE_M)
     points = read_cloud(Path(cloud)) if isinstance(cloud, str | Path) else cloud
     return prepare_cloud(points, belt_distance_m=belt_distance_m, resting_offset_m=resting_offset_mm / 1000)
 
 
+def _check_image(depth: Any, mask: Any, intrinsics: Any, u0: int, v0: int) -> None:
+    """Refuse what is no depth image, a mask of another one, and a crop that does not lie in the full image.
+
+    Raises:
+        InputError: with what was given and what is expected.
+    """
+    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.dtype != np.uint16:
+        raise InputError(f"depth is {_told(depth)}; expected uint16 of shape (h, w)")
+    if mask is not None and (not isinstance(mask, np.ndarray) or mask.dtype.kind not in "bui"):
+        raise InputError(f"mask is {_told(mask)}; expected bool of shape {depth.shape}")
+    if mask is not None and mask.shape != depth.shape:
+        raise InputError(f"mask is {mask.shape}, the depth image {depth.shape}: they must have the same shape")
+    if not isinstance(intrinsics, Intrinsics):
+        raise InputError(
+            f"intrinsics are {_told(intrinsics)}; expected tuberline.Intrinsics(width=..., height=..., ...)"
+        )
+    (rows, columns), k = depth.shape, intrinsics
+    if not (holds(u0, (0, k.width - columns), whole=True) and holds(v0, (0, k.height - rows), whole=True)):
+        raise InputError(
+            f"depth of {columns}x{rows} pixels from column u0={u0}, row v0={v0} does not lie in the image of "
+            f"{k.width}x{k.height} that the intrinsics are of"
+        )
+
+
+def _checked_pose(belt_from_camera: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """(4, 4) float64 of a camera that looks down on a belt.
+
+    Raises:
+        InputError: no rigid transform, one that looks elsewhere, or from a distance out of range.
+    """
+    fault = pose_fault(belt_from_camera)  # type: ignore[arg-type]
+    if fault:
+        raise InputError(fault)
+    pose = np.asarray(belt_from_camera, np.float64)
+    in_range("belt_from_camera's distance to the belt along the optical axis", distance_of(pose), BELT_DISTANCE_M)
+    return pose
+
+
+def _loaded(weights: Weights | None) -> Weights:
+    if weights is not None and not isinstance(weights, Weights):
+        raise InputError(f"weights are {_told(weights)}; give what load_weights({weights!r}) returns, or None")
+    return weights or _shipped()
+
+
+def _told(value: object) -> str:
+    """What was given in place of something else, in a word or two."""
+    return f"{value.dtype} {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+
+
 def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None, resting_sd_mm: float = 0.0) -> Weight:
-    _in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
+    in_range("belt_sd_mm", belt_sd_mm, BELT_SD_MM)
     fault = distance_fault("the cloud", prepared)
     if fault:
         raise InputError(fault)
-    found = (weights or _shipped()).weigher.weigh(
-        prepared, belt_sd_m=belt_sd_mm / 1000, resting_sd_m=resting_sd_mm / 1000
-    )
+    found = _loaded(weights).weigher.weigh(prepared, belt_sd_m=belt_sd_mm / 1000, resting_sd_m=resting_sd_mm / 1000)
     return Weight(
         weight_g=found.weight_g,
         low_g=found.low_g,
@@ -289,10 +335,3 @@ def _weighed(prepared: PreparedCloud, belt_sd_mm: float, weights: Weights | None
         model=found.model,
         flags=found.flags,
     )
-
-
-def _in_range(name: str, value: float, bounds: tuple[float, float]) -> float:
-    low, high = bounds
-    if not low <= value <= high:
-        raise InputError(f"{name} is {value}; allowed is {low:g} to {high:g}")
-    return value

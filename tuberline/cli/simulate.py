@@ -97,7 +97,7 @@ def simulate(
     from tuberline.cli.progress import frames_bar
 
     layout, faults = layout_named(scene), check_faults(inject)
-    check_ranges(tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
+    check_ranges(seed=seed, tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)
     check_ranges(resting_offset_mm=resting_offset_mm, heave_mm=heave_mm, heave_hz=heave_hz)
     replaced = _replaced(out, force=force)
     settings = SceneSettings(
