@@ -51,16 +51,22 @@ def field_error(images: Sequence[Disparity], planes: Sequence[NDArray[np.bool_]]
     shape = seen[0][0].shape
     halves = [np.zeros(shape), np.zeros(shape)]
     weights = [np.zeros(shape), np.zeros(shape)]
-    squares = []
-    for n, (d, on) in enumerate(seen):
+    squares: list[float] = []
+    for d, on in seen:
         left = _beside_plane(d, on)
         fine, enough = _blurred(left, on, FINE_PX)
-        squares.append(float(np.mean(fine[enough & on] ** 2)))
-        halves[n % 2] += np.where(on, left, 0)
-        weights[n % 2] += on
-    slow, bow_px = _bow(halves, weights, single=len(seen) == 1)
+        shown = enough & on
+        if not shown.any():  # thin lines or single pixels, nowhere a piece of the plane
+            continue
+        half = len(squares) % 2
+        squares.append(float(np.mean(fine[shown] ** 2)))
+        halves[half] += np.where(on, left, 0)
+        weights[half] += on
+    if not squares:
+        return None
+    slow, bow_px = _bow(halves, weights, single=len(squares) == 1)
     total = float(np.mean(squares))
-    return FieldError(float(np.sqrt(max(total - (bow_px or 0.0) ** 2, 0.0))), bow_px, len(seen), slow)
+    return FieldError(float(np.sqrt(max(total - (bow_px or 0.0) ** 2, 0.0))), bow_px, len(squares), slow)
 
 
 def _bow(

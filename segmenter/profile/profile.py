@@ -47,7 +47,7 @@ class CameraProfile:
         neighbour_px: 99 and 99.9 % quantiles and maximum of the step between neighbours.
         plane_m: distance of the belt plane; `field` its error; None where no plane is seen.
         outline_px: 50 and 90 % quantiles of the width of holes at outlines, image pixels.
-        missing: share of pixels without depth.
+        missing: share of pixels without depth. Of `frames`, as all else; `blank` more had no depth at all.
         island_px: by how much each island of mismatch is off, all frames.
     """
 
@@ -67,6 +67,7 @@ class CameraProfile:
     outline_px: tuple[float, float] | None
     missing: float
     island_px: NDArray[np.float64]
+    blank: int
 
     @property
     def islands_per_frame(self) -> float:
@@ -128,6 +129,7 @@ def profile_frames(
         else None,
         missing=float(np.mean([np.mean(d == 0) for d in images])),
         island_px=np.concatenate([islands(d).off_px for d in images]),
+        blank=len(frames) - len(usable),
     )
 
 

@@ -21,7 +21,7 @@ FRAMES = 12
 
 @dataclass(frozen=True, slots=True)
 class ProfiledCamera:
-    """One camera: what was measured, and how it compares. `first`: the frame to draw."""
+    """One camera: what was measured, and how it compares. `first`: the frame to draw, with depth."""
 
     profile: CameraProfile
     findings: tuple[Finding, ...]
@@ -38,6 +38,7 @@ class ProfiledCamera:
         return {
             "camera": p.camera,
             "frames": p.frames,
+            "blank_frames": p.blank,
             "width": p.width,
             "height": p.height,
             "depth_unit_mm": 1000 * p.depth_scale_m,
@@ -75,7 +76,7 @@ def profile_recording(
         on_frame: called with how many of a camera's frames are measured, and how many there are.
 
     Raises:
-        InputError: no recording, or a camera without a frame that can be read.
+        InputError: no recording, or a camera without a frame that can be read and has depth.
     """
     kind = recording_kind(path)
     result = []
@@ -83,8 +84,14 @@ def profile_recording(
         taken = _spread(open_unchecked(path, kind, name), frames)
         if not taken:
             raise InputError(f"{path}, camera '{name}': none of its frames can be read (`tuberline info` says why)")
+        seen = [frame for frame in taken if frame.depth.any()]
+        if not seen:
+            raise InputError(
+                f"{path}, camera '{name}': none of the {len(taken)} frames looked at has depth: nothing can be "
+                "measured; look at its pictures (`tuberline watch`)"
+            )
         profile = profile_frames(taken, baseline_m=baseline_m, on_frame=on_frame)
-        result.append(ProfiledCamera(profile, judge(profile, trained), taken[len(taken) // 2]))
+        result.append(ProfiledCamera(profile, judge(profile, trained), seen[len(seen) // 2]))
     return result
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.presets import PRESETS
@@ -18,12 +21,16 @@ from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layo
 from camera_sim.sim.source import simulated_sources
 from conveyor.camera_range import CAMERAS, camera_range
 from conveyor.depth_noise import disparity, window_residuals_px
+from conveyor.errors import InputError
 from conveyor.formats import open_source
 from conveyor.messages import Frame
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.profile.comb import KNOWN_BASELINES_M, find_comb
 from segmenter.profile.profile import CameraProfile, profile_frames
+from segmenter.profile.recording import profile_recording
 from segmenter.profile.verdict import judge
+from tuberline.api.recordings import simulate
+from tuberline.cli.camera_profile import profile as profile_command
 
 SHARED = Path(os.environ.get("TUBERLINE_SHARED", "../shared"))
 BAG = SHARED / "data" / "realsense_sdk_bag" / "single_depth_color_640x480.bag"
@@ -104,6 +111,54 @@ def test_a_worse_camera_is_outside_and_each_property_says_so(easy: list[Frame]) 
     assert all(worse[name].follows for name in outside)
     wide = {f.name: f.verdict for f in judge(profile_frames(frames), camera_range(("easy", "harsh")))}
     assert all(wide[name] == "inside" for name in ("local noise", "holes at outlines", "islands of mismatch")), wide
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A few frames of a good camera, of which those to be changed are rewritten by the test."""
+    return simulate(tmp_path / "belt", tubers=1, fps=5.0, speed_mps=1.0, seed=SEED).path
+
+
+def _change(recording: Path, change: Callable[[int, NDArray[np.uint16]], NDArray[np.uint16]]) -> int:
+    files = sorted((recording / "front" / "depth").glob("*.png"))
+    for n, file in enumerate(files):
+        depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        assert cv2.imwrite(str(file), change(n, np.asarray(depth, np.uint16)))
+    return len(files)
+
+
+@pytest.mark.filterwarnings("error")
+def test_blank_frames_are_counted_and_not_drawn(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The picture was of the middle frame, with or without depth: NumPy warned of quantiles of nothing."""
+    pytest.importorskip("matplotlib")
+    frames = _change(recording, lambda n, depth: depth if n == 0 else np.zeros_like(depth))
+    picture = recording.parent / "camera.png"
+    (camera,) = profile_recording(recording, camera_range(("easy",)))
+    assert (camera.profile.frames, camera.profile.blank, camera.first.seq) == (1, frames - 1, 0)
+    assert camera.as_dict()["blank_frames"] == frames - 1
+    profile_command(recording, out=picture)
+    assert picture.stat().st_size > 10_000
+    assert f"front: 1 frames, {frames - 1} more without depth: not seen" in capsys.readouterr().out
+    _change(recording, lambda _n, depth: np.zeros_like(depth))
+    with pytest.raises(InputError, match=rf"belt, camera 'front': none of the {frames} frames looked at has depth"):
+        profile_command(recording, out=picture)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_plane_of_which_only_thin_lines_show_is_not_seen(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its error was the mean of nothing: 'nan px', taken for inside the range, and NaN in the JSON."""
+    _change(recording, lambda _n, depth: np.where(np.arange(len(depth))[:, None] % 4, 0, depth).astype(np.uint16))
+    profile_command(recording, json=True)
+
+    def no_number(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    (camera,) = json.loads(capsys.readouterr().out, parse_constant=no_number)["cameras"]
+    assert camera["plane_m"] is not None
+    assert (camera["mid_px"], camera["bow_px"]) == (None, None)
+    verdicts = {finding["name"]: finding["verdict"] for finding in camera["findings"]}
+    assert verdicts["error of 3 to 40 px and relief"] == "not seen"
+    assert verdicts["bow of the field, slower than 40 px"] == "not seen"
 
 
 def test_the_step_and_the_baseline_are_found_from_the_depths_alone(easy: list[Frame]) -> None:
