@@ -250,3 +250,13 @@ def test_a_second_run_in_the_same_file_is_told_and_can_be_taken_out(small_record
         convert(two, tmp_path / "3.mcap", part=3)
     with pytest.raises(InputError, match="has no parts: only MCAP"):
         convert(small_recording, tmp_path / "4.mcap", part=1)
+
+
+def test_a_frame_that_is_late_or_there_twice_begins_no_second_run(small_recording: Path, tmp_path: Path) -> None:
+    frames = [item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame)][:5]
+    mixed = [frames[n] for n in (0, 2, 1, 3, 3, 4)]
+    with McapFrameWriter(tmp_path / "late.mcap") as writer:
+        for frame in mixed:
+            writer.write(replace(frame, run="a"))
+    read = list(open_source(tmp_path / "late.mcap").frames(run="r"))
+    assert [item.encode() for item in read] == [frame.encode() for frame in mixed]

@@ -95,6 +95,14 @@ def mcap_attachments(path: Path) -> dict[str, bytes]:
         return {a.name: bytes(a.data) for a in reader.iter_attachments() if a.name in ATTACHMENTS}
 
 
+def _of_two_runs(one: bytes, other: bytes) -> bool:
+    """Whether two frames were recorded in different runs; one that does not decode says nothing of that."""
+    try:
+        return Frame.decode(one).run != Frame.decode(other).run
+    except MessageError:
+        return False
+
+
 class McapSource:
     """Frames of one camera in file order: a jump of the camera's clock does not reorder them.
 
@@ -151,12 +159,13 @@ class McapSource:
         return [FrameKey(message.sequence, message.log_time) for message in self._messages()]
 
     def _messages(self) -> Iterator[Any]:
-        """The camera's messages of one run, their numbers rising."""
-        part, newest = 1, -1
+        """The camera's messages of one run, in file order: one that is late, or there twice, begins no other run."""
+        part, newest, first = 1, -1, None
         with open_mcap(self._path) as reader:
             for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
-                if message.sequence <= newest:
-                    part += 1
+                first = message if first is None else first
+                if message.sequence <= newest and _of_two_runs(message.data, first.data):
+                    part, first = part + 1, message
                     if self._part is None:
                         raise InputError(
                             f"{self._path}: after frame {newest} of camera '{self._camera}' the numbers begin at "
@@ -164,7 +173,8 @@ class McapSource:
                             f"Take each run out by itself: `tuberline convert {self._path} RUN-1.mcap --part 1`, then "
                             "--part 2 and so on"
                         )
-                newest = message.sequence
+                    newest = -1
+                newest = max(newest, message.sequence)
                 if self._part in (None, part):
                     yield message
         if self._part is not None and self._part > part:
