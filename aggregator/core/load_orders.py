@@ -28,15 +28,22 @@ def decide(
 ) -> LoadEvent:
     """The event that `order` comes to; the one it came to before, where it was carried out already.
 
+    An id stands for one order: who asks, how long ago and where on the belt may differ from try to try.
+
     Args:
         now_ns: wall clock of the aggregator's machine; line: what a load keeps of the line as
             it is, 'utc_offset_s' and 'stated_offset_mm'.
         place_x_m: where on the belt an order that changes loads does so; may raise InputError.
 
     Raises:
-        InputError: it cannot be carried out; the text says why, and what can.
+        InputError: it cannot be carried out; the text says why, and what can. Or its id is another order's.
     """
     if (known := book.events.get(order.request)) is not None:
+        if not _asked_before(order, known, book):
+            raise InputError(
+                f"order {order.request} was carried out already, with other content ({_told(known, book)}); this one "
+                "is not carried out: send it under an id of its own (--request, or none for a new one)"
+            )
         return known
     decisions: dict[str, Callable[[], tuple[Said, int, float | None, Mapping[str, Any]]]] = {
         "start": lambda: _start(order, book, run, line, place_x_m),
@@ -49,6 +56,17 @@ def decide(
     return LoadEvent(book.last_n + 1, run, order.request, kind, load, place, now_ns, order.by, payload)
 
 
+def _asked_before(order: LoadOrder, event: LoadEvent, book: LoadBook) -> bool:
+    """Whether `order` comes to `event` by all that had been said before it."""
+    before = LoadBook.of(each for each in book.events.values() if each.n < event.n)
+    try:
+        found = decide(order, before, run=event.run, now_ns=event.said_ns, line={}, place_x_m=lambda _: 0.0)
+    except InputError:
+        return False
+    same = all(event.payload.get(name) == value for name, value in found.payload.items())
+    return same and (found.kind, found.load) == (event.kind, event.load)
+
+
 def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, unused: str = "") -> LoadAnswer:
     """What is told of an order that was carried out. `unused`: why the ticket entered calibrates nothing."""
     load = book.loads[event.load]
@@ -57,7 +75,7 @@ def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, unused: str = 
     return LoadAnswer(
         order.request,
         True,
-        text=_told(event, load) + (f"; it is kept, but does not calibrate: {unused}" if unused else ""),
+        text=_told(event, book) + (f"; it is kept, but does not calibrate: {unused}" if unused else ""),
         load=load.number,
         name=load.name,
         event=event.n,
@@ -70,7 +88,10 @@ def refusal(order: LoadOrder, error: Exception, *, later: bool = False) -> LoadA
     return LoadAnswer(order.request, False, error=str(error)[:4000], later=later)
 
 
-def _told(event: LoadEvent, load: Load) -> str:
+def _told(event: LoadEvent, book: LoadBook) -> str:
+    if event.load not in book.loads:
+        return "what it did was lost to damage"
+    load = book.loads[event.load]
     if event.kind is Said.TICKET:
         ticket = event.payload
         kind = "net" if ticket["net"] else "gross"

@@ -130,6 +130,42 @@ def test_an_order_again_is_done_once(tmp_path: Path) -> None:
         assert len(ledger.loads.loads[1].notes) == 1
 
 
+def test_an_id_stands_for_one_order(tmp_path: Path) -> None:
+    """A form that was corrected was answered as done under the id of the first one, and nothing was changed."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Loads(ledger, story())
+        it.commit()
+        orders: list[tuple[str, dict[str, Any]]] = [
+            ("start", {"x_m": -0.4, "fields": {"name": "A"}}),
+            ("ticket", {"load": "last", "kg": 8123.5}),
+            ("start", {"x_m": -0.6, "fields": {"name": "B"}}),
+            ("note", {"load": "A", "fields": {"name": "C"}}),
+            ("end", {"x_m": -0.7}),
+            ("undo", {}),
+            ("end", {"x_m": -0.8, "note": "rain"}),
+            ("start", {"x_m": -0.9, "load": "C"}),
+        ]
+        first = [it.order(f"r{n}", action, now_ns=n * S, **more) for n, (action, more) in enumerate(orders)]
+        again = [it.order(f"r{n}", action, now_ns=90 * S, **more) for n, (action, more) in enumerate(orders)]
+        assert [(told.event, told.load) for told in again] == [(told.event, told.load) for told in first]
+        for request, action, more in [
+            ("r0", "start", {"x_m": -0.4, "fields": {"name": "trailer 8"}}),
+            ("r0", "note", {"fields": {"name": "A"}}),
+            ("r0", "start", {"x_m": -0.4, "load": "A", "fields": {"name": "A"}}),
+            ("r1", "ticket", {"load": "last", "kg": 8132.5}),
+            ("r1", "ticket", {"load": "last", "kg": 8123.5, "net": False}),
+            ("r1", "ticket", {"load": "2", "kg": 8123.5}),
+            ("r3", "note", {"load": "B", "fields": {"name": "C"}}),
+            ("r6", "end", {"x_m": -0.8}),
+            ("r7", "start", {"x_m": -0.9, "fields": {"name": "C"}}),
+        ]:
+            with pytest.raises(InputError, match=f"order {request} was carried out already, with other content"):
+                it.order(request, action, now_ns=90 * S, **more)
+        with pytest.raises(InputError, match=r"load 1 \(C\): 8123.5 kg net on the scale.*under an id of its own"):
+            it.order("r1", "ticket", load="last", kg=1.0)
+        assert ledger.loads.last_n == len(orders)
+
+
 def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     with Ledger(path) as ledger:

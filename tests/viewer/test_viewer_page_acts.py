@@ -126,3 +126,42 @@ def test_a_page_without_a_token_says_that_it_only_looks(
     with page(line[1]) as url:
         look(browser, url, "Loads cannot be changed from this page: it was started without a token")
         assert js(browser, "document.querySelector('[data-put=acts]').hidden")
+
+
+LOSE_AN_ANSWER = """{ const whole = window.fetch; window.fetch = async (...asked) => {
+    await whole(...asked);
+    window.fetch = whole;
+    throw new TypeError("the answer is lost"); }; }"""
+
+
+def test_a_retry_is_the_same_order_and_a_corrected_form_another(
+    browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
+) -> None:
+    """A form that was corrected after a lost answer went under the first one's id: "done", and nothing had changed."""
+    config, path = line
+    token = tmp_path / "token"
+    token.write_text(TOKEN + "\n")
+    story = tell(21, cameras=2, n=4, length_m=0.5, noise_mm=0.0)
+    with Node("segmenter", "cam0", config=config, run="story") as node, page(path, "--token-file", str(token)) as url:
+        segmenters = Segmenters(node, story)
+        until(lambda: segmenters.all_acknowledged(0), what="the aggregator")
+        look(browser, url, "Start load")
+        press(browser, "start")
+        js(browser, LOSE_AN_ANSWER)
+        confirm(browser, name="trailer 7", operator="Anna", token=TOKEN)
+        until(lambda: "press again, it is carried out once" in text(browser), what="the lost answer")
+        confirm(browser)
+        until(lambda: closed(browser), what="the load is started")
+        until(lambda: "The line says: load 1 (trailer 7) has begun" in text(browser), what="what was done")
+        press(browser, "ticket")
+        js(browser, LOSE_AN_ANSWER)
+        confirm(browser, kg="8123,5")
+        until(lambda: "press again, it is carried out once" in text(browser), what="the lost answer")
+        until(lambda: "8 123.5 kg" in text(browser), what="the first ticket in the table of loads")
+        confirm(browser, kg="8132,5")
+        until(lambda: closed(browser), what="the second ticket")
+        until(lambda: "8132.5 kg net on the scale" in text(browser), what="what was done")
+        until(lambda: "8 132.5 kg" in text(browser), what="the second ticket in the table of loads")
+    with reading(config.aggregator.out / "ledger.db") as view:
+        (load,) = told_loads(view, limit=9)
+    assert [each["text"] for each in load["said"]] == ["began", "net ticket 8123.5 kg", "net ticket 8132.5 kg"]

@@ -6,10 +6,10 @@ const form = dialog.querySelector("form");
 const inputs = form.elements;
 const wrong = dialog.querySelector(".wrong");
 const TAKES_MS = 30000;
-let order = null; // what the open dialog is about: {line, action, request, pressedAt, done}
+let order = null; // what the open dialog is about: {line, action, done}, and its last try: {content, request, pressedAt}
 
 export function ask(line, action, found, done) {
-  order = { line, action, request: null, pressedAt: 0, done };
+  order = { line, action, done, content: null };
   form.reset();
   translate(dialog);
   dialog.querySelector("h2").textContent = t(`ask.${action}`);
@@ -38,10 +38,17 @@ function choose(told, action) {
   if (next) inputs.load.value = next.number;
 }
 
+// The same again is one order, however often it is tried; what was corrected is another one.
 function said() {
+  const found = asked();
+  const content = JSON.stringify(found);
+  if (content !== order.content) Object.assign(order, { content, request: newRequest(), pressedAt: performance.now() });
+  return { ...found, request: order.request, operator: inputs.operator.value.trim(), age_s: Math.min(3600, (performance.now() - order.pressedAt) / 1000) };
+}
+
+function asked() {
   const { line, action } = order;
-  if (order.request === null) Object.assign(order, { request: newRequest(), pressedAt: performance.now() });
-  const found = { line, action, request: order.request, operator: inputs.operator.value.trim(), age_s: Math.min(3600, (performance.now() - order.pressedAt) / 1000) };
+  const found = { line, action };
   if (action === "start") found.fields = Object.fromEntries(["name", "field", "variety"].map((name) => [name, inputs[name].value.trim()]));
   if (action === "ticket") Object.assign(found, { load: inputs.load.value, kg: inKilograms(figure(inputs.kg.value)), net: !inputs.gross.checked });
   if (action === "note") Object.assign(found, { load: inputs.load.value, note: inputs.note.value.trim() });
@@ -76,10 +83,10 @@ async function send() {
   if (answer.done) {
     order = null;
     dialog.close();
-    mine.done(t(`done.${mine.action}`, { n: answer.load }));
+    mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: answer.text })}`);
     return;
   }
-  if (!answer.unsure) mine.request = null; // refused: the next try is another order
+  if (!answer.unsure) mine.content = null; // refused: the next try is another order
   say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: answer.error }));
 }
 
