@@ -67,7 +67,7 @@ class Receipt:
 
 
 def read_receipt(path: Path) -> int | None:
-    """The last acknowledged batch; None where there is no receipt.
+    """The last acknowledged batch; None where there is no receipt, or nothing was ever written to it.
 
     Raises:
         LedgerError: the file is there, but neither slot can be trusted.
@@ -79,7 +79,7 @@ def read_receipt(path: Path) -> int | None:
     except OSError as error:
         raise LedgerError(f"receipt {path} cannot be read: {error.strerror}") from error
     if not data:
-        return 0
+        return None
     slots = [_slot(data[at : at + _SLOT.size]) for at in (0, _STRIDE)]
     if all(seq is None for seq in slots):
         raise LedgerError(

@@ -12,6 +12,7 @@ import math
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -80,6 +81,8 @@ class Ledger:
         if self.path.exists() and self.path.stat().st_size and not os.access(self.path, os.W_OK):
             raise StorageError(f"ledger {self.path} is read-only; give the user write access to it and to its folder")
         acknowledged = read_receipt(receipt_path(self.path))
+        if acknowledged is None and self.path.exists():
+            self._refuse_unacknowledged()
         self._receipt.__enter__()
         try:
             break_seal(receipt_path(self.path))
@@ -106,9 +109,27 @@ class Ledger:
         finally:
             self._receipt.__exit__(None, None, None)
 
+    def _refuse_unacknowledged(self) -> None:
+        """Batches without a receipt are refused before one is made: the next start would find it and go on."""
+        uri = f"{self.path.resolve().as_uri()}?mode=ro"
+        with explained(self.path, "opening"), closing(sqlite3.connect(uri, uri=True)) as db:
+            if db.execute("SELECT 1 FROM sqlite_master").fetchone():
+                self._refuse(opening_faults(LedgerView(db, self.path), acknowledged=None))
+
+    def _refuse(self, faults: Sequence[str]) -> None:
+        if faults:
+            shown = "\n".join(f"  {fault}" for fault in faults[:10])
+            raise LedgerError(
+                f"ledger {self.path} cannot be trusted:\n{shown}\n`tuberline ledger repair {self.path}` saves what is "
+                "intact into a new file and keeps this one"
+            )
+
     def _prepare(self, acknowledged: int | None) -> None:
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
+        if acknowledged is None:  # no batch is there yet
+            self._receipt.write(0)
+            self._receipt.write(0)
         if not self._db.execute("SELECT 1 FROM sqlite_master").fetchone():
             if acknowledged:
                 raise LedgerError(
@@ -117,13 +138,7 @@ class Ledger:
                 )
             self._create()
         self.view = LedgerView(self._db, self.path)
-        faults = opening_faults(self.view, acknowledged=acknowledged)
-        if faults:
-            shown = "\n".join(f"  {fault}" for fault in faults[:10])
-            raise LedgerError(
-                f"ledger {self.path} cannot be trusted:\n{shown}\n`tuberline ledger repair {self.path}` saves what is "
-                "intact into a new file and keeps this one"
-            )
+        self._refuse(opening_faults(self.view, acknowledged=acknowledged))
         if self.view.version < SCHEMA_VERSION:
             with self._transaction("migration"):
                 migrate(self._db, self.view, self._step)
@@ -131,8 +146,6 @@ class Ledger:
         self._seq = self.view.last_seq()
 
     def _create(self) -> None:
-        self._receipt.write(0)
-        self._receipt.write(0)
         with self._transaction("create"):
             for statement in definition():
                 self._db.execute(statement)

@@ -112,6 +112,43 @@ def test_a_lost_ledger_or_receipt_is_refused(image: Path, tmp_path: Path) -> Non
         Ledger(path).__enter__()
 
 
+def test_a_lost_receipt_is_refused_at_every_start(image: Path, tmp_path: Path) -> None:
+    """The first start that was refused left an empty receipt, and the second one went on as if all were well."""
+    path = copied(image, tmp_path / "a")
+    receipt_path(path).unlink()
+    said = []
+    for _ in range(2):
+        with pytest.raises(LedgerError, match=r"receipt \(.ack\) is missing") as refused:
+            Ledger(path).__enter__()
+        said.append(str(refused.value))
+        assert not receipt_path(path).exists()
+    assert said[0] == said[1]
+    receipt_path(path).touch()
+    with pytest.raises(LedgerError) as refused:
+        Ledger(path).__enter__()
+    assert str(refused.value) == said[0], "an empty receipt vouches for nothing"
+    assert "receipt (.ack) is missing" in " ".join(check_file(path))
+    repair(path)
+    assert check_file(path) == []
+    assert contents(path) == (image / "expected").read_text()
+
+
+def test_a_ledger_without_batches_needs_no_receipt(tmp_path: Path) -> None:
+    """As one is left by a process that was killed before it wrote anything."""
+    for name, made in (("bare.db", "PRAGMA journal_mode = WAL"), ("begun.db", "")):
+        path = tmp_path / name
+        if made:
+            with sqlite3.connect(path) as db:
+                db.execute(made)
+        else:
+            with Ledger(path):
+                pass
+            receipt_path(path).unlink()
+        with Ledger(path):
+            pass
+        assert check_file(path) == []
+
+
 def test_other_files_and_versions_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     path.write_text("not a database, but long enough to have a header of one hundred bytes" * 4)
