@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from aggregator.core.coverage import Moment, all_reach, belt_window
 from aggregator.core.foreign import ForeignBody
@@ -27,7 +27,6 @@ class LoadKeeper:
         self._step = step
         self._book: LoadBook | None = None
         self._sums: dict[str, dict[int, SpanSums]] = {}
-        self._again: dict[str, set[int]] = {}
 
     def forget(self) -> None:
         """They may hold what was not written: the next one reads them again."""
@@ -53,16 +52,17 @@ class LoadKeeper:
         if spans and tubers:
             self._write(run, add_tubers(self.sums(run), spans, tubers))
 
-    def begin_again(self, run: str, histogram_step_g: float) -> None:
-        """All tubers of a run are to be added again, in classes of another width; written with the next ones."""
-        for sums in self.sums(run).values():
-            sums.load = LoadSums(histogram_step_g)
-        self._again[run] = set(self.sums(run))
-
-    def add_again(self, run: str, tuber: Tuber | ForeignBody) -> None:
-        """One of them."""
-        if spans := self.book.spans.get(run):
-            add_tubers(self.sums(run), spans, [tuber])
+    def count_again(
+        self, run: str, tubers: Callable[[], Iterable[Tuber | ForeignBody]], histogram_step_g: float
+    ) -> None:
+        """All tubers of a run, in classes of another width."""
+        sums, spans = self.sums(run), self.book.spans.get(run)
+        for mine in sums.values():
+            mine.load = LoadSums(histogram_step_g)
+        if spans:
+            for tuber in tubers():
+                add_tubers(sums, spans, [tuber])
+        self._write(run, set(sums))
 
     def say(self, event: LoadEvent, run_sums: RunSums) -> None:
         """One more event; what it changes of the stretches is written with it."""
@@ -115,7 +115,7 @@ class LoadKeeper:
         self._write(run, {last, gone})
 
     def _write(self, run: str, spans: set[int]) -> None:
-        for span in sorted(spans | self._again.pop(run, set())):
+        for span in sorted(spans):
             span_step(self._db, run, span, self.sums(run)[span])
         if spans:
             self._step("sums of loads written")

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from aggregator.core.foreign import ForeignBody
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import LoadBook, LoadEvent
 from aggregator.core.machine import Batch, Restored
@@ -202,20 +203,28 @@ class Ledger:
 
     def _go_on(self, run: str, histogram_step_g: float) -> RunSums:
         sums = read_sums(self.view, run)
-        if sums.load.histogram_step_g != histogram_step_g:
-            sums.load = LoadSums(histogram_step_g)
-            self._loads.begin_again(run, histogram_step_g)
-            for tuber in read_tubers(self.view, run):
-                sums.load.add(tuber)
-                self._loads.add_again(run, tuber)
-            for body in read_bodies(self.view, run):
-                sums.load.add(body)
-                self._loads.add_again(run, body)
+        carried = [sums.load, *(stretch.load for stretch in self._loads.sums(run).values())]
+        if any(load.histogram_step_g != histogram_step_g for load in carried):
+            with self._transaction("classes"):
+                self._count_again(run, sums, histogram_step_g)
         else:
             for tuber in read_tubers(self.view, run, since=max(0, sums.last_tuber_id - RATE_TUBERS)):
                 sums.load.passed(tuber.crossed_ns)
         self._sums[run] = sums
         return sums
+
+    def _count_again(self, run: str, sums: RunSums, histogram_step_g: float) -> None:
+        """All tubers in classes of another width: the sums of the run and of its stretches change together."""
+
+        def tubers() -> Iterator[Tuber | ForeignBody]:
+            yield from read_tubers(self.view, run)
+            yield from read_bodies(self.view, run)
+
+        sums.load = LoadSums(histogram_step_g)
+        for tuber in tubers():
+            sums.load.add(tuber)
+        self._loads.count_again(run, tubers, histogram_step_g)
+        next_step(self._db, run, sums)
 
     def _refuse_same_recording(self, run: str, fingerprint: str) -> None:
         found = next((known for known in read_runs(self.view) if known.fingerprint == fingerprint), None)

@@ -21,6 +21,7 @@ from aggregator.ledger.load_rows import read_book, read_span_sums
 from aggregator.ledger.reader import read_sums, read_tubers, reading, the_run
 from aggregator.ledger.repair import repair
 from aggregator.ledger.schema import Table
+from aggregator.ledger.steps import span_step
 from aggregator.ledger.totals_by import totals_by
 from aggregator.ledger.verified import LedgerView
 from aggregator.ledger.writer import Ledger
@@ -390,6 +391,73 @@ def test_a_changed_width_of_classes_counts_loads_again(tmp_path: Path) -> None:
         )  # fmt: skip
         assert {sums.load.histogram_step_g for sums in ledger.span_sums(it.story.run).values()} == {25.0}
         assert sum(sum(s.load.classes) for s in ledger.span_sums(it.story.run).values()) == len(it.story.seen())
+
+
+def of_width(it: Loads, step_g: float, ledger: Ledger | None = None) -> None:
+    """Go on with the run of `it`, in classes of another width."""
+    (ledger or it.ledger).open_run(
+        it.story.run, line="t", cameras=it.story.names, version="1", started_ns=0, histogram_step_g=step_g
+    )
+
+
+def test_a_changed_width_of_classes_leaves_a_sound_ledger_at_every_moment(tmp_path: Path) -> None:
+    """The run's sums went with the next transaction, those of its stretches only with the next tuber: a ticket, and
+    the aggregator's end, left a ledger that no check believed any more."""
+    path = tmp_path / "ledger.db"
+    with Ledger(path) as ledger:
+        it = Loads(ledger, story())
+        for n in it.commits():
+            if n == 2:
+                it.order("a", "start", x_m=-0.4, fields={"name": "A"})
+            if n == 8:
+                break
+    before = sums_by_load(path)
+    with reading(path) as view:
+        old = read_span_sums(view, it.story.run)
+    with Ledger(path) as ledger:
+        of_width(it, 25.0, ledger)
+        assert check_file(path) == []
+        assert {sums.load.histogram_step_g for sums in ledger.span_sums(it.story.run).values()} == {25.0}
+        event = decide(
+            LoadOrder("t", "ticket", kg=100.0),
+            ledger.loads,
+            run=it.story.run,
+            now_ns=0,
+            line={},
+            place_x_m=it.place_x_m,
+        )
+        ledger.say(event)
+        assert check_file(path) == []
+    assert sums_by_load(path) == {load: (n, pytest.approx(grams)) for load, (n, grams) in before.items()}
+    with Ledger(path) as ledger:
+        for n, sums in old.items():
+            span_step(ledger._db, it.story.run, n, sums)  # as an older version left it
+        assert any("do not come to what its sums say" in fault for fault in check_file(path))
+    with Ledger(path) as ledger:
+        of_width(it, 25.0, ledger)
+        assert check_file(path) == []
+        ledger.finish(it.story.run, "{}")
+    assert check_file(path) == []
+
+
+def test_killed_at_every_write_point_of_a_changed_width(tmp_path: Path) -> None:
+    """The sums of the run and of its stretches are all of one width, or all of the other."""
+    base = tmp_path / "base"
+    base.mkdir()
+    with Ledger(base / "ledger.db") as ledger:
+        told_with_loads(ledger)
+    statuses, at = [signal.SIGKILL.value], 0
+    while statuses[-1]:
+        folder = tmp_path / f"at{at}"
+        shutil.copytree(base, folder)
+        statuses.append(_killed(folder / "ledger.db", at, lambda it: of_width(it, 25.0)))
+        assert check_file(folder / "ledger.db") == []
+        with reading(folder / "ledger.db") as view:
+            widths = {read_sums(view, "story").load.histogram_step_g}
+            widths |= {sums.load.histogram_step_g for sums in read_span_sums(view, "story").values()}
+        assert len(widths) == 1
+        at += 1
+    assert at > 3
 
 
 def test_a_ledger_of_version_2_takes_loads(tmp_path: Path) -> None:
