@@ -137,3 +137,9 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
         drawn = "Number(document.querySelector('.map').dataset.cells || 0)"
         until(lambda: told() or js(browser, drawn) >= len(cells), what="the cells on the map")
         assert f"mean {about['mean']:.1f}" in text(browser)
+        maps.begin("north")
+        until(lambda: told() or js(browser, "document.querySelector('.field').hidden"), what="the next run's field")
+        for n in range(2):
+            maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
+        until(lambda: told() or "The machine's way so far." in text(browser), what="its way")
+        until(lambda: told() or js(browser, drawn) == 0, what="no cells of the run before")

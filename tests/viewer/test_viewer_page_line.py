@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,11 +20,13 @@ from conveyor.access import line_identities
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.delivery import KeptPublisher, LatestPublisher
 from conveyor.errors import ConfigError
-from conveyor.messages import Travel
+from conveyor.messages import Position, Travel
 from conveyor.node import Node
 from tests.conftest import wait_until
 from tests.viewer.viewer_line import camera_info, free_port, potatoes, totals
 from tuberline.cli import build_app
+from viewer.page.maps import FieldMaps
+from viewer.page.watch import LineWatch
 
 RUN = "load-7"
 PATIENCE_S = 60.0
@@ -108,6 +111,36 @@ def test_a_line_is_shown_grows_old_and_comes_back(link: LinkConfig) -> None:
             wait_until(back, what="the line is back", timeout_s=PATIENCE_S)
         shown.process.send_signal(signal.SIGTERM)
         assert shown.process.wait(20) == 0
+
+
+@pytest.mark.graph
+def test_another_run_has_a_way_of_its_own(link: LinkConfig) -> None:
+    """The way of the run before stood beneath the new one's, with its cells, until the page was started again."""
+    config, maps = LineConfig(name="north", link=link), FieldMaps()
+    watch = LineWatch(link, line="north", tell=lambda look: None, maps=maps)
+    watch.start()
+    at: dict[str, Any] = {"config": config, "run": RUN}
+    with Node("aggregator", "aggregator", **at) as node, Node("gnss", "roof", **at) as gnss:
+        kept, places = KeptPublisher(node, topics.TOTALS), LatestPublisher(gnss, topics.POSITION, receiver="roof")
+
+        def way(run: str, north_deg: float) -> list[float]:
+            """Degrees north of the way, where `run` goes on there."""
+            node.progress()
+            gnss.progress()
+            kept.put(replace(totals(potatoes(4, seed=3)), run=run))
+            places.put(Position("roof", "any", 0, 1, 1, north_deg, 5.0, 4, 0.8, 9))
+            return [lat for _, lat in json.loads(maps.newest("north"))["way"]]
+
+        wait_until(lambda: way("monday", 52.0) == [52.0], what="the first run's place", timeout_s=PATIENCE_S)
+        wait_until(lambda: way("monday", 52.1) == [52.0, 52.1], what="its way", timeout_s=PATIENCE_S)
+        maps.put_cells("north", [{"type": "Feature"}], {"mean": 40.0})
+        before = maps.number("north")
+        wait_until(lambda: way("tuesday", 52.2) == [52.2], what="the second run's way", timeout_s=PATIENCE_S)
+        found = json.loads(maps.newest("north"))
+        assert (found["cells"]["features"], found["about"]) == ([], {})
+        assert found["number"] > before, "browsers fetch it"
+        wait_until(lambda: way("tuesday", 52.3) == [52.2, 52.3], what="its way", timeout_s=PATIENCE_S)
+    watch.stop()
 
 
 def _past(n: int) -> dict[str, Any]:

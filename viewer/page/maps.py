@@ -30,6 +30,12 @@ class FieldMaps:
         self._lock = threading.Lock()
         self._fields: dict[str, _Field] = {}
 
+    def begin(self, line: str) -> None:
+        """Another run has begun: of its field nothing is known yet."""
+        with self._lock:
+            if line in self._fields:
+                self._fields[line] = _Field(number=self._fields[line].number + 1)
+
     def put_cells(self, line: str, cells: Sequence[Mapping[str, Any]], about: Mapping[str, float]) -> None:
         """The cells as GeoJSON features, and what is told of all of them (`low`, `high`, `mean`, t/ha)."""
         with self._lock:

@@ -32,11 +32,12 @@ export class FieldMap {
     if (!number_) return;
     try {
       const found = await (await fetch(`map.json?line=${encodeURIComponent(line)}`)).json();
-      if (!found.cells.features.length && found.way.length < 2) return;
-      this.found = found;
-      this.section.hidden = false;
+      const empty = !found.cells.features.length && found.way.length < 2; // a run that has just begun
+      this.found = empty ? null : found;
+      this.section.hidden = empty;
+      if (empty) return;
       this.tell();
-      this.map ??= await this.begin();
+      this.map ??= await this.begin(found);
       this.fill(found);
     } catch {
       this.section.querySelector(".told").textContent = t("map.no_webgl");
@@ -53,7 +54,7 @@ export class FieldMap {
     this.place.setAttribute("aria-label", known ? t("map.said", { n: cells.features.length, mean }) : t("map.way"));
   }
 
-  async begin() {
+  async begin(found) {
     const { Map: Maplibre } = await maplibre();
     const sources = Object.fromEntries(["cells", "way", "here"].map((name) => [name, { type: "geojson", data: EMPTY }]));
     const layers = [
@@ -61,14 +62,10 @@ export class FieldMap {
       { id: "way", source: "way", type: "line", paint: { "line-color": "#1d4fb8", "line-width": 2, "line-opacity": 0.75 } },
       { id: "here", source: "here", type: "circle", paint: { "circle-radius": 7, "circle-color": "#d11f2f", "circle-stroke-color": "#ffffff", "circle-stroke-width": 2 } },
     ];
-    const map = new Maplibre({ container: this.place, style: { version: 8, sources, layers }, interactive: false, attributionControl: false, fadeDuration: 0, maxZoom: 21, center: this.first(), zoom: 16 });
+    const map = new Maplibre({ container: this.place, style: { version: 8, sources, layers }, interactive: false, attributionControl: false, fadeDuration: 0, maxZoom: 21, center: first(found), zoom: 16 });
     await new Promise((resolve) => map.once("load", resolve));
     map.on("idle", () => { this.place.dataset.cells = map.queryRenderedFeatures({ layers: ["cells"] }).length; });
     return map;
-  }
-
-  first() {
-    return this.found.way[0] ?? this.found.cells.features[0].geometry.coordinates[0][0];
   }
 
   fill({ cells, way, about }) {
@@ -84,4 +81,8 @@ export class FieldMap {
     const most = (values) => values.reduce((a, b) => Math.max(a, b));
     this.map.fitBounds([[least(lons), least(lats)], [most(lons), most(lats)]], { padding: 24, animate: false, maxZoom: 20 });
   }
+}
+
+function first({ way, cells }) {
+  return way[0] ?? cells.features[0].geometry.coordinates[0][0];
 }
