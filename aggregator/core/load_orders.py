@@ -11,6 +11,8 @@ from conveyor.messages.loads import LoadAnswer, LoadOrder
 
 UNDO_WITHIN_S = 60.0
 LAST = "last"
+NUMBER = "number:"
+"""Before the number of a load, where another one has it as its name."""
 MOST_KG = 200_000.0
 SCALE_ERROR = 0.005
 """Of a ticket, where the scale's error is not told."""
@@ -109,20 +111,26 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
 
 
 def find(book: LoadBook, wanted: str, run: str) -> Load:
-    """The load meant by a number or a name; '' is the open one, or the last one that was.
+    """The load meant by a number, 'number:' and a number, or a name; '' is the open one, or the last one that was.
 
     Raises:
-        InputError: none, or several of that name; the text lists some.
+        InputError: none, several of that name, or a number that another load has as its name; the text lists some.
     """
     there = [load for load in book.loads.values() if not load.undone]
+    digits = wanted.removeprefix(NUMBER)
+    number = int(digits) if digits.isascii() and digits.isdigit() else None
+    numbered = [load for load in there if load.number == number]
+    named = [load for load in there if load.name == wanted]
     if not wanted or wanted == LAST:
         if not wanted and (load := book.open_load(run)) is not None:
             return load
-        if there:
-            return max(there, key=lambda load: load.number)
-        raise InputError("this ledger has no load yet: start one with `tuberline load start NAME`")
-    number = int(wanted) if wanted.isascii() and wanted.isdigit() else None
-    found = [load for load in there if load.number == number] or [load for load in there if load.name == wanted]
+        if not there:
+            raise InputError("this ledger has no load yet: start one with `tuberline load start NAME`")
+        numbered = [max(there, key=lambda load: load.number)]
+    others = [load for load in named if load not in numbered]
+    if wanted and numbered and others and digits == wanted:
+        raise InputError(_two_meanings(wanted, numbered[0], others[-NAMED_IN_ERRORS:]))
+    found = numbered or named
     if len(found) == 1:
         return found[0]
     newest = (found or there)[-NAMED_IN_ERRORS:]
@@ -130,6 +138,13 @@ def find(book: LoadBook, wanted: str, run: str) -> Load:
     if found:
         raise InputError(f"{len(found)} loads are named {wanted!r}: give the number; they are {told}")
     raise InputError(f"no load {wanted!r}; the last ones are {told}")
+
+
+def _two_meanings(wanted: str, meant: Load, others: list[Load]) -> str:
+    what = f"the newest load, {meant.told}," if wanted == LAST else f"the number of {meant.told}"
+    told = ", ".join(load.told for load in others)
+    ways = " or ".join(f"{NUMBER}{load.number}" for load in (meant, *others))
+    return f"{wanted!r} is {what} and the name of {told}: give {ways}"
 
 
 def _start(

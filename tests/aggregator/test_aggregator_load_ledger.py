@@ -237,6 +237,27 @@ def test_tickets_keep_what_was_there(tmp_path: Path) -> None:
             it.order("t6", "ticket", kg=1e6)
 
 
+def test_a_number_that_is_also_a_name_is_refused(tmp_path: Path) -> None:
+    """A ticket for the load named 3 went to load 3 without a word."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Loads(ledger, story())
+        for n, name in enumerate(["3", "2", "A", "last", "5"]):
+            it.order(f"s{n}", "start", x_m=-0.1 * (n + 1), fields={"name": name})
+        for wanted, said in [
+            ("3", r"'3' is the number of load 3 \(A\) and the name of load 1 \(3\): give number:3 or number:1"),
+            ("last", r"'last' is the newest load, load 5 \(5\), and the name of load 4 \(last\): give number:5 or"),
+            ("number:9", "no load 'number:9'; the last ones are"),
+        ]:
+            with pytest.raises(InputError, match=said):
+                it.order("t", "ticket", load=wanted, kg=1.0)
+        for n, (wanted, number) in enumerate(
+            [("2", 2), ("number:3", 3), ("number:1", 1), ("A", 3), ("4", 4), ("5", 5), ("", 5)]
+        ):
+            assert it.order(f"u{n}", "ticket", load=wanted, kg=1.0).load == number
+        it.order("s", "start", x_m=-0.7, fields={"name": "number:3"})
+        assert it.order("v", "ticket", load="number:3", kg=1.0).load == 3, "such a name has its own number"
+
+
 def test_a_load_that_ended_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     with Ledger(path) as ledger:

@@ -74,6 +74,10 @@ def closed(browser: Browser) -> bool:
     return not js(browser, "document.getElementById('order').open")
 
 
+def until_shown(browser: Browser, words: str) -> None:
+    until(lambda: words in text(browser), what=words)
+
+
 def figure(browser: Browser, name: str) -> str:
     return str(js(browser, f"document.querySelector('[data-put={name}]').textContent"))
 
@@ -165,3 +169,21 @@ def test_a_retry_is_the_same_order_and_a_corrected_form_another(
     with reading(config.aggregator.out / "ledger.db") as view:
         (load,) = told_loads(view, limit=9)
     assert [each["text"] for each in load["said"]] == ["began", "net ticket 8123.5 kg", "net ticket 8132.5 kg"]
+
+
+def test_a_note_goes_to_the_load_that_was_chosen_whatever_others_are_named(
+    browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
+) -> None:
+    token = tmp_path / "token"
+    token.write_text(TOKEN + "\n")
+    with page(line[1], "--token-file", str(token)) as url:
+        look(browser, url, "Start load")
+        for name in ("trailer 7", "1"):
+            press(browser, "start")
+            confirm(browser, name=name, operator="Anna", token=TOKEN)
+            until_shown(browser, f"({name}) has begun")
+        for chosen, said in (("1", "load 1 (trailer 7) is noted"), ("2", "load 2 (1) is noted")):
+            until_shown(browser, f"{chosen} · ")
+            press(browser, "note")
+            confirm(browser, load=chosen, note="wet")
+            until_shown(browser, said)

@@ -49,9 +49,10 @@ function said() {
 function asked() {
   const { line, action } = order;
   const found = { line, action };
+  const load = `number:${inputs.load.value}`; // another load may have this number as its name
   if (action === "start") found.fields = Object.fromEntries(["name", "field", "variety"].map((name) => [name, inputs[name].value.trim()]));
-  if (action === "ticket") Object.assign(found, { load: inputs.load.value, kg: inKilograms(figure(inputs.kg.value)), net: !inputs.gross.checked });
-  if (action === "note") Object.assign(found, { load: inputs.load.value, note: inputs.note.value.trim() });
+  if (action === "ticket") Object.assign(found, { load, kg: inKilograms(figure(inputs.kg.value)), net: !inputs.gross.checked });
+  if (action === "note") Object.assign(found, { load, note: inputs.note.value.trim() });
   return found;
 }
 
