@@ -187,3 +187,31 @@ def test_a_note_goes_to_the_load_that_was_chosen_whatever_others_are_named(
             press(browser, "note")
             confirm(browser, load=chosen, note="wet")
             until_shown(browser, said)
+
+
+IMPATIENT_PROXY = """{ const whole = window.fetch; window.fetch = async (...asked) => {
+    await whole(...asked);
+    window.fetch = whole;
+    return new Response("<h1>504 Gateway Time-out</h1>", {status: 504, headers: {"Content-Type": "text/html"}}); }; }"""
+
+
+@pytest.mark.parametrize("lost", [LOSE_AN_ANSWER, IMPATIENT_PROXY], ids=["no answer", "a proxy's answer"])
+def test_what_may_be_done_keeps_its_id_until_the_line_has_answered(
+    lost: str, browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
+) -> None:
+    """The page's own refusal of a retry, and a proxy's, gave the next one a new id: one load was started twice."""
+    token = tmp_path / "token"
+    token.write_text(TOKEN + "\n")
+    with page(line[1], "--token-file", str(token)) as url:
+        look(browser, url, "Start load")
+        press(browser, "start")
+        js(browser, lost)
+        confirm(browser, name="trailer 7", operator="Anna", token=TOKEN)
+        until_shown(browser, "press again, it is carried out once")
+        confirm(browser, token="not-the-right-one")
+        until_shown(browser, "This token is wrong")
+        confirm(browser, token=TOKEN)
+        until(lambda: closed(browser), what="the load is started")
+        until_shown(browser, "The line says: load 1 (trailer 7) has begun")
+    with reading(line[0].aggregator.out / "ledger.db") as view:
+        assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]

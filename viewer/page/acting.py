@@ -57,7 +57,10 @@ class Rate:
 
 
 class Acting:
-    """Answers POST /order with JSON: {"done", "text", "error", "load", "name"}. One order of a line at a time."""
+    """Answers POST /order with JSON: {"done", "text", "error", "later", "load", "name"}. One order of a line at a time.
+
+    `later`: the line could not tell yet, and a try of the order may still be carried out.
+    """
 
     def __init__(self, carry: Carry, *, lines: tuple[str, ...], token: str) -> None:
         if len(token) < LEAST_TOKEN:
@@ -92,8 +95,8 @@ class Acting:
                 found = await asyncio.to_thread(self._carry, line, order)
             except TuberlineError as error:
                 return _refused(502, str(error))
-        told = {"done": found.done, "text": found.text, "error": found.error, "load": found.load, "name": found.name}
-        return JSONResponse(told)
+        told = {"done": found.done, "text": found.text, "error": found.error, "later": found.later}
+        return JSONResponse({**told, "load": found.load, "name": found.name})
 
     def _known(self, token: str) -> bool:
         return hmac.compare_digest(token.strip().encode("utf-8", "surrogateescape"), self._token)

@@ -6,7 +6,7 @@ const form = dialog.querySelector("form");
 const inputs = form.elements;
 const wrong = dialog.querySelector(".wrong");
 const TAKES_MS = 30000;
-let order = null; // what the open dialog is about: {line, action, done}, and its last try: {content, request, pressedAt}
+let order = null; // what the open dialog is about: {line, action, done}, and its last try: {content, request, pressedAt, unsure}
 
 export function ask(line, action, found, done) {
   order = { line, action, done, content: null };
@@ -42,7 +42,7 @@ function choose(told, action) {
 function said() {
   const found = asked();
   const content = JSON.stringify(found);
-  if (content !== order.content) Object.assign(order, { content, request: newRequest(), pressedAt: performance.now() });
+  if (content !== order.content) Object.assign(order, { content, request: newRequest(), pressedAt: performance.now(), unsure: false });
   return { ...found, request: order.request, operator: inputs.operator.value.trim(), age_s: Math.min(3600, (performance.now() - order.pressedAt) / 1000) };
 }
 
@@ -87,7 +87,9 @@ async function send() {
     mine.done(`${t(`done.${mine.action}`, { n: answer.load })} ${t("refused.line", { why: answer.text })}`);
     return;
   }
-  if (!answer.unsure) mine.content = null; // refused: the next try is another order
+  // Refused: the next try is another order. Unless one may be done: then only the line can say that it is not.
+  if (answer.unsure || answer.status === 200) mine.unsure = Boolean(answer.unsure);
+  if (!mine.unsure) mine.content = null;
   say(answer.status === 401 ? t("refused.token") : answer.told ? answer.error : t("refused.line", { why: answer.error }));
 }
 
@@ -99,8 +101,10 @@ async function post(body, token) {
       headers: { "Content-Type": "application/json", "X-Tuberline-Token": token },
     });
     const known = (found.headers.get("content-type") ?? "").startsWith("application/json");
-    if (!known) return { done: false, told: true, error: t("ask.looks_only") };
-    return { ...(found.status === 502 ? unsure : {}), status: found.status, ...(await found.json()) };
+    if (!known && found.status < 500) return { done: false, told: true, error: t("ask.looks_only") };
+    if (!known) return { ...unsure, told: true, error: t("ask.unsure") };
+    const answer = await found.json();
+    return { ...(found.status === 502 || answer.later ? unsure : {}), status: found.status, ...answer };
   } catch {
     return { ...unsure, told: true, error: t("ask.unsure") };
   }
