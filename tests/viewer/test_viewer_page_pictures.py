@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -142,3 +143,31 @@ def test_the_picture_is_drawn_with_its_outlines_and_grows_old(browser: Browser) 
         until(lambda: "No new picture for" in notes(), what="it is told that it is old")
         js(browser, "document.querySelector('main').style.display = 'none'")
         until(lambda: pictures.wanted("north") == set(), what="nothing is asked for that is not on the screen")
+
+
+@pytest.mark.graph
+def test_an_old_picture_is_old_for_who_comes_later(browser: Browser) -> None:
+    """A browser counted a picture's age from its own arrival: a camera that had stopped looked live after a reload."""
+    board, pictures = Board(["north"]), Pictures()
+    board.put(snapshot(good_state()))
+    with (
+        PageServer(board, host="127.0.0.1", port=0, pictures=pictures) as page,
+        looking(page.port, "north/left") as one,
+    ):
+        wait_until(lambda: pictures.wanted("north") == {"left"}, what="somebody looks", timeout_s=20)
+        pictures.put("north", picture())
+        came_s = time.monotonic()
+        assert next_event(one)["age_s"] == pytest.approx(0.0, abs=1.0)
+        wait_until(lambda: time.monotonic() - came_s > 4.0, what="an old picture")
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: js(browser, "document.querySelector('canvas')?.dataset.outlines") == "2", what="the picture")
+
+        def note() -> str:
+            board.put(snapshot(good_state()))
+            return str(js(browser, "document.querySelector('.camera .note').textContent"))
+
+        until(lambda: "No new picture for" in note(), what="how old it is")
+        noted = note()
+        assert int("".join(filter(str.isdigit, noted))) >= 4, noted
+        with looking(page.port, "north/left") as later:
+            assert float(str(next_event(later)["age_s"])) >= 4.0

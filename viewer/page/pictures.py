@@ -31,7 +31,7 @@ class Pictures:
         self.on_change: Callable[[], None] = lambda: None
         self._lock = threading.Lock()
         self._lookers: Counter[Camera] = Counter()
-        self._newest: dict[Camera, tuple[int, bytes]] = {}
+        self._newest: dict[Camera, tuple[int, float, str]] = {}
         self._number = 0
 
     def look(self, cameras: Iterable[Camera]) -> None:
@@ -54,18 +54,24 @@ class Pictures:
 
     def put(self, line: str, picture: Picture) -> None:
         """Keep a picture, if anybody still looks."""
-        event = _event(line, picture)
+        came_s, told = time.monotonic(), _told(line, picture)
         with self._lock:
             if (line, picture.camera) not in self._lookers:
                 return
             self._number += 1
-            self._newest[line, picture.camera] = (self._number, event)
+            self._newest[line, picture.camera] = (self._number, came_s, told)
         self.on_change()
 
-    def newest(self, camera: Camera) -> tuple[int, bytes]:
-        """(number, event); the number rises with each picture, and is 0 before the first one."""
+    def newest(self, camera: Camera, *, after: int = 0) -> tuple[int, bytes]:
+        """(number, event); the number rises with each picture, and is 0 before the first one. No event up to `after`.
+
+        The event says how old the picture is: a browser that comes later gets one that is long past.
+        """
         with self._lock:
-            return self._newest.get(camera, (0, b""))
+            number, came_s, told = self._newest.get(camera, (0, 0.0, ""))
+        if number <= after:
+            return number, b""
+        return number, f'data: {{"age_s":{time.monotonic() - came_s:.1f},{told}\n\n'.encode()
 
 
 def camera_of(asked: str) -> Camera:
@@ -74,7 +80,8 @@ def camera_of(asked: str) -> Camera:
     return check_name(line, what="line"), check_name(camera, what="camera")
 
 
-def _event(line: str, picture: Picture) -> bytes:
+def _told(line: str, picture: Picture) -> str:
+    """What is told of a picture but its age, as the rest of a JSON object."""
     told = {
         "line": line,
         "camera": picture.camera,
@@ -88,7 +95,7 @@ def _event(line: str, picture: Picture) -> bytes:
         ],
         "jpeg": base64.b64encode(picture.jpeg.tobytes()).decode(),
     }
-    return f"data: {json.dumps(told, separators=(',', ':'))}\n\n".encode()
+    return json.dumps(told, separators=(",", ":")).removeprefix("{")
 
 
 class PictureWatch:

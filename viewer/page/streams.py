@@ -170,7 +170,7 @@ class PictureStreams(Events[dict[tuple[str, str], int]]):
         """The newest picture of each camera, where it is another one than before."""
         found = []
         for camera, seen in state.items():
-            number, event = self._pictures.newest(camera)
+            number, event = self._pictures.newest(camera, after=seen)
             if number > seen:
                 state[camera] = number
                 found.append(event)

@@ -74,7 +74,7 @@ function listen() {
 async function take(picture) {
   const view = shown.get(`${picture.line}/${picture.camera}`);
   if (!view) return;
-  view.next = picture;
+  view.next = { ...picture, takenAt: performance.now() - 1000 * picture.age_s };
   if (view.busy) return;
   view.busy = true;
   try {
@@ -93,7 +93,7 @@ async function show(view, picture) {
   const bytes = Uint8Array.from(atob(picture.jpeg), (letter) => letter.charCodeAt(0));
   const image = await createImageBitmap(new Blob([bytes], { type: "image/jpeg" }));
   view.image?.close();
-  Object.assign(view, { picture, image, cameAt: performance.now() });
+  Object.assign(view, { picture, image, cameAt: picture.takenAt });
   draw(view);
 }
 
