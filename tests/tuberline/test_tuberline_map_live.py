@@ -143,3 +143,34 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
             maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
         until(lambda: told() or "The machine's way so far." in text(browser), what="its way")
         until(lambda: told() or js(browser, drawn) == 0, what="no cells of the run before")
+
+
+LOSE_THE_MAP = """{ const whole = window.fetch; let left = 2; window.fetch = (...asked) => {
+    if (!left || !String(asked[0]).startsWith("map.json")) return whole(...asked);
+    left -= 1;
+    return Promise.reject(new TypeError("no network")); }; }"""
+NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null"
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("broken", [LOSE_THE_MAP, NO_WEBGL], ids=["network", "webgl"])
+def test_why_there_is_no_map_is_told_as_it_is(broken: str, browser: Browser) -> None:
+    """A network that failed once was told as a browser without WebGL; one without had a legend below no map."""
+    board, maps = Board(["north"]), FieldMaps()
+    with PageServer(board, host="127.0.0.1", port=0, maps=maps) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+
+        def told() -> str:
+            board.put({**snapshot(loaded_state()), "looks_only": "", "map": maps.number("north")})
+            return text(browser)
+
+        until(lambda: "Load 3" in told(), what="the page")
+        js(browser, broken)
+        for n in range(2):
+            maps.add_place("north", lat_deg=52.0 + n * 2e-5, lon_deg=5.0)
+        wanted, wrong = "The machine's way so far.", "This browser cannot draw the map"
+        if broken == NO_WEBGL:
+            wanted, wrong = wrong, wanted
+        until(lambda: wanted in told(), what=wanted)
+        for _ in range(5):
+            assert wrong not in told()

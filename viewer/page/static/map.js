@@ -8,7 +8,8 @@ let library = null;
 // A megabyte that is fetched only where there is a field to be shown.
 function maplibre() {
   library ??= new Promise((resolve, reject) => {
-    const script = Object.assign(document.createElement("script"), { src: "shipped/maplibre-gl.min.js", onerror: reject });
+    const script = Object.assign(document.createElement("script"), { src: "shipped/maplibre-gl.min.js" });
+    script.onerror = () => { library = null; script.remove(); reject(new Error("not fetched")); };
     script.onload = () => {
       window.maplibregl.setWorkerUrl(new URL("shipped/maplibre-gl.worker.js", document.baseURI).href);
       resolve(window.maplibregl);
@@ -23,24 +24,35 @@ export class FieldMap {
     this.section = section;
     this.place = section.querySelector(".map");
     this.number = 0;
-    this.map = null;
+    this.found = null;
+    this.begun = null; // of the map, which takes its time
+    this.undrawn = false; // this browser cannot
   }
 
   async take(line, number_) {
     if (number_ === this.number) return this.tell();
     this.number = number_;
     if (!number_) return;
+    let found;
     try {
-      const found = await (await fetch(`map.json?line=${encodeURIComponent(line)}`)).json();
+      found = await (await fetch(`map.json?line=${encodeURIComponent(line)}`)).json();
       const empty = !found.cells.features.length && found.way.length < 2; // a run that has just begun
       this.found = empty ? null : found;
       this.section.hidden = empty;
       if (empty) return;
+      await maplibre();
+    } catch {
+      this.number = null; // the server did not answer: asked again with the next snapshot
+      return;
+    }
+    try {
       this.tell();
-      this.map ??= await this.begin(found);
+      this.begun ??= this.begin(found);
+      this.map = await this.begun;
       this.fill(found);
     } catch {
-      this.section.querySelector(".told").textContent = t("map.no_webgl");
+      this.undrawn = true;
+      this.tell();
     }
   }
 
@@ -50,8 +62,9 @@ export class FieldMap {
     const [low, high, mean] = [about.low, about.high, about.mean].map((figure) => number(figure, 1));
     const known = cells.features.length > 0;
     this.section.querySelector(".colours").hidden = !known;
-    this.section.querySelector(".told").textContent = known ? t("map.legend", { low, high, mean }) : t("map.way");
-    this.place.setAttribute("aria-label", known ? t("map.said", { n: cells.features.length, mean }) : t("map.way"));
+    const told = this.undrawn ? t("map.no_webgl") : known ? t("map.legend", { low, high, mean }) : t("map.way");
+    this.section.querySelector(".told").textContent = told;
+    this.place.setAttribute("aria-label", this.undrawn ? told : known ? t("map.said", { n: cells.features.length, mean }) : t("map.way"));
   }
 
   async begin(found) {
