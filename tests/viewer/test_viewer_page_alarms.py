@@ -227,6 +227,17 @@ def test_a_complete_load_does_not_grow_old() -> None:
     assert (shown["state"], shown["load"]["old"]) == ("complete", False)
 
 
+def test_cameras_of_a_line_that_was_switched_off_have_ended() -> None:
+    """A live camera that is stopped says nothing more: its last word, that it streams, was told as working."""
+    state = good_state(heard_s=600.0, totals_age_s=600.0, totals=totals(final=True))
+    assert {camera["state"] for camera in snapshot(state)["cameras"]} == {"ok"}, "it goes on, after the run"
+    off = {name: replace(found, alive=False, gone_s=600.0) for name, found in state.nodes.items()}
+    assert {camera["state"] for camera in snapshot(replace(state, nodes=off))["cameras"]} == {"ended"}
+    failed = {**state.cameras, "left": camera_info("left", state="failed")}
+    shown = snapshot(replace(state, nodes=off, cameras=failed))["cameras"]
+    assert [camera["state"] for camera in shown] == ["failed", "ended"]
+
+
 def test_a_replay_that_waits_has_no_gaps_while_a_frame_is_under_way() -> None:
     waits = {name: camera_info(name, waits=True, refused={"broken_png": 2}) for name in ("left", "right")}
     ahead = segmenter("left", gauges={"frames_gaps": 3.0}, growing_s={"frames_gaps": 9.0})

@@ -108,14 +108,15 @@ def _troubled(camera: str, found: Iterable[Alarm]) -> bool:
 def _camera(name: str, state: LineState, troubled: bool) -> dict[str, Any]:
     source, segmenter = state.role("camera").get(name), state.role("segmenter").get(name)
     info = state.cameras.get(name)
-    ended = state.final or (info is not None and info.state in ("ended", "failed"))
+    last_word = info.state if info is not None and info.state in ("ended", "failed") else ""
     states = ["gone" if node.left else node.state for node in (source, segmenter) if node is not None]
     well = "trouble" if troubled else "ok" if states else "waiting"
-    faulty = next((state for state in states if state != "ok"), well)
+    now = next((state for state in states if state != "ok"), well)
+    over = state.final and now != "ok"  # a camera that is stopped does not say that it ends
     counts = _sheet(segmenter)
     return {
         "name": name,
-        "state": info.state if ended and info is not None else "ended" if ended else faulty,
+        "state": last_word or ("ended" if over else now),
         "source": info.source if info is not None else "",
         "host": source.report.host if source is not None and source.report else "",
         "published": counts.get("frames_published", 0),
