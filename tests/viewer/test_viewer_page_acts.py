@@ -187,6 +187,13 @@ def test_a_note_goes_to_the_load_that_was_chosen_whatever_others_are_named(
             press(browser, "note")
             confirm(browser, load=chosen, note="wet")
             until_shown(browser, said)
+        send = [sys.executable, "-m", "tuberline", "load", "start", "--resume", "number:1", "--config", str(line[1])]
+        subprocess.run(send, cwd=ROOT, check=True, timeout=60)
+        until_shown(browser, "1 · trailer 7 (open)")
+        press(browser, "note")
+        assert js(browser, "document.querySelector('#order form').elements.load.value") == "1", (
+            "the open load, not the last"
+        )
 
 
 IMPATIENT_PROXY = """{ const whole = window.fetch; window.fetch = async (...asked) => {

@@ -33,8 +33,7 @@ export function ask(line, action, found, done) {
 function choose(told, action) {
   const named = (load) => [load.number, load.name && `· ${load.name}`, load.open && t("open_load")].filter(Boolean).join(" ");
   inputs.load.replaceChildren(...told.map((load) => new Option(named(load), load.number)));
-  if (action === "note") return;
-  const next = told.find((load) => !load.open && load.net_g === null && load.gross_g === null);
+  const next = told.find((load) => (action === "note" ? load.open : !load.open && load.net_g === null && load.gross_g === null));
   if (next) inputs.load.value = next.number;
 }
 
