@@ -74,8 +74,9 @@ def closed(browser: Browser) -> bool:
     return not js(browser, "document.getElementById('order').open")
 
 
-def until_shown(browser: Browser, words: str) -> None:
-    until(lambda: words in text(browser), what=words)
+def until_shown(browser: Browser, words: str, *, place: str = "") -> None:
+    """Anywhere on the page, or in one place of its card."""
+    until(lambda: words in (figure(browser, place) if place else text(browser)), what=words)
 
 
 def figure(browser: Browser, name: str) -> str:
@@ -183,13 +184,13 @@ def test_a_note_goes_to_the_load_that_was_chosen_whatever_others_are_named(
             confirm(browser, name=name, operator="Anna", token=TOKEN)
             until_shown(browser, f"({name}) has begun")
         for chosen, said in (("1", "load 1 (trailer 7) is noted"), ("2", "load 2 (1) is noted")):
-            until_shown(browser, f"{chosen} · ")
+            until_shown(browser, f"{chosen} · ", place="told")
             press(browser, "note")
             confirm(browser, load=chosen, note="wet")
             until_shown(browser, said)
         send = [sys.executable, "-m", "tuberline", "load", "start", "--resume", "number:1", "--config", str(line[1])]
         subprocess.run(send, cwd=ROOT, check=True, timeout=60)
-        until_shown(browser, "1 · trailer 7 (open)")
+        until_shown(browser, "1 · trailer 7 (open)", place="told")
         press(browser, "note")
         assert js(browser, "document.querySelector('#order form').elements.load.value") == "1", (
             "the open load, not the last"

@@ -140,4 +140,7 @@ form.addEventListener("submit", (event) => {
   send();
 });
 dialog.querySelector(".no").addEventListener("click", () => dialog.close());
-dialog.addEventListener("close", () => { order = null; dialog.querySelector(".yes").disabled = false; });
+dialog.addEventListener("close", () => {
+  dialog.querySelector(".yes").disabled = false;
+  if (!dialog.open) order = null; // told later: the next order may be asked for already
+});
