@@ -61,15 +61,19 @@ def markdown(runs: Sequence[Run], *, seed: int) -> str:
         *(_row(f"{role}, {kind}", runs, _first(role, kind)) for role in ROLES for kind in KINDS),
         "",
         _header("of all runs"),
-        *(_row(f"fault: {when}", runs, lambda run, when=when: run["when"] == when) for when in WHENS),
-        *(_row(f"belt: {belt}", runs, lambda run, belt=belt: run["belt"] == belt) for belt in dict.fromkeys(BELTS)),
-        *(_row(f"end: {ends}", runs, lambda run, ends=ends: run["ends"] == ends) for ends in ENDS),
+        *(_row(f"fault: {when}", runs, _of("when", when)) for when in WHENS),
+        *(_row(f"belt: {belt}", runs, _of("belt", belt)) for belt in dict.fromkeys(BELTS)),
+        *(_row(f"end: {ends}", runs, _of("ends", ends)) for ends in ENDS),
     ]
     return "\n".join(line for line in lines if line is not None) + "\n"
 
 
+def _of(key: str, value: str) -> Callable[[Run], bool]:
+    return lambda run: bool(run[key] == value)
+
+
 def _first(role: str, kind: str) -> Callable[[Run], bool]:
-    return lambda run: (run["faults"][0]["role"], run["faults"][0]["kind"]) == (role, kind)
+    return lambda run: bool((run["faults"][0]["role"], run["faults"][0]["kind"]) == (role, kind))
 
 
 def _header(what: str) -> str:

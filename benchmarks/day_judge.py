@@ -59,7 +59,7 @@ class Evening:
     def loads(self, tickets: Sequence[Ticket]) -> list[Labelled]:
         """Every load started, in order, calibrated by these tickets alone."""
         with reading(self._path) as view:
-            return [load for load in labelled(view, ReadLoads(view), tickets) if load.load is not None]
+            return [load for load in labelled(ReadLoads(view), tickets) if load.load is not None]
 
     def judged(self, tickets: Sequence[Ticket]) -> list[Judged]:
         """The same against the truth."""

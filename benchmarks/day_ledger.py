@@ -129,9 +129,15 @@ def _drive(plan: DayPlan, belts: Path, line: DayLine) -> None:
         places = [row["place_x_m"] - reel.travel_m for row in belt.truth["tubers"]]
         if n:
             line.receive(standing(reel, first_ns - round(LOOK_S * 1e9)))
-        fields = {"name": load.name, "field": load.field, "variety": load.stock.cultivar, "operator": "simulated"}
         begin, end = max(places) + EDGE_M, min(places) - EDGE_M
-        line.order(LoadOrder(f"start-{n}", "start", by="barrier", fields=fields, place_x_m=begin), first_ns - 10**9)
+        start = LoadOrder(
+            f"start-{n}",
+            "start",
+            by="barrier",
+            fields={"name": load.name, "field": load.field, "variety": load.stock.cultivar, "operator": "simulated"},
+            place_x_m=begin,
+        )
+        line.order(start, first_ns - 10**9)
         last = n == len(plan.loads) - 1
         line.receive(laid(belt, load, reel, last=last))
         line.order(LoadOrder(f"end-{n}", "end", by="barrier", place_x_m=end), last_ns)

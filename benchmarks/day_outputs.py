@@ -140,7 +140,7 @@ def _of_csv(path: Path) -> tuple[int, float]:
 def _of_parquet(path: Path) -> tuple[int, float]:
     import duckdb
 
-    ((rows, grams),) = duckdb.sql(f"SELECT count(*), sum(weight_g) FROM '{path}'").fetchall()
+    ((rows, grams),) = duckdb.connect().execute(f"SELECT count(*), sum(weight_g) FROM '{path}'").fetchall()
     return rows, grams / 1000
 
 

@@ -62,7 +62,8 @@ class Clock:
         """The field's time at a moment of the belt's own, whose first frame was taken at `first_ns`."""
         at_s = (own_ns - first_ns) / 1e9
         outside_s = min(at_s - self.own_s[0], 0.0) + max(at_s - self.own_s[-1], 0.0)
-        return self.start_ns + round((float(np.interp(at_s, self.own_s, self.day_s)) + outside_s) * 1e9)
+        within_s = float(np.interp(at_s, self.own_s, self.day_s))
+        return self.start_ns + round((within_s + float(outside_s)) * 1e9)
 
 
 def laid(belt: Belt, load: LoadPlan, reel: Reel, *, last: bool) -> Iterator[tuple[int, TrackEntry]]:
@@ -82,8 +83,10 @@ def laid(belt: Belt, load: LoadPlan, reel: Reel, *, last: bool) -> Iterator[tupl
                 found.append((newest_ns, camera, mark))
     found.sort(key=lambda row: row[0])
     for when_ns, camera, item in found:
-        mark, track = (item, None) if isinstance(item, Mark) else (None, item)
-        yield when_ns, reel.entry(camera, track=track, mark=mark)
+        if isinstance(item, Mark):
+            yield when_ns, reel.entry(camera, track=None, mark=item)
+        else:
+            yield when_ns, reel.entry(camera, track=item, mark=None)
     reel.travel_m += max(belt.frames[camera][-1][1] for camera in CAMERAS)
     for camera in CAMERAS:
         reel.seq[camera] += len(belt.frames[camera])

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         router = stack.enter_context(_child("router", config))
         workers = {name: stack.enter_context(_child(name, config)) for name in _names(options.workers)}
         late = [stack.enter_context(_child(f"{LATE}-{n}", config)) for n in (1, 2)]
-        dispatcher, told = _send(config, options, workers, lambda: [_go(child) for child in late], router.pid)
+        dispatcher, told = _send(config, options, workers, lambda: _go_all(late), router.pid)
     _print(dispatcher, told, options)
     return 0
 
@@ -192,10 +192,11 @@ def _answer(view: View, regressor: str) -> Weight:
     )  # fmt: skip
 
 
-def _go(child: subprocess.Popen[str]) -> None:
-    assert child.stdin is not None
-    child.stdin.write("go\n")
-    child.stdin.flush()
+def _go_all(children: Sequence[subprocess.Popen[str]]) -> None:
+    for child in children:
+        assert child.stdin is not None
+        child.stdin.write("go\n")
+        child.stdin.flush()
 
 
 @contextlib.contextmanager

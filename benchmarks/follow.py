@@ -89,8 +89,8 @@ def measured(recording: Path, weigher: Weigher, off_mm: float) -> Row:
         given, followed = (run_line(recording, weigher, belt_follow_mm=mm) for mm in (0.0, None))
     finally:
         camera.write_text(right, encoding="utf-8")
-    errors = [100 * (line.totals.estimated_weight_g / true_g - 1) for line in (given, followed)]
-    return Row(off_mm, *errors, seen_off_mm=next(iter(followed.belt_off_mm.values())))
+    as_given, as_followed = (100 * (line.totals.estimated_weight_g / true_g - 1) for line in (given, followed))
+    return Row(off_mm, as_given, as_followed, seen_off_mm=next(iter(followed.belt_off_mm.values())))
 
 
 def _cells(rows: list[Row]) -> str:

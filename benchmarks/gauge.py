@@ -28,6 +28,7 @@ from segmenter.gauge.estimate import REFERENCE_LOOKS, Cause, GaugeReading
 from segmenter.gauge.keeper import GaugeKeeper
 from segmenter.perception import PerceptionSettings
 from segmenter.pipeline import Segmenter
+from segmenter.results import ClosedTrack
 
 KINDS: tuple[GaugeKind, ...] = ("rods", "belt-width", "bar")
 SEED = 5300
@@ -170,7 +171,7 @@ def _weighed(
     segmenter = Segmenter(Settings(perception=PerceptionSettings(method="classical"), resting=resting))
     if keeper is not None:
         segmenter.gauge = keeper
-    closed = []
+    closed: list[ClosedTrack] = []
     for item in frames:
         closed += segmenter.step(item).closed
     closed += segmenter.finish()

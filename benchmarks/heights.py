@@ -109,7 +109,8 @@ def draw_load(pool: tuple[Floats, Floats], rng: Generator, *, any_pose: float, t
         size = np.log(own).sum(axis=1)
         odds = np.exp(prefers * (size - size.mean()) / size.std())
         chosen.append(own[rng.choice(len(own), count, p=odds / odds.sum())])
-    return np.concatenate(chosen) * larger
+    load: Floats = np.concatenate(chosen) * larger
+    return load
 
 
 def seen(bodies_mm: Floats, done: Done, *, belt_m: float, rng: Generator) -> Floats:

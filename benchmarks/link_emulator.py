@@ -17,6 +17,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict, replace
+from typing import Any
 
 from benchmarks.link_wire import LinkSettings, Wire
 
@@ -92,7 +93,7 @@ def _wake(poll: select.epoll, asleep_s: dict[int, float]) -> None:
         poll.register(tap, select.EPOLLIN)
 
 
-def _obey(change: dict[str, float], wires: dict[int, Wire]) -> None:
+def _obey(change: dict[str, Any], wires: dict[int, Wire]) -> None:
     for wire in wires.values():
         wire.settings = replace(wire.settings, **change)
     _say([asdict(wire.counts) for wire in wires.values()])

@@ -81,7 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--receive", nargs=2, metavar=("WAY", "ENDPOINT"), help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.receive:
-        _receive(*options.receive, options)
+        way, endpoint = options.receive
+        _receive(way, endpoint, options)
         return 0
     rows = [("Tuberline, live", *_ours("live", options)), ("Tuberline, replay", *_ours("replay", options))]
     if options.dora is not None:

@@ -127,7 +127,7 @@ def _reference(model: PointRaft, clouds: Clouds, *, inside: Sampler = farthest_p
     `inside` samples within the network, where the reference takes torch_cluster's operator. Its sampling to 1024 points
     (torch_fpsample) is as fast as ours; its ball query is slower than ours, which stands for it here.
     """
-    model.sa1_module.sample = model.sa2_module.sample = inside
+    model.sa1_module.sample = model.sa2_module.sample = inside  # type: ignore[assignment]
 
     def run(rows: slice) -> NDArray[np.float64]:
         sampled = [torch.from_numpy(cloud[farthest_points(cloud, POINTS)]) for cloud in clouds.points[rows]]
@@ -185,7 +185,7 @@ def _quantised(graph: Path, clouds: Clouds) -> Path:
     """The wide products in int8 (static ranges from 32 clouds, weights per channel)."""
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
-    class Reader(CalibrationDataReader):
+    class Reader(CalibrationDataReader):  # type: ignore[misc]
         def __init__(self) -> None:
             self._rest = iter([_inputs(clouds, slice(at, at + 1)) for at in range(CALIBRATION_VIEWS)])
 

@@ -22,6 +22,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,9 @@ def _measure(belt: Path, options: argparse.Namespace) -> None:
         _tell(sent, came, mbits, 1e3 * cpu_s(router.pid), options)
 
 
-def _tell(sent: dict, came: dict, mbits: dict[str, float], router_ms: float, options: argparse.Namespace) -> None:
+def _tell(
+    sent: dict[str, Any], came: dict[str, Any], mbits: dict[str, float], router_ms: float, options: argparse.Namespace
+) -> None:
     frames = sum(len(ms) for ms in came["ms"].values())
     limit = f"{options.mbit:g} Mbit/s" if options.mbit else "no limit"
     print(

@@ -236,10 +236,11 @@ def _measured(view: View, weigher: Weigher) -> tuple[WeighedView, tuple[float, .
     except RefusedCloud:
         return None
     said = weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m)
-    numbers = (said.weight_g, said.network_g or said.weight_g, said.volume_g)
     level_sd_m = float(np.hypot(view.belt_sd_m, view.resting_sd_m))
     terms = view_terms(
-        *(np.array([value]) for value in numbers),
+        np.array([said.weight_g]),
+        np.array([said.network_g or said.weight_g]),
+        np.array([said.volume_g]),
         cloud.surface.as_array()[None],
         np.array([cloud.height_m]),
         np.array([level_sd_m]),
