@@ -29,6 +29,8 @@ from conveyor.errors import InputError
 from conveyor.messages import LoadAnswer, LoadOrder, Tuber
 from tests.aggregator.belt_story import Story, tell
 from tests.aggregator.virtual_line import STALL_S, Aggregator
+from tuberline.cli.address import LineAddress
+from tuberline.cli.load_table import told_loads as asked_of
 
 SEED = 5
 S = 1_000_000_000
@@ -256,6 +258,11 @@ def test_a_number_that_is_also_a_name_is_refused(tmp_path: Path) -> None:
             assert it.order(f"u{n}", "ticket", load=wanted, kg=1.0).load == number
         it.order("s", "start", x_m=-0.7, fields={"name": "number:3"})
         assert it.order("v", "ticket", load="number:3", kg=1.0).load == 3, "such a name has its own number"
+    shown = {
+        wanted: [load["number"] for load in asked_of(LineAddress(), tmp_path / "ledger.db", wanted=wanted, limit=9)]
+        for wanted in ("3", "number:1", "A", "5")
+    }
+    assert shown == {"3": [3, 1], "number:1": [1], "A": [3], "5": [5]}, "all that it may mean are shown"
 
 
 def test_a_load_that_ended_goes_on(tmp_path: Path) -> None:

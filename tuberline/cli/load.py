@@ -147,7 +147,7 @@ def note(
     text
         The note.
     load
-        Number or name; default: the open load, or the last one.
+        Number or name, or number:3 where another load is named 3; default: the open load, or the last one.
     name
         What it is called from now on.
     ledger
@@ -177,7 +177,7 @@ def ticket(
     Parameters
     ----------
     load
-        Number or name; default: the open load, or the last one.
+        Number or name, or number:3 where another load is named 3; default: the open load, or the last one.
     kg
         What was on the trailer, without the trailer.
     gross
@@ -214,7 +214,7 @@ def show(
     Parameters
     ----------
     load
-        Number or name; default: all.
+        Number or name: all that have it; default: all loads.
     ledger
         Folder of a run, or its ledger.db; instead of a running line.
     limit
@@ -228,7 +228,8 @@ def show(
     if json:
         sys.stdout.write(json_module.dumps(loads, indent=2) + "\n")
     elif load:
-        print_load(loads[0])
+        for one in loads:
+            print_load(one)
     else:
         print_loads(loads)
 

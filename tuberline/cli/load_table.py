@@ -19,7 +19,10 @@ DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
 
 
 def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit: int) -> list[dict[str, Any]]:
-    """The loads of a ledger, or of the one that a running line writes, the newest first; or the one that is wanted.
+    """The loads of a ledger, or of the one that a running line writes, the newest first; or those that are wanted.
+
+    Args:
+        wanted: a number, 'number:' and a number, or a name; all loads that have it.
 
     Raises:
         InputError: none of that number or name.
@@ -41,9 +44,7 @@ def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit:
             )
     if not wanted:
         return loads
-    found = [load for load in loads if str(load["number"]) == wanted] or [
-        load for load in loads if load["name"] == wanted
-    ]
+    found = [load for load in loads if wanted in (str(load["number"]), f"number:{load['number']}", load["name"])]
     if not found:
         known = ", ".join(f"{load['number']} ({load['name']})" for load in loads[:8]) or "none"
         raise InputError(f"no load {wanted!r} is there; the newest are {known}")
