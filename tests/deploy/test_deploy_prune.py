@@ -28,9 +28,9 @@ def recordings(folder: Path, *newest_first: str) -> None:
         os.utime(file.parent, (at, at))
 
 
-def prune(folder: Path, *, quota_gb: str = "0") -> subprocess.CompletedProcess[str]:
+def prune(folder: Path, *, quota_gb: str = "0", free_gb: str = "0") -> subprocess.CompletedProcess[str]:
     """Run it as its unit does, over a quota of nothing."""
-    environment = {**os.environ, "TUBERLINE_RECORDINGS_GB": quota_gb}
+    environment = {**os.environ, "TUBERLINE_RECORDINGS_GB": quota_gb, "TUBERLINE_FREE_GB": free_gb}
     return subprocess.run([PRUNE, folder], env=environment, capture_output=True, text=True, check=False, timeout=10)
 
 
@@ -45,6 +45,18 @@ def test_the_oldest_recordings_go_first_and_the_newest_stays(tmp_path: Path) -> 
     done = prune(tmp_path)
     assert left(tmp_path) == ["new.mcap"]
     assert done.stdout.index("old.mcap") < done.stdout.index("middle.mcap")
+
+
+def test_a_disk_that_is_nearly_full_costs_old_recordings_not_the_ledger(tmp_path: Path) -> None:
+    """A quota of 200 GB on a disk of 128 filled it, and the aggregator could write no more."""
+    recordings(tmp_path, "new.mcap", "old.mcap")
+    assert prune(tmp_path, quota_gb="1").returncode == 0
+    assert len(left(tmp_path)) == 2
+    more_than_any_disk_gb = "999999999"
+    done = prune(tmp_path, quota_gb="1", free_gb=more_than_any_disk_gb)
+    assert left(tmp_path) == ["new.mcap"]
+    assert "of the disk free" in done.stdout
+    assert "give it more room" in done.stderr
 
 
 def test_a_recording_that_is_written_stays_with_its_positions(tmp_path: Path) -> None:
