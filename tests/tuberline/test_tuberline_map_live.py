@@ -22,7 +22,7 @@ from tests.viewer.page_states import loaded_state
 from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until
 from tests.viewer.test_viewer_page_server import ask
 from tuberline.maps.field import Settings, field_map
-from tuberline.maps.live import features, live_map
+from tuberline.maps.live import features, live_map, newest_run
 from viewer.page.board import Board
 from viewer.page.maps import FieldMaps
 from viewer.page.server import PageServer
@@ -50,8 +50,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
-    assert live_map(tmp_path, SETTINGS) is None
-    found = live_map(run, SETTINGS)
+    assert live_map(tmp_path, SETTINGS, newest_run(tmp_path)) is None
+    found = live_map(run, SETTINGS, newest_run(run))
     assert found is not None
     assert found.cells.mean_t_ha == field_map([run], [], SETTINGS).cells.mean_t_ha
     cells, about = features(found)
@@ -60,14 +60,20 @@ def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
     lons, lats = np.array([cell["geometry"]["coordinates"][0] for cell in cells]).reshape(-1, 2).T
     east_m = (lons.max() - lons.min()) * np.cos(np.radians(lats.mean())) * 111_320
     assert east_m <= WORLD.size_m[0] + 3 * found.cells.cell_m, "degrees, longitude first"
-    assert live_map(run, replace(SETTINGS, delay_s=None)) is not None, "not found yet: then it is assumed"
+    assert live_map(run, replace(SETTINGS, delay_s=None), newest_run(run)) is not None, (
+        "not found yet: then it is assumed"
+    )
 
 
 @pytest.mark.graph
 def test_a_viewer_draws_the_field_while_the_machine_drives(run: Path, tmp_path: Path) -> None:
     """Positions over the line, cells from the ledger beside it: both are in Rerun's file."""
     pytest.importorskip("rerun")
-    rrd, found, day = tmp_path / "load.rrd", live_map(run, SETTINGS), read_positions(run / POSITIONS_FILE)
+    rrd, found, day = (
+        tmp_path / "load.rrd",
+        live_map(run, SETTINGS, newest_run(run)),
+        read_positions(run / POSITIONS_FILE),
+    )
     assert found is not None
     more = (
         f'[aggregator]\nout = "{run}"\n[gnss]\nsource = "file:x.nmea"\nwidth_m = 3.0\noverlap_m = 0.1\n'
@@ -116,7 +122,7 @@ def test_a_way_is_bounded_and_told_now_and_then() -> None:
 
 @pytest.mark.graph
 def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, browser: Browser) -> None:
-    found = live_map(run, SETTINGS)
+    found = live_map(run, SETTINGS, newest_run(run))
     assert found is not None
     cells, about = features(found)
     board, maps = Board(["north"]), FieldMaps()

@@ -59,8 +59,11 @@ class LiveMap:
         while not self._stop.wait(rest_s):
             started_s = time.monotonic()
             try:
-                if self._settings is not None and (field := live_map(self._out, self._settings)) is not None:
-                    self._put(*features(field))
+                run = newest_run(self._out)
+                if self._settings is not None and run and (field := live_map(self._out, self._settings, run)):
+                    found = features(field)
+                    if newest_run(self._out) == run:  # else these are the cells of the run before
+                        self._put(*found)
                     said = ""
             except TuberlineError as error:  # too little was harvested yet, or something that a person has to know
                 if str(error) != said:
@@ -69,26 +72,30 @@ class LiveMap:
             rest_s = max(EVERY_S, SHARE * (time.monotonic() - started_s))
 
 
-def live_map(out: Path, settings: Settings) -> FieldMap | None:
-    """The map of the newest run in `out`; None where it has no positions.
+def newest_run(out: Path) -> str:
+    """The newest run of the ledger in `out`; '' where there is none."""
+    ledger = out / "ledger.db"
+    if not ledger.is_file():
+        return ""
+    with reading(ledger) as db:
+        runs = read_runs(db)
+    return runs[-1].run if runs else ""
+
+
+def live_map(out: Path, settings: Settings, run: str) -> FieldMap | None:
+    """The map of a run in `out`; None where there are no positions.
 
     Raises:
         InputError: too little was harvested, or positions that cannot be used.
     """
-    ledger = out / "ledger.db"
-    if not ledger.is_file() or not (out / POSITIONS_FILE).is_file():
+    if not (out / POSITIONS_FILE).is_file():
         return None
-    with reading(ledger) as db:
-        runs = read_runs(db)
-    if not runs:
-        return None
-    newest = max(runs, key=lambda run: run.started_ns).run
     try:
-        return field_map([out], [], settings, run=newest)
+        return field_map([out], [], settings, run=run)
     except InputError:
         if settings.delay_s is not None:
             raise
-        return field_map([out], [], replace(settings, delay_s=ASSUMED_DELAY_S), run=newest)
+        return field_map([out], [], replace(settings, delay_s=ASSUMED_DELAY_S), run=run)
 
 
 def features(field: FieldMap, *, most: int = MOST_CELLS) -> tuple[list[dict[str, Any]], dict[str, float]]:
