@@ -37,14 +37,15 @@ def send_order(session: zenoh.Session, line: str, order: LoadOrder, *, within_s:
     Raises:
         LinkError: no answer within `within_s`. It may have been carried out: the same `request` again tells.
     """
-    key, began_s, found = topics.ORDER_LOAD.key(line), time.monotonic(), None
+    key, began_s = topics.ORDER_LOAD.key(line), time.monotonic()
+    found: LoadAnswer | None = None
     while (spent_s := time.monotonic() - began_s) < within_s:
         asked = replace(order, age_s=min(order.age_s + spent_s, LONGEST_S))
-        found = _ask(session, key, asked, timeout_s=min(TRY_S, max(within_s - spent_s, 0.1))) or found
+        found = _ask(session, key, asked, timeout_s=min(TRY_S, max(within_s - spent_s, 0.1)))
         if found is not None and not found.later:
             return found
         time.sleep(AGAIN_S)
-    if found is not None:
+    if found is not None:  # the last try was answered, too: it was not carried out
         return found
     raise LinkError(
         f"no answer to order {order.request} within {within_s:g} s: is the aggregator of line '{line}' up, and may "
