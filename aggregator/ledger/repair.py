@@ -96,7 +96,7 @@ def _tell(found: Salvaged, report: Repaired) -> None:
     for table in (table for table in TABLES if table.name in found.damaged):
         damaged = found.damaged[table.name]
         shown = "; ".join(named_key(table, values) for values in damaged[: rebuild.SHOWN])
-        report.repaired.append(f"{len(damaged)} damaged rows of {table.name} were left out: {shown}")
+        report.repaired.append(f"damaged rows of {table.name} were left out ({len(damaged)}): {shown}")
 
 
 def _batches_missing(rows: Rows, had: Mapping[str, Expected], acknowledged: int, report: Repaired) -> None:
