@@ -27,7 +27,7 @@ from tests.aggregator.virtual_line import Aggregator
 from tuberline.cli.commands import build_app
 
 PAGE = 4096
-FLIPS, MANY, TORN = 40, 1000, 24
+FLIPS, MANY, TORN = 24, 1000, 16
 
 
 @pytest.fixture(scope="module")
