@@ -118,6 +118,23 @@ def test_views_that_are_left_out_ask_for_more_regressors() -> None:
     assert (alarm.level, alarm.fix) == ("warning", said("lost.shed.todo"))
 
 
+@pytest.mark.parametrize(
+    ("refused_per_s", "weighed_per_s", "growing_s", "told"),
+    [(8.0, 50.0, 6.0, True), (8.0, 0.0, 6.0, True), (8.0, 50.0, 2.0, False), (1.0, 50.0, 60.0, False)],
+)
+def test_a_regressor_whose_views_cannot_be_weighed_is_told_a_flat_clod_is_not(
+    refused_per_s: float, weighed_per_s: float, growing_s: float, told: bool
+) -> None:
+    """The alarm listened to a count that no view of a camera can raise."""
+    regressor = node(
+        "regressor/r1",
+        per_s={"views_weighed": weighed_per_s, "views_refused_below_belt": refused_per_s},
+        growing_s={"views_refused_below_belt": growing_s},
+    )
+    found = texts(with_node(good_state(), "regressor/r1", regressor), "warning")
+    assert found == (["Regressor r1 gets views that cannot be weighed."] if told else [])
+
+
 def test_a_camera_without_frames() -> None:
     state = with_node(good_state(), "segmenter/left", segmenter("left", resting_s={"frames_processed": 8.0}))
     assert texts(state, "trouble") == ["No frames have come from camera left for 8 s."]

@@ -10,7 +10,7 @@ from typing import Literal
 from conveyor.messages import Totals
 from conveyor.statistics import NORMAL_90
 from viewer.page.camera_alarms import camera_alarms
-from viewer.page.state import STALE_S, LineState
+from viewer.page.state import STALE_S, LineState, NodeState
 from viewer.page.words import AGGREGATOR_REFUSALS, Value, said
 
 Level = Literal["trouble", "warning", "note"]
@@ -22,6 +22,8 @@ LEFT_NOTED_S = 60.0
 LITTLE_COVERAGE = 0.98
 ENOUGH_TUBERS = 20
 UNCOMMITTED = 200
+REFUSED_S, MANY_REFUSED = 5.0, 0.1
+"""A regressor's views are told as trouble where over such a time so large a share of them cannot be weighed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +107,19 @@ def _regressors(state: LineState) -> Iterator[Alarm]:
         if node.left and node.away_s < LEFT_NOTED_S and not state.final:
             values: dict[str, Value] = {"name": name, "for": node.away_s}
             yield Alarm(f"regressor-{name}-left", "note", "alarm.regressor_left", "todo.regressor_left", values)
-        if "views_refused_not_finite" in node.growing_s:
+        if _refuses(node):
             key = f"regressor-{name}-refuses"
             yield Alarm(key, "warning", "alarm.regressor_refuses", "todo.regressor_refuses", {"name": name})
+
+
+def _refuses(node: NodeState) -> bool:
+    """More of the views that it gets than clods and cut tubers account for cannot be weighed, and not for a moment."""
+    reasons = [counter for counter in node.per_s if counter.startswith("views_refused_")]
+    refused_per_s = sum(node.per_s[counter] for counter in reasons)
+    lasts_s = max((node.growing_s.get(counter, 0.0) for counter in reasons), default=0.0)
+    return lasts_s >= REFUSED_S and refused_per_s > MANY_REFUSED * (
+        refused_per_s + node.per_s.get("views_weighed", 0.0)
+    )
 
 
 def _stalled(state: LineState) -> Iterator[Alarm]:
