@@ -40,12 +40,11 @@ class Cell:
     """A row as it lies in a page.
 
     Attributes:
-        at: where it begins in the page; head_bytes: its length, its number and the types of its columns.
+        head_bytes: its length, its number and the types of its columns.
         local_bytes: all of it that lies in this page.
         rowid: SQLite's number of the row. values: its columns; text that is not UTF-8 with its bytes escaped.
     """
 
-    at: int
     head_bytes: int
     local_bytes: int
     rowid: int
@@ -101,7 +100,7 @@ class Pages:
             raise NoCell
         payload, local_end = self._payload(page, after, size)
         values, types_end = _record(payload)
-        return Cell(at, after - at + types_end, local_end - at, rowid - 2**64 if rowid >= 2**63 else rowid, values)
+        return Cell(after - at + types_end, local_end - at, rowid - 2**64 if rowid >= 2**63 else rowid, values)
 
     def _payload(self, page: bytes, begin: int, size: int) -> tuple[bytes, int]:
         """A row's bytes, from this page and those it runs over to; and where they end in this one."""

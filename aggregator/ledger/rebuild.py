@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from aggregator.ledger.schema import (
     LOAD_EVENT,
     OBSERVATION,
     RUN,
+    TABLES,
     TOTAL,
     TUBER,
     WRITTEN_ONCE,
@@ -84,10 +85,15 @@ def expected(rows: Rows) -> dict[str, Expected]:
     return found
 
 
-def of_run(table: Table, rows: Rows, run: str) -> Iterator[Row]:
-    """Rows of one run."""
-    at = table.names.index("run")
-    return (found for found in rows[table.name] if found[at] == run)
+def by_run(rows: Rows) -> dict[str, Rows]:
+    """The rows of each run, by table."""
+    found: dict[str, Rows] = {run: {table.name: [] for table in TABLES} for run, *_ in rows[RUN.name]}
+    for table in TABLES:
+        at = table.names.index("run")
+        for one in rows[table.name]:
+            if one[at] in found:  # sums may be left of a run of which nothing else is
+                found[one[at]][table.name].append(one)
+    return found
 
 
 def runs(rows: Rows, had: Mapping[str, Expected], report: Repaired) -> None:
@@ -97,9 +103,10 @@ def runs(rows: Rows, had: Mapping[str, Expected], report: Repaired) -> None:
     lines = [found[1] for found in rows[RUN.name]]
     for run in sorted(named - known):
         sums = had[run].sums if run in had else None
-        cameras = {found[1] for table in (ENTRY, OBSERVATION, COVERAGE) for found in of_run(table, rows, run)}
-        cameras |= set(sums.sights if sums else ())
-        times = [found[3] for found in of_run(COVERAGE, rows, run)] + [found[2] for found in of_run(TUBER, rows, run)]
+        logged = [*rows[ENTRY.name], *rows[OBSERVATION.name], *rows[COVERAGE.name]]
+        cameras = {found[1] for found in logged if found[0] == run} | set(sums.sights if sums else ())
+        times = [found[3] for found in rows[COVERAGE.name] if found[0] == run]
+        times += [found[2] for found in rows[TUBER.name] if found[0] == run]
         started_ns = min((ns for ns in times if ns), default=0)
         line = lines[0] if lines else ""
         rows[RUN.name].append(row((run, line, json.dumps(sorted(cameras)), "", UNKNOWN_VERSION, started_ns)))
@@ -234,10 +241,10 @@ def events(rows: Rows, had: Mapping[str, Expected], report: Repaired) -> None:
     rows[LOAD_EVENT.name].sort(key=lambda event: int(event[0]))
 
 
-def sights(rows: Rows, run: str) -> dict[str, CameraSight]:
-    """What the cameras of a run looked at, by the marks in their logs alone."""
+def sights(own: Rows) -> dict[str, CameraSight]:
+    """What the cameras of a run looked at, by the marks in their logs alone. `own`: its rows."""
     found: dict[str, CameraSight] = {}
-    for entry in of_run(ENTRY, rows, run):
+    for entry in own[ENTRY.name]:
         told = _decoded(entry) if entry[3] == "mark" else None
         if told is not None and told.mark is not None:
             found.setdefault(entry[1], CameraSight()).marked(told.mark)
@@ -249,15 +256,16 @@ def listed(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers[:SHOWN])) + (" and more" if len(numbers) > SHOWN else "")
 
 
-def account(rows: Rows, had: Mapping[str, Expected], version: int, report: Repaired) -> None:
+def account(of_runs: Mapping[str, Rows], had: Mapping[str, Expected], version: int, report: Repaired) -> None:
     """Hold what each run has now against what it had: what is less is lost, and named as far as it can be.
 
     Entries and events of loads are told by `logs` and `events`, which fill their places.
 
     Args:
+        of_runs: the rows of each run.
         version: of the ledger's schema; the first one carried no sums.
     """
-    for run in (found[0] for found in rows[RUN.name]):
+    for run, own in of_runs.items():
         of = had.get(run)
         if of is None:
             report.lacks(run, f"what run {run} came to: its sums and batches are damaged, more of it may be missing")
@@ -267,22 +275,22 @@ def account(rows: Rows, had: Mapping[str, Expected], version: int, report: Repai
                 f"the sums of run {run}, with what its cameras published: its coverage is told by their marks alone, "
                 "and may be too high"
             )
-        _tubers_missing(rows, run, of, report)
+        _tubers_missing(own, run, of, report)
         for table, what in (
             (OBSERVATION, "rows of observation, which say where tracks went,"),
             (COVERAGE, "marks"),
             (FOREIGN, "foreign bodies"),
         ):
-            missing = of.counts.get(table.name, 0) - sum(1 for _ in of_run(table, rows, run))
+            missing = of.counts.get(table.name, 0) - len(own[table.name])
             if missing > 0:
                 report.lacks(run, f"{missing} of the {what} of run {run}")
         for table in (TUBER, OBSERVATION, COVERAGE):
-            if of.sums is not None and _made_otherwise(rows, run, table, of.sums):
+            if of.sums is not None and _made_otherwise(own, table, of.sums):
                 report.repaired.append(f"rows of {table.name} of run {run} are not to the bit those that were written")
 
 
-def _tubers_missing(rows: Rows, run: str, of: Expected, report: Repaired) -> None:
-    ids = {found[1] for found in of_run(TUBER, rows, run)}
+def _tubers_missing(own: Rows, run: str, of: Expected, report: Repaired) -> None:
+    ids = {found[1] for found in own[TUBER.name]}
     missing = of.counts[TUBER.name] - len(ids)
     if missing > 0:
         last = max([*ids, of.sums.last_tuber_id if of.sums else of.counts[TUBER.name]])
@@ -290,10 +298,10 @@ def _tubers_missing(rows: Rows, run: str, of: Expected, report: Repaired) -> Non
         report.lacks(run, f"{missing} of the tubers of run {run}, with their weight: {listed(gone)}")
 
 
-def _made_otherwise(rows: Rows, run: str, table: Table, sums: RunSums) -> bool:
+def _made_otherwise(own: Rows, table: Table, sums: RunSums) -> bool:
     """As many rows as there were, but other ones."""
     now = RunSums(sums.load)
-    now.add_rows(table, of_run(table, rows, run))
+    now.add_rows(table, own[table.name])
     (count, crcs), (said, said_crcs) = now.rows[table.name], sums.rows[table.name]
     return count == said and crcs != said_crcs
 

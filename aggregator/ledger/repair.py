@@ -19,16 +19,18 @@ from aggregator.core.loads import LoadBook
 from aggregator.ledger import rebuild
 from aggregator.ledger.faults import explained
 from aggregator.ledger.load_rows import SpanSums, event_from
-from aggregator.ledger.rebuild import Expected, Repaired, Rows, of_run
+from aggregator.ledger.rebuild import Expected, Repaired, Rows
 from aggregator.ledger.receipt import Receipt, read_receipt, receipt_path
 from aggregator.ledger.recount import recounted, recounted_spans
 from aggregator.ledger.rows import body_from, tuber_from
 from aggregator.ledger.salvage import Salvaged, salvaged
 from aggregator.ledger.schema import (
     BATCH,
+    ENTRY,
     FOREIGN,
     LOAD_EVENT,
     LOAD_TOTAL,
+    OBSERVATION,
     RUN,
     SUMMARY,
     TABLES,
@@ -69,17 +71,19 @@ def repair(path: Path) -> Repaired:
         rebuild.tubers(rows, report)
         rebuild.logs(rows, had, report)
         rebuild.events(rows, had, report)
-        rebuild.account(rows, had, found.version, report)
+        of_runs = rebuild.by_run(rows)
+        rebuild.account(of_runs, had, found.version, report)
         _batches_missing(rows, had, acknowledged, report)
-        _leave_out_summaries(rows, had, report)
-        stretches = {run: _stretches(rows, run, report) for run, *_ in rows[RUN.name]}
-        seq = _number_batches(rows)
-        _write(fresh, rows, had, stretches)
+        _leave_out_summaries(of_runs, had, report)
+        book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
+        stretches = {run: _stretches(own, run, book, report) for run, own in of_runs.items()}
+        seq = _number_batches(of_runs)
+        _write(fresh, of_runs, had, stretches)
         break_seal(receipt_path(path))
         _swap(path, fresh)
         receipt.write(seq)
         receipt.write(seq - 1)
-    report.saved = {table.name: len(rows[table.name]) for table in WRITTEN_ONCE}
+    report.saved = {table.name: sum(len(own[table.name]) for own in of_runs.values()) for table in WRITTEN_ONCE}
     return report
 
 
@@ -106,41 +110,43 @@ def _batches_missing(rows: Rows, had: Mapping[str, Expected], acknowledged: int,
         report.lost.append(f"the newest {acknowledged - last} of {acknowledged} batches that were acknowledged")
 
 
-def _leave_out_summaries(rows: Rows, had: Mapping[str, Expected], report: Repaired) -> None:
+def _leave_out_summaries(of_runs: Mapping[str, Rows], had: Mapping[str, Expected], report: Repaired) -> None:
     """Of runs that lost something: they tell of what is no longer there."""
     again = "`tuberline ledger summary --config LINE.toml` writes it again"
-    for run, *_ in rows[RUN.name]:
-        own = [found for found in rows[SUMMARY.name] if found[0] == run]
-        if not own and run in had and had[run].counts.get(SUMMARY.name):
+    for run, own in of_runs.items():
+        if not own[SUMMARY.name] and run in had and had[run].counts.get(SUMMARY.name):
             report.lost.append(f"the summary of run {run}, which is not finished therefore: {again}")
-        elif own and run in report.less:
-            rows[SUMMARY.name].remove(own[0])
+        elif own[SUMMARY.name] and run in report.less:
+            own[SUMMARY.name] = []
             report.repaired.append(f"the summary of run {run} told of what is lost now and was left out: {again}")
 
 
-def _number_batches(rows: Rows) -> int:
+def _number_batches(of_runs: Mapping[str, Rows]) -> int:
     """One batch per run, with what is there now; the line stays where it was."""
-    last_watermark = {run: watermark_x_m for _seq, run, watermark_x_m, *_ in rows[BATCH.name]}
-    rows[BATCH.name] = []
-    for seq, (run, *_) in enumerate(rows[RUN.name], start=1):
-        counts = [sum(1 for found in rows[name] if found[0] == run) for name in ("entry", "tuber", "observation")]
-        places = [tuber[3] for tuber in of_run(TUBER, rows, run)]  # none was committed before the line stood there
-        watermark_x_m = min([last_watermark.get(run, math.inf), *places])
-        rows[BATCH.name].append(row((seq, run, watermark_x_m, *counts)))
-    return len(rows[BATCH.name])
+    for seq, (run, own) in enumerate(of_runs.items(), start=1):
+        places = [batch[2] for batch in own[BATCH.name][-1:]]
+        places += [tuber[3] for tuber in own[TUBER.name]]  # none was committed before the line stood there
+        counts = [len(own[name]) for name in (ENTRY.name, TUBER.name, OBSERVATION.name)]
+        own[BATCH.name] = [row((seq, run, min(places, default=math.inf), *counts))]
+    return len(of_runs)
 
 
-def _write(path: Path, rows: Rows, had: Mapping[str, Expected], stretches: Mapping[str, dict[int, SpanSums]]) -> None:
+def _write(
+    path: Path,
+    of_runs: Mapping[str, Rows],
+    had: Mapping[str, Expected],
+    stretches: Mapping[str, dict[int, SpanSums]],
+) -> None:
     db = sqlite3.connect(path, isolation_level=None)
     try:
         db.execute("PRAGMA synchronous = FULL")
         db.execute("BEGIN IMMEDIATE")
         for statement in definition():
             db.execute(statement)
-        for table in WRITTEN_ONCE:
-            db.executemany(table.insert, rows[table.name])
-        for run, *_ in rows[RUN.name]:
-            first_step(db, run, _sums(rows, run, had))
+        for run, own in of_runs.items():
+            for table in WRITTEN_ONCE:
+                db.executemany(table.insert, own[table.name])
+            first_step(db, run, _sums(own, had[run].sums if run in had else None))
             for n, span in stretches[run].items():
                 span_step(db, run, n, span)
         db.execute("COMMIT")
@@ -148,22 +154,20 @@ def _write(path: Path, rows: Rows, had: Mapping[str, Expected], stretches: Mappi
         db.close()
 
 
-def _sums(rows: Rows, run: str, had: Mapping[str, Expected]) -> RunSums:
+def _sums(own: Rows, old: RunSums | None) -> RunSums:
     """The sums of a run, added up again; what its cameras looked at is as intact old sums have it, else by marks."""
-    old = had[run].sums if run in had else None
-    own = [(table, [found[:-1] for found in of_run(table, rows, run)]) for table in WRITTEN_ONCE]
-    sums = recounted(own, histogram_step_g=old.load.histogram_step_g if old else DEFAULT_STEP_G)
-    sums.sights = old.sights if old else rebuild.sights(rows, run)
+    rows = [(table, [found[:-1] for found in own[table.name]]) for table in WRITTEN_ONCE]
+    sums = recounted(rows, histogram_step_g=old.load.histogram_step_g if old else DEFAULT_STEP_G)
+    sums.sights = old.sights if old else rebuild.sights(own)
     sums.head_start_m = old.head_start_m if old else None
     return sums
 
 
-def _stretches(rows: Rows, run: str, report: Repaired) -> dict[int, SpanSums]:
+def _stretches(own: Rows, run: str, book: LoadBook, report: Repaired) -> dict[int, SpanSums]:
     """The sums of each stretch of a run's belt, added up again; what was seen of it as intact old sums have it."""
-    book = LoadBook.of(event_from(event[:-1]) for event in rows[LOAD_EVENT.name])
-    tubers = (tuber_from(found[:-1]) for found in of_run(TUBER, rows, run))
-    bodies = (body_from(found[:-1]) for found in of_run(FOREIGN, rows, run))
-    old = {found[1]: SpanSums.from_text(found[3]) for found in of_run(LOAD_TOTAL, rows, run)}
+    tubers = (tuber_from(found[:-1]) for found in own[TUBER.name])
+    bodies = (body_from(found[:-1]) for found in own[FOREIGN.name])
+    old = {found[1]: SpanSums.from_text(found[3]) for found in own[LOAD_TOTAL.name]}
     step_g = next((sums.load.histogram_step_g for sums in old.values()), DEFAULT_STEP_G)
     counted = recounted_spans(chain(tubers, bodies), book.spans.get(run, []), histogram_step_g=step_g)
     unknown = [n for n in counted if n not in old]
