@@ -54,7 +54,7 @@ class Evening:
         self._true_kg = list(true_kg)
         with reading(ledger) as view:
             read = ReadLoads(view)
-            self.tickets, _ = tickets_of(read, read.seen())
+            self.tickets, _ = tickets_of(read, read.seen)
 
     def loads(self, tickets: Sequence[Ticket]) -> list[Labelled]:
         """Every load started, in order, calibrated by these tickets alone."""

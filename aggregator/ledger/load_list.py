@@ -27,7 +27,7 @@ def told_loads(
     does not calibrate) and `jacket_g` (gross less net less foreign matter: soil on tubers).
     """
     ledger = ReadLoads(view)
-    seen = ledger.seen()
+    seen = ledger.seen
     tickets, _ = tickets_beside(ledger)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]

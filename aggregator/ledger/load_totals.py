@@ -93,7 +93,7 @@ def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") ->
 
 def tickets_beside(ledger: ReadLoads) -> tuple[list[Ticket], list[str]]:
     """(all that calibrates a ledger that is read: its loads' own tickets and its config's; what cannot, in words)."""
-    own, words = tickets_of(ledger, ledger.seen(), cultivar=ledger.stated.cultivar)
+    own, words = tickets_of(ledger, ledger.seen, cultivar=ledger.stated.cultivar)
     return with_own(ledger.stated.tickets, own), [*ledger.stated.words, *words]
 
 
@@ -125,7 +125,7 @@ def ticket_of_load(path: Path, wanted: str, *, cultivar: str = "") -> Ticket:
     with reading(ledger_file(path)) as view:
         ledger = ReadLoads(view)
         load = find(ledger.loads, wanted, run="")
-        ticket = load_ticket(load, count_load(ledger, load, ledger.seen()), cultivar=cultivar)
+        ticket = load_ticket(load, count_load(ledger, load, ledger.seen), cultivar=cultivar)
     if ticket is None:
         raise InputError(f"{load.told} has no net ticket: tuberline load ticket {load.number} --kg ... --ledger {path}")
     return ticket
@@ -139,6 +139,7 @@ class ReadLoads:
         self.loads = read_book(view)
         self.runs = {run.run: run for run in read_runs(view)}
         self._sums: dict[str, dict[int, SpanSums]] = {}
+        self._priors: dict[str, Prior] = {}
 
     @cached_property
     def stated(self) -> Stated:
@@ -147,8 +148,10 @@ class ReadLoads:
 
     def prior(self, run: str) -> Prior:
         """What the line stated of its resting level in `run`; as wide as before any calibration where it did not."""
-        summary = read_summary(self._view, run)
-        return prior_told(json.loads(summary).get("belt", {}) if summary else {})
+        if run not in self._priors:
+            summary = read_summary(self._view, run)
+            self._priors[run] = prior_told(json.loads(summary).get("belt", {}) if summary else {})
+        return self._priors[run]
 
     def span_sums(self, run: str) -> Mapping[int, SpanSums]:
         """The sums of each stretch of a run."""
@@ -156,6 +159,7 @@ class ReadLoads:
             self._sums[run] = read_span_sums(self._view, run)
         return self._sums[run]
 
+    @cached_property
     def seen(self) -> dict[str, Seen]:
         """What the cameras of each run looked at: the run is taken to be over."""
         found = {}

@@ -81,7 +81,7 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> tuple
         own: list[Ticket] = []
         refused: list[str] = []
         for ledger in ledgers:
-            found, words = tickets_of(ledger, ledger.seen(), cultivar=ledger.stated.cultivar)
+            found, words = tickets_of(ledger, ledger.seen, cultivar=ledger.stated.cultivar)
             own += found
             refused += (*ledger.stated.words, *words)
         loads = []
@@ -100,7 +100,7 @@ def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
 
 def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
     """Every load of a ledger, runs without loads and what passed without one included, in the order they began."""
-    seen = ledger.seen()
+    seen = ledger.seen
     found: list[tuple[int, Labelled]] = []
     for load in ledger.loads.loads.values():
         if load.spans and not load.undone:
