@@ -7,12 +7,10 @@ from typing import Any
 
 from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
 from conveyor.errors import InputError
-from conveyor.messages.loads import LoadAnswer, LoadOrder
+from conveyor.messages.loads import NUMBER, LoadAnswer, LoadOrder
 
 UNDO_WITHIN_S = 60.0
 LAST = "last"
-NUMBER = "number:"
-"""Before the number of a load, where another one has it as its name."""
 MOST_KG = 200_000.0
 SCALE_ERROR = 0.005
 """Of a ticket, where the scale's error is not told."""

@@ -17,6 +17,9 @@ Told = Annotated[str, Text(256, r"^[^\x00-\x1f\x7f]*$")]
 FIELDS = ("name", "trailer", "field", "variety", "customer", "operator")
 """What a load is described by; an order may give each of them, a later note may correct it."""
 
+NUMBER = "number:"
+"""Before the number of a load, where another one has it as its name."""
+
 
 @dataclass(frozen=True, slots=True)
 class LoadOrder(Message):
@@ -27,8 +30,8 @@ class LoadOrder(Message):
         action: 'start' a load (the open one ends there), 'end' the open one, 'note', 'ticket', 'undo' the last change.
         by: who asks, as the asker says it.
         age_s: since it was asked for, by the asker's clock: the belt has moved on meanwhile.
-        load: which, by number or name; '' is the open one, or the last one where none is open. With 'start': a load
-            that ended and goes on.
+        load: which, by number (also after `NUMBER`) or name; '' is the open one, or the last one where none is open.
+            With 'start': a load that ended and goes on.
         fields: of `FIELDS`, those given.
         note: what is to be remembered of it.
         kg: a scale's answer; None with 'ticket' withdraws the one before. net: of tubers alone, else with soil and

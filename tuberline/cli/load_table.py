@@ -13,6 +13,7 @@ from rich.text import Text
 from conveyor.errors import InputError
 from conveyor.heights import heights_told
 from conveyor.messages import HeightChange
+from conveyor.messages.loads import NUMBER
 from tuberline.cli.address import LineAddress
 
 DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
@@ -44,7 +45,7 @@ def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit:
             )
     if not wanted:
         return loads
-    found = [load for load in loads if wanted in (str(load["number"]), f"number:{load['number']}", load["name"])]
+    found = [load for load in loads if wanted in (str(load["number"]), f"{NUMBER}{load['number']}", load["name"])]
     if not found:
         known = ", ".join(f"{load['number']} ({load['name']})" for load in loads[:8]) or "none"
         raise InputError(f"no load {wanted!r} is there; the newest are {known}")
