@@ -22,19 +22,12 @@ from aggregator.ledger.writer import Ledger
 from conveyor.errors import LedgerError
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import Story, tell
-from tests.aggregator.test_aggregator_flips import copied, flip, write_finished
+from tests.aggregator.finished_ledger import copied, flip
 from tests.aggregator.virtual_line import Aggregator
 from tuberline.cli.commands import build_app
 
 PAGE = 4096
 FLIPS, MANY, TORN = 24, 1000, 16
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("finished") / "ledger.db"
-    write_finished(path)
-    return path
 
 
 def contents(path: Path) -> object:
