@@ -12,8 +12,8 @@ from aggregator.ledger.writer import Ledger
 from conveyor.messages import TrackEntry
 from conveyor.messages.sizes import Sizes
 from tests.aggregator.belt_story import Story, tell
+from tests.aggregator.loaded_story import Loads
 from tests.aggregator.test_aggregator_foreign import with_others
-from tests.aggregator.test_aggregator_load_ledger import Loads
 
 
 def write_finished(path: Path) -> None:

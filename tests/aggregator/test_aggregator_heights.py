@@ -22,7 +22,7 @@ from conveyor.heights import heights_in_words
 from conveyor.layers import on_others_flag
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import tell
-from tests.aggregator.test_aggregator_load_ledger import Loads
+from tests.aggregator.loaded_story import Loads
 
 SEED = 6201
 ONE = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))

@@ -29,7 +29,7 @@ from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
-from tests.aggregator.test_aggregator_load_ledger import Loads, S
+from tests.aggregator.loaded_story import Loads, S
 from tests.aggregator.virtual_line import undisturbed
 from tuberline.api.runs import read_totals
 from tuberline.cli.calibrate_load import calibrate_load
