@@ -41,6 +41,15 @@ def page(path: Path, *words: str) -> Iterator[str]:
         running.wait(30)
 
 
+@contextmanager
+def acting_page(path: Path, folder: Path) -> Iterator[str]:
+    """The address of a page that carries out what is asked with `TOKEN`; the file of that is put into `folder`."""
+    token = folder / "token"
+    token.write_text(TOKEN + "\n")
+    with page(path, "--token-file", str(token)) as url:
+        yield url
+
+
 def look(browser: Browser, url: str, wanted: str) -> None:
     """Open the page, again while its server is still starting."""
 
@@ -87,10 +96,8 @@ def test_a_load_is_started_ended_and_weighed_while_tubers_come(
     browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
 ) -> None:
     config, path = line
-    token = tmp_path / "token"
-    token.write_text(TOKEN + "\n")
     told = tell(21, cameras=2, n=40, length_m=3.6, noise_mm=0.0)
-    with Node("segmenter", "cam0", config=config, run="story") as node, page(path, "--token-file", str(token)) as url:
+    with Node("segmenter", "cam0", config=config, run="story") as node, acting_page(path, tmp_path) as url:
         segmenters = Segmenters(node, told)
         until(lambda: segmenters.all_acknowledged(0), what="the aggregator")
         look(browser, url, "Start load")
@@ -144,10 +151,8 @@ def test_a_retry_is_the_same_order_and_a_corrected_form_another(
 ) -> None:
     """A form that was corrected after a lost answer went under the first one's id: "done", and nothing had changed."""
     config, path = line
-    token = tmp_path / "token"
-    token.write_text(TOKEN + "\n")
     story = tell(21, cameras=2, n=4, length_m=0.5, noise_mm=0.0)
-    with Node("segmenter", "cam0", config=config, run="story") as node, page(path, "--token-file", str(token)) as url:
+    with Node("segmenter", "cam0", config=config, run="story") as node, acting_page(path, tmp_path) as url:
         segmenters = Segmenters(node, story)
         until(lambda: segmenters.all_acknowledged(0), what="the aggregator")
         look(browser, url, "Start load")
@@ -175,9 +180,7 @@ def test_a_retry_is_the_same_order_and_a_corrected_form_another(
 def test_a_note_goes_to_the_load_that_was_chosen_whatever_others_are_named(
     browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
 ) -> None:
-    token = tmp_path / "token"
-    token.write_text(TOKEN + "\n")
-    with page(line[1], "--token-file", str(token)) as url:
+    with acting_page(line[1], tmp_path) as url:
         look(browser, url, "Start load")
         for name in ("trailer 7", "1"):
             press(browser, "start")
@@ -208,9 +211,7 @@ def test_what_may_be_done_keeps_its_id_until_the_line_has_answered(
     lost: str, browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
 ) -> None:
     """The page's own refusal of a retry, and a proxy's, gave the next one a new id: one load was started twice."""
-    token = tmp_path / "token"
-    token.write_text(TOKEN + "\n")
-    with page(line[1], "--token-file", str(token)) as url:
+    with acting_page(line[1], tmp_path) as url:
         look(browser, url, "Start load")
         press(browser, "start")
         js(browser, lost)
