@@ -20,7 +20,14 @@ from conveyor.errors import TuberlineError
 from conveyor.extras import install_hint
 from regressor.network.checkpoint import load_checkpoint
 from regressor.network.export import OPSET, ExportedPointRaft
-from regressor.network.fast import FastPointRaft, Form, fused_layer, groups_tensor, packed_weight
+from regressor.network.fast import (
+    FastPointRaft,
+    Form,
+    fused_layer,
+    groups_tensor,
+    multiplies_bfloat16,
+    packed_weight,
+)
 from regressor.network.grouping import CENTROIDS_2, SharedGroups, group_prefix
 from regressor.network.pointraft import NEIGHBOURS, PointRaft
 from regressor.network.sampling import farthest_points
@@ -79,12 +86,11 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
     """Every back end by name, warm."""
     model, _ = load_checkpoint(weights)
     graph = _network_alone(scratch / "network.onnx", model)
-    forms = {
-        "torch, exact": Form(),
-        "torch, exact, 64 centroids": Form(centroids=64),
-        "torch, bfloat16": Form("bfloat16"),
-        "torch, bfloat16, 64 centroids": Form("bfloat16", 64),
-    }
+    forms = {"torch, exact": Form(), "torch, exact, 64 centroids": Form(centroids=64)}
+    if multiplies_bfloat16():
+        forms |= {"torch, bfloat16": Form("bfloat16"), "torch, bfloat16, 64 centroids": Form("bfloat16", 64)}
+    else:
+        sys.stderr.write("bfloat16 is left out, for this processor does not multiply it\n")
     runners = {
         "the reference's operators": _reference(load_checkpoint(weights)[0], clouds, inside=cluster_farthest_points),
         "the readable form": _reference(model, clouds),

@@ -4,7 +4,7 @@
 
 Times are those of the thread, so that other work on the machine counts only by what it takes of the caches. The core
 runs as on a live line over every frame of the first camera; the views that it chose are then weighed one by one, by the
-shipped weights in bfloat16 with 64 centroids, or in the exact form.
+shipped weights in the form that a live line takes on this machine, or in the exact one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from conveyor.config import CameraConfig, LineConfig
 from conveyor.formats import camera_names, open_source
 from conveyor.heap import keep_buffers
 from conveyor.messages import Frame, View
-from regressor.network.fast import EXACT, Form
+from regressor.serve.form import FORMS, fastest
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.weigher import Weigher, weigh_views
 from segmenter.frame.plane import fit_plane
@@ -56,7 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     settings = core_settings(config, live=True)
     warm_up(settings.split.pixel_mm)
     _frames(frames, settings)
-    _views(_chosen(frames, settings), EXACT if options.exact else Form("bfloat16", 64))
+    weigher = Weigher.load()
+    _views(_chosen(frames, settings), weigher if options.exact else weigher.in_form(fastest(weigher, FORMS)))
     print(f"\nload average {os.getloadavg()[0]:.1f} at the end; {os.cpu_count()} cores.")
     return 0
 
@@ -84,8 +85,7 @@ def _chosen(frames: list[Frame], settings: Any) -> list[View]:
     return [View.decode(view.encode()) for view in views]
 
 
-def _views(views: list[View], form: Form) -> None:
-    weigher = Weigher.load().in_form(form)
+def _views(views: list[View], weigher: Weigher) -> None:
     for view in views[:3]:
         weigh_views(weigher, [view], regressor="time")
     clouds = {id(view): prepare_view(view) for view in views}
@@ -94,6 +94,8 @@ def _views(views: list[View], form: Form) -> None:
     prepare = _best(prepare_view, views)
     net = _best(lambda v: network.weigh(weigher._group(clouds[id(v)].points), weigher._height_m(clouds[id(v)])), views)
     whole = _best(lambda v: weigh_views(weigher, [v], regressor="time"), views)
+    form = weigher.form
+    print(f"Weighed in {form.precision}, {form.centroids or 'all'} centroids.\n")
     print("| a view | prepared ms | network | sizes, rules, interval, flags | all |\n| --- | --- | --- | --- | --- |")
     print(f"| {len(views)} | {prepare:.2f} | {net:.2f} | {whole - prepare - net:.2f} | {whole:.2f} |")
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -77,7 +78,7 @@ class FastPointRaft:
     def __init__(self, model: PointRaft, form: Form = EXACT) -> None:
         self.form = form
         self._dtype = torch.bfloat16 if form.precision == "bfloat16" else torch.float32
-        self._layer = fused_layer()
+        self._layer = fused_layer(self._dtype)
         rows = BLOCK_CENTROIDS * NEIGHBOURS
         self._stage1 = _packed(_fold(model.sa1_module.conv.local_nn, self._dtype), rows)
         self._stage2 = _packed(_fold(model.sa2_module.conv.local_nn, self._dtype), rows)
@@ -197,31 +198,58 @@ def _packed(mlp: _Folded, rows: int) -> _Folded:
 
 
 def packed_weight(weight: Tensor, rows: int) -> Tensor:
-    """An (out, in) weight in oneDNN's own order, where this build of torch has it, for `fused_layer`: the same sums,
-    without ordering the weight again for each block of `rows`.
+    """An (out, in) weight in oneDNN's own order, where `fused_layer` uses that: the same sums, without ordering the
+    weight again for each block of `rows`.
     """
-    if _onednn() is None:
+    if _onednn(weight.dtype) is None:
         return weight
     with torch.inference_mode():
         ordered: Tensor = torch.ops.mkldnn._reorder_linear_weight(weight, rows)
     return ordered
 
 
-def _onednn() -> Callable[..., Tensor] | None:
-    """oneDNN's linear layer, and with it its order of weights, where this build of torch has both."""
+@cache
+def multiplies_bfloat16() -> bool:
+    """Whether oneDNN multiplies bfloat16 on this processor; an x86 one needs AVX-512 or AVX-NE-CONVERT for it.
+
+    Where it does not, torch's own products give the same to rounding and take some thirty times as long (measured on an
+    AVX2 processor: 2.6 against 69 GFLOP/s in float32). oneDNN is asked for a product: it may be told to use less than
+    the processor has (`ONEDNN_MAX_CPU_ISA`), which no list of instructions shows.
+    """
+    layer = _onednn(torch.float32)
+    if layer is None:
+        return False
+    ones = torch.ones(32, 32, dtype=torch.bfloat16)
+    try:
+        with torch.inference_mode():
+            layer(ones, torch.ops.mkldnn._reorder_linear_weight(ones, 32), None, "none", [], "")
+    except RuntimeError:
+        return False
+    return True
+
+
+def _onednn(dtype: torch.dtype) -> Callable[..., Tensor] | None:
+    """oneDNN's linear layer, and with it its order of weights, where this build of torch has both and this processor
+    multiplies `dtype`.
+    """
     if not torch.backends.mkldnn.is_available() or not hasattr(torch.ops.mkldnn, "_reorder_linear_weight"):  # type: ignore[no-untyped-call]
+        return None
+    if dtype == torch.bfloat16 and not multiplies_bfloat16():
         return None
     return getattr(torch.ops.mkldnn, "_linear_pointwise", None)
 
 
-def fused_layer() -> Layer:
+def fused_layer(dtype: torch.dtype = torch.float32) -> Layer:
     """linear (with ReLU, where asked) by oneDNN where this build of torch has it, else by torch's own product.
 
     oneDNN fuses bias and ReLU and reaches twice the rate of the default product on processors that MKL does not know
-    (measured on a Zen 5: 210 against 95 GFLOP/s, float32, one core). The choice depends on the build only, never on a
-    timing: the same machine always gives the same bits.
+    (measured on a Zen 5: 210 against 95 GFLOP/s, float32, one core). The choice depends on the build and the processor
+    only, never on a timing: the same machine always gives the same bits.
+
+    Args:
+        dtype: of the operands, float32 or bfloat16.
     """
-    fused = _onednn()
+    fused = _onednn(dtype)
     if fused is None:
         return _torch_layer
 

@@ -1,8 +1,9 @@
 """Which form of the network a worker computes: the exact one for a replay, the fastest good one for a live line.
 
 A live line weighs what it has time for, and a view that is weighed in a third of the time is worth more than a tenth
-of a gram. What is fastest depends on the processor (bfloat16 pays where it has instructions for it, and costs many
-times as much where it has not), so it is tried at the start. Every weight is flagged with the form it was computed in.
+of a gram. What is fastest depends on the processor (bfloat16 pays where it has instructions for it, and is not tried
+where oneDNN has no products for it), so it is tried at the start. Every weight is flagged with the form it was computed
+in.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from conveyor.config import LineConfig
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View
-from regressor.network.fast import EXACT, Form
+from regressor.network.fast import EXACT, Form, multiplies_bfloat16
 from regressor.weigh.prepare import PreparedCloud, prepare_view
 from regressor.weigh.weigher import Weigher
 
@@ -45,14 +46,19 @@ def form_of(config: LineConfig, weigher: Weigher) -> Form:
 
 
 def fastest(weigher: Weigher, forms: Sequence[Form]) -> Form:
-    """The fastest of `forms`, the most exact one first, that is at most `MOST_OFF_G` off the exact form."""
+    """The fastest of `forms`, the most exact one first, that is at most `MOST_OFF_G` off the exact form.
+
+    Forms in bfloat16 are left out where this processor does not multiply it: they are some thirty times as slow.
+    """
+    if not multiplies_bfloat16():
+        forms = [form for form in forms if form.precision != "bfloat16"]
     clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
     exact = _grams(weigher.in_form(EXACT), clouds)
     chosen, chosen_s = forms[0], _seconds(weigher.in_form(forms[0]), clouds[0])
     for form in forms[1:]:
         tried = weigher.in_form(form)
         took_s = _seconds(tried, clouds[0])
-        # What is slower, as products that are emulated, need not be asked four times more.
+        # What is slower need not be asked four times more.
         if took_s < WORTH * chosen_s and np.mean(np.abs(_grams(tried, clouds) - exact)) <= MOST_OFF_G:
             chosen, chosen_s = form, took_s
     return chosen

@@ -20,6 +20,7 @@ from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliablePublisher
 from conveyor.messages import View, Weight
 from conveyor.node import Node
+from regressor.network.fast import multiplies_bfloat16
 from regressor.serve.form import form_of, made_up_view
 from regressor.serve.service import WeightsService
 from regressor.weigh.prepare import REASONS
@@ -77,6 +78,11 @@ class _Worker:
         node.log.info(
             "ready with %s in %s, %s centroids", self._weigher.sidecar.model_id, form.precision, form.centroids or "all"
         )
+        if form.precision == "bfloat16" and not multiplies_bfloat16():
+            node.log.warning(
+                'regressor.precision = "bfloat16" asks for products that this processor lacks (AVX-512 or '
+                'AVX-NE-CONVERT): each view takes some thirty times as long; set it to "auto"'
+            )
         while not node.stop.is_set():
             node.progress()
             self._weigher = self._service.turn()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from dataclasses import replace
+from subprocess import run
 
 import numpy as np
 import pytest
@@ -24,6 +27,20 @@ from tests.regressor.ellipsoids import DENSITY, ellipsoid_view
 
 AXES = (0.042, 0.033, 0.028)
 TRUE_G = DENSITY * 4e6 / 3 * np.pi * float(np.prod(AXES))
+
+WITHOUT_BFLOAT16 = f"""
+from regressor.network.fast import Form, multiplies_bfloat16
+from regressor.serve.form import FORMS, fastest
+from regressor.weigh.prepare import prepare_view
+from regressor.weigh.weigher import Weigher
+from tests.regressor.ellipsoids import ellipsoid_view
+
+weigher = Weigher.load()
+cloud = prepare_view(ellipsoid_view({AXES}))
+asked_for = weigher.in_form(Form("bfloat16", 64)).weigh(cloud)
+near = abs(asked_for.weight_g - weigher.weigh(cloud).weight_g) < 1.0
+print(multiplies_bfloat16(), fastest(weigher, FORMS).precision, asked_for.flags[0], near)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -228,3 +245,19 @@ def test_load_bias_is_the_bias_of_the_total() -> None:
 def test_a_sidecar_with_an_unknown_key_is_refused() -> None:
     with pytest.raises(ValueError, match="colour"):
         Sidecar.model_validate({"name": "a", "colour": "red"})
+
+
+def test_a_processor_without_bfloat16_weighs_in_another_form() -> None:
+    """Every live regressor, and `replay --fast`, ended at its start on a processor with AVX2 alone.
+
+    oneDNN is told to use no more than AVX2; on a processor that has no more it changes nothing.
+    """
+    said = run(
+        [sys.executable, "-c", WITHOUT_BFLOAT16],
+        env=os.environ | {"ONEDNN_MAX_CPU_ISA": "AVX2"},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+    )
+    assert said.stdout.split() == ["False", "float32", "bfloat16", "True"]
