@@ -58,6 +58,8 @@ CONSENSUS_TRIES = 120
 CONSENSUS_SCORED = 1500
 """Random planes, and samples that each is scored on. Where a third of the coarse cells shows belt, one try in 27 has
 three of them, and 120 tries miss all with 1 %. Fewer are quicker: they are most of a fit's time."""
+CLEAR_SPAN = 1e-4
+"""Twice the area, in normalised image coordinates, that three samples must span to fix a plane."""
 CONSENSUS_FAR = 0.15
 """Of a coarse cell's samples, from the farthest, the one that stands for it: belt between the tubers, but no hole."""
 BELOW_M = 0.010

@@ -19,6 +19,7 @@ from segmenter.frame.constants import (
     BELOW_M,
     BELT_QUANTILE,
     CLEAR_SHARE,
+    CLEAR_SPAN,
     CONSENSUS_FAR,
     CONSENSUS_SCORED,
     CONSENSUS_TRIES,
@@ -37,10 +38,23 @@ from segmenter.frame.constants import (
     TILT_OFF_DEG,
     TILT_WORTH_DEG,
 )
-from segmenter.frame.plane_kernels import best_plane, far_samples, quantile, row_means, samples_of, trimmed, triples_of
+from segmenter.frame.plane_kernels import (
+    best_plane,
+    far_samples,
+    heights_over,
+    planes_through,
+    quantile,
+    row_means,
+    samples_of,
+    support,
+    trimmed,
+    triples_of,
+)
 
 Plane = NDArray[np.float64]
 """(3,) of 1/z = a x + b y + c."""
+Samples = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""(n,) each: normalised image coordinates x and y, and inverse depth, 1/metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,38 +106,34 @@ def fit_plane(
         intrinsics: of this image.
         mask: (H, W) labels of tubers, which are left out, or None.
     """
-    x, y, q = _samples(depth, depth_scale_m, intrinsics, mask)
+    x, y, q = samples = _samples(depth, depth_scale_m, intrinsics, mask)
     if len(q) < MIN_SAMPLES:
         return None
-    design = np.stack([x, y, np.ones_like(x)], axis=1)
-    found = _fit(design, q)
+    found = _fit(samples)
     middle = np.abs(x) < intrinsics.width / intrinsics.fx / 4
-    inner = _fit(design[middle], q[middle]) if middle.sum() >= MIN_SAMPLES else None
+    inner = _fit((x[middle], y[middle], q[middle])) if middle.sum() >= MIN_SAMPLES else None
     if found is not None and inner is not None and inner.share > MOSTLY:
         beside_a_floor = found.distance_m - inner.distance_m > FLOOR_BELOW_M
-        return _summary(np.array(inner.inverse_depth), design, q) if beside_a_floor else found
+        return _summary(np.array(inner.inverse_depth), samples) if beside_a_floor else found
     return found
 
 
-def between_cleats(plane: NDArray[np.float64], design: NDArray[np.float64], q: NDArray[np.float64]) -> Plane:
+def between_cleats(plane: Plane, samples: Samples) -> Plane:
     """The plane moved to where the belt lies between its cleats, and under most of its soil.
 
     Least squares through all that is near take cleats and the feet of tubers for the belt. Cleats lie across the
     travel, so they are whole rows of samples: of the rows' mean heights a low quantile is the belt.
     """
-    mean = row_means(design[:, 1], _height_over(design, q, plane), BAND_M, ROW_SAMPLES)
+    mean = row_means(samples[1], heights_over(plane, *samples), BAND_M, ROW_SAMPLES)
     if len(mean) < LEAST_BELT_ROWS:
         return plane
     distance_m = 1.0 / float(np.linalg.norm(plane))
     return np.asarray(plane * distance_m / (distance_m - quantile(mean, BELT_QUANTILE)))
 
 
-def _fit(design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
-    x, y = np.ascontiguousarray(design[:, 0]), np.ascontiguousarray(design[:, 1])
-    best = trimmed(_consensus(x, y, q), x, y, q, FIT_BANDS_M, MIN_FIT_SAMPLES)
-    if not best.any():
-        return None
-    return _summary(between_cleats(best, design, q), design, q)
+def _fit(samples: Samples) -> PlaneFit | None:
+    best = trimmed(_consensus(*samples), *samples, FIT_BANDS_M, MIN_FIT_SAMPLES)
+    return _summary(between_cleats(best, samples), samples) if best.any() else None
 
 
 def plane_pose(fit: PlaneFit) -> NDArray[np.float64]:
@@ -223,16 +233,14 @@ def given_or_fitted(
     return plane_pose(fit) if tilted else straight_down_belt_from_camera(fit.distance_m)
 
 
-def _samples(
-    depth: NDArray[np.uint16], scale_m: float, k: Intrinsics, mask: NDArray[np.uint16] | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Normalised x, y and inverse depth of every 64th pixel that has depth and no tuber."""
+def _samples(depth: NDArray[np.uint16], scale_m: float, k: Intrinsics, mask: NDArray[np.uint16] | None) -> Samples:
+    """Every 64th pixel that has depth and no tuber."""
     start = SAMPLE_STRIDE // 2
     grid = depth[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE].copy()
     if mask is not None:
         grid[mask[start::SAMPLE_STRIDE, start::SAMPLE_STRIDE] != 0] = 0
-    x, y, q = samples_of(grid, scale_m, (k.fx, k.fy, k.cx, k.cy), start, SAMPLE_STRIDE)
-    return x, y, q
+    samples: Samples = samples_of(grid, scale_m, (k.fx, k.fy, k.cx, k.cy), start, SAMPLE_STRIDE)
+    return samples
 
 
 def _consensus(x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -244,33 +252,20 @@ def _consensus(x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.flo
     rng = np.random.default_rng(20)
     scored = rng.permutation(len(q))[:CONSENSUS_SCORED]
     triples = far[triples_of(rng, len(far), CONSENSUS_TRIES)]
-    # Three points nearly in a line fix no plane.
-    rows = np.stack([x[triples], y[triples], np.ones(triples.shape)], axis=2)
-    clear = np.abs(np.linalg.det(rows)) >= 1e-4
-    planes = np.linalg.solve(rows[clear], q[triples[clear]][:, :, None])[:, :, 0]
+    planes = planes_through(triples, x, y, q, CLEAR_SPAN)
     # Nothing lies below the belt, so a plane through the tubers' tops loses by all the belt under it.
     best = best_plane(planes, x[scored], y[scored], q[scored], BAND_M, BELOW_M)
     return np.array([0.0, 0.0, float(np.median(q))]) if best < 0 else np.asarray(planes[best])
 
 
-def _height_over(
-    design: NDArray[np.float64], q: NDArray[np.float64], plane: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distance of each sample over a plane, towards the camera, metres."""
-    gap: NDArray[np.float64] = (1.0 - (design @ plane) / q) / np.linalg.norm(plane)
-    return gap
-
-
-def _summary(plane: NDArray[np.float64], design: NDArray[np.float64], q: NDArray[np.float64]) -> PlaneFit | None:
-    height = _height_over(design, q, plane)
-    near = np.abs(height) < BAND_M
-    share = float(near.mean())
+def _summary(plane: Plane, samples: Samples) -> PlaneFit | None:
+    near, squares = support(heights_over(plane, *samples), BAND_M)
+    share = near / len(samples[0])
     if share < MIN_SHARE or plane[2] <= 0:
         return None
     tilt = float(np.degrees(np.arccos(np.clip(plane[2] / np.linalg.norm(plane), -1, 1))))
-    residual = float(np.sqrt(np.mean(height[near] ** 2)))
     a, b, c = (float(value) for value in plane)
-    return PlaneFit((a, b, c), 1.0 / c, tilt, residual, share)
+    return PlaneFit((a, b, c), 1.0 / c, tilt, float(np.sqrt(squares / near)), share)
 
 
 def _angle_deg(fit: PlaneFit, belt_from_camera: NDArray[np.float64]) -> float:

@@ -1,4 +1,4 @@
-"""Loops of the plane fit (`plane`): the far samples, the score of many planes, and successive trimmed fits."""
+"""Loops of the plane fit (`plane`): far samples, planes through three, their scores, trimmed fits, and heights."""
 
 from __future__ import annotations
 
@@ -117,6 +117,52 @@ def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: flo
             far[found] = low[wanted - 1]
             found += 1
     return far[:found]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def planes_through(
+    triples: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64], clear: float
+) -> NDArray[np.float64]:
+    """(k, 3) the planes through three samples each, in the order of `triples`; three nearly in a line fix none.
+
+    Args:
+        clear: twice the area, in normalised image coordinates, that three samples have to span.
+    """
+    planes, found = np.empty((len(triples), 3)), 0
+    for k in range(len(triples)):
+        first, second, third = triples[k]
+        ux, uy, uq = x[second] - x[first], y[second] - y[first], q[second] - q[first]
+        vx, vy, vq = x[third] - x[first], y[third] - y[first], q[third] - q[first]
+        span = ux * vy - uy * vx
+        if abs(span) >= clear:
+            a, b = (uq * vy - uy * vq) / span, (ux * vq - uq * vx) / span
+            planes[found, 0], planes[found, 1], planes[found, 2] = a, b, q[first] - a * x[first] - b * y[first]
+            found += 1
+    return planes[:found]
+
+
+@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+def heights_over(
+    plane: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(n,) distance of each sample over a plane, towards the camera, metres."""
+    a, b, c = plane
+    per_norm = 1.0 / np.sqrt(a * a + b * b + c * c)
+    heights = np.empty(len(q))
+    for n in range(len(q)):
+        heights[n] = (1.0 - (x[n] * a + y[n] * b + c) / q[n]) * per_norm
+    return heights
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def support(heights: NDArray[np.float64], band_m: float) -> tuple[int, float]:
+    """How many samples lie within `band_m` of their plane, and the sum of their squared heights, m2."""
+    count, squares = 0, 0.0
+    for height in heights:
+        if abs(height) < band_m:
+            count += 1
+            squares += height * height
+    return count, squares
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]

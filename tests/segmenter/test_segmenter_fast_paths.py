@@ -118,6 +118,31 @@ def test_trimmed_planes_are_least_squares_fits(rng: np.random.Generator) -> None
     assert not plane_kernels.trimmed(plane, x[:40], y[:40], q[:40], (0.03,), 50).any(), "too few fix no plane"
 
 
+def test_planes_go_through_their_three_samples(rng: np.random.Generator) -> None:
+    """As `np.linalg.solve` finds them; three samples in a line fix none and are left out."""
+    (x, y), q = rng.uniform(-0.5, 0.5, (2, 60)), rng.uniform(2.0, 3.0, 60)
+    triples = rng.permuted(np.tile(np.arange(60), (30, 1)), axis=1)[:, :3]
+    x[triples[4]], y[triples[4]] = (0.1, 0.2, 0.3), (0.2, 0.4, 0.6)
+    rows = np.stack([x[triples], y[triples], np.ones(triples.shape)], axis=2)
+    clear = np.abs(np.linalg.det(rows)) >= 1e-3
+    plain = np.linalg.solve(rows[clear], q[triples[clear]][:, :, None])[:, :, 0]
+    found = plane_kernels.planes_through(triples, x, y, q, 1e-3)
+    assert not clear[4]
+    np.testing.assert_allclose(found, plain, rtol=1e-10, atol=1e-10)
+
+
+def test_heights_over_a_plane_and_what_supports_it(rng: np.random.Generator) -> None:
+    (x, y), q = rng.uniform(-0.5, 0.5, (2, 500)), rng.uniform(2.0, 2.2, 500)
+    plane = np.array([0.1, -0.05, 2.1])
+    plain = (1.0 - (x * plane[0] + y * plane[1] + plane[2]) / q) / np.linalg.norm(plane)
+    heights = plane_kernels.heights_over(plane, x, y, q)
+    np.testing.assert_allclose(heights, plain, rtol=0, atol=1e-15)
+    near = np.abs(heights) < 0.004
+    count, squares = plane_kernels.support(heights, 0.004)
+    assert count == near.sum() > 0
+    assert squares == pytest.approx(float(np.sum(heights[near] ** 2)), rel=1e-12)
+
+
 def test_far_samples_stand_for_their_cells(rng: np.random.Generator) -> None:
     (x, y), q = rng.uniform(-0.5, 0.5, (2, 900)), rng.integers(1, 9, 900) / 4
     plain = []
