@@ -29,7 +29,7 @@ class FrameDrop(Reason):
     BLIND = "blind", "too little of the image has depth: the lens is dark or covered"
     FROZEN = "frozen", "the same image again though the belt moved on"
     CAMERA_CHANGED = "camera_changed", "its intrinsics or depth unit are not those that the run began with"
-    NO_BELT = "no_belt", "no belt distance is given and no belt is seen yet"
+    NO_BELT = "no_belt", "no belt is seen: none was yet and no distance is given, or something else is in its place"
     TOO_OLD = "too_old", "the frame waited longer than max_age_ms"
     OVERWRITTEN = "overwritten", "newer frames pushed it out of the ring"
     OVERLOAD = "overload", "left out, for the regressors cannot keep up; tubers are seen in other frames"

@@ -178,6 +178,8 @@ class SegmenterNode:
         counters.gauge("frame_ms", (time.perf_counter() - started_s) * 1000)
         if result.dropped == FrameDrop.CAMERA_CHANGED:
             self._tell_changed(camera_run, frame)
+        if result.dropped == FrameDrop.NO_BELT and camera_run.core.belt_hidden:
+            self._tell_hidden(camera_run, frame)
         counters.add("instances", result.instances)
         self._watch_belt(camera_run)
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
@@ -216,11 +218,20 @@ class SegmenterNode:
     def _tell_changed(self, camera_run: CameraRun, frame: Frame) -> None:
         """The first refused frame of a row, and how to go on where all of them are."""
         changed = camera_run.frames.dropped[FrameDrop.CAMERA_CHANGED]
-        if changed & (changed - 1) == 0:  # 1, 2, 4, 8 ...: told, and never a flood
+        if _is_told(changed):
             self._node.log.error(
                 "refused frame %d, the %d. of run %s with intrinsics %s and depth unit %g m, unlike the first frame: "
                 "start a new run after changing a camera",
                 frame.seq, changed, frame.run, frame.intrinsics, frame.depth_scale_m,
+            )  # fmt: skip
+
+    def _tell_hidden(self, camera_run: CameraRun, frame: Frame) -> None:
+        """What is seen in place of the belt, and that frames are left out until it is seen again."""
+        hidden = camera_run.frames.dropped[FrameDrop.NO_BELT]
+        if _is_told(hidden):
+            self._node.log.error(
+                "left out frame %d, the %d. of run %s without a belt, until it is seen again: %s",
+                frame.seq, hidden, frame.run, camera_run.core.belt_hidden,
             )  # fmt: skip
 
     def _watch_belt(self, camera_run: CameraRun) -> None:
@@ -309,3 +320,8 @@ class SegmenterNode:
             counters.gauge(AT_START_GAUGE, time.monotonic() - quickest_ns / 1e9 - self._node.uptime_s)
         for reason, n in camera_run.dispatcher.requeued.items():
             counters.gauge(f"views_requeued_{reason}", n)
+
+
+def _is_told(n: int) -> bool:
+    """1, 2, 4, 8 ...: told, and never a flood."""
+    return n & (n - 1) == 0

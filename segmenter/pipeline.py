@@ -40,7 +40,12 @@ class Segmenter:
         self._gate = FrameGate()
         self.gauge = GaugeKeeper(settings.gauge)
         self._off = BeltOff()
-        self._belts = BeltKeeper(settings.belt_follow_m, given_sd_m=settings.belt_sd_m, web=settings.resting)
+        self._belts = BeltKeeper(
+            settings.belt_follow_m,
+            given_sd_m=settings.belt_sd_m,
+            web=settings.resting,
+            in_use=resume is not None,
+        )
         self._waiting = WaitingSegmenter(settings, Perception(settings.perception, settings.split), resume)
         self._running: BeltSegmenter | None = None
 
@@ -48,7 +53,7 @@ class Segmenter:
         """Take the next frame.
 
         Raises:
-            InputError: the belt seen contradicts the calibration, or there is neither.
+            InputError: the belt seen contradicts the calibration from the first frame on, or there is neither.
         """
         drop = self._gate.drop(frame)
         if drop is not None:
@@ -98,6 +103,11 @@ class Segmenter:
     def belt_check(self) -> BeltCheck:
         """What the newest check of the belt said, against the belt as given."""
         return self._belts.check
+
+    @property
+    def belt_hidden(self) -> str:
+        """What is seen in place of the belt, in words; empty while the belt is seen."""
+        return self._belts.hidden
 
     @property
     def noise_px(self) -> float | None:

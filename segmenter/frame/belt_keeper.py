@@ -8,11 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.geometry import TYPICAL_BELT_SD_M
+from conveyor.geometry import TYPICAL_BELT_SD_M, belt_distance_m
 from conveyor.messages import Frame
 from conveyor.resting import RestingLevel
 from segmenter.frame.belt import BeltGeometry
-from segmenter.frame.constants import AGREE_M, BELT_PATIENCE, CHECK_EVERY, FITTED_OVER, SEEN_SD_M
+from segmenter.frame.constants import (
+    AGREE_M,
+    BELT_PATIENCE,
+    CHECK_EVERY,
+    CLEAR_SHARE,
+    FITTED_OVER,
+    REFUSE_M,
+    SEEN_SD_M,
+)
 from segmenter.frame.plane import BeltCheck, PlaneFit, check_belt, fit_plane, given_or_fitted, support_share
 from segmenter.gauge.web import check_web
 
@@ -27,16 +35,31 @@ class BeltKeeper:
 
     A web of rods (`web`) stays as given: its rods are compared with it, and what is seen between them is the ground.
 
+    A first look that contradicts the belt given is an error. One in a run whose belt was in use already is a hand, a
+    sheet or a board in front of it, or a camera that was knocked: there is no belt until it is seen again.
+
+    Args:
+        in_use: the belt was in use before, by an earlier process of the run.
+
     Attributes:
         belt: the belt in use, None before the first.
         check: what the newest check said, against the belt as given.
+        hidden: what is seen in place of the belt, in words; empty while the belt is seen.
     """
 
     def __init__(
-        self, follow_m: float = 0.0, *, given_sd_m: float = TYPICAL_BELT_SD_M, web: RestingLevel | None = None
+        self,
+        follow_m: float = 0.0,
+        *,
+        given_sd_m: float = TYPICAL_BELT_SD_M,
+        web: RestingLevel | None = None,
+        in_use: bool = False,
     ) -> None:
         self.belt: BeltGeometry | None = None
         self.check = BeltCheck(None, None)
+        self.hidden = ""
+        self._in_use = in_use
+        self._hidden_looks = 0
         self._web = web if web is not None and web.surface == "rods" else None
         self._follow_m = 0.0 if self._web else follow_m
         self._trust = given_sd_m**2 / (given_sd_m**2 + SEEN_SD_M**2)
@@ -49,14 +72,17 @@ class BeltKeeper:
         self._beltless = 0
 
     def belt_of(self, frame: Frame) -> BeltGeometry | None:
-        """The belt to use for this frame; None where none is given and none was seen yet.
+        """The belt to use for this frame; None where none is given and none was seen yet, and while it is hidden.
 
         Raises:
-            InputError: the belt seen contradicts the calibration, or there is neither after many frames.
+            InputError: the belt seen contradicts the calibration from the first look on, or there is neither after many
+                frames.
         """
-        if self.belt is None or self._due():
+        if self.belt is None or self.hidden or self._due():
             self._look(frame)
-        self._frames += self.belt is not None
+        if self.belt is None or self.hidden:
+            return None
+        self._frames += 1
         return self.belt
 
     def may_follow(self, reach_m: float) -> None:
@@ -84,15 +110,18 @@ class BeltKeeper:
                 )
             if fit is None and not given:
                 self._beltless += 1
-                if self._beltless < BELT_PATIENCE:
+                if self._beltless < BELT_PATIENCE or self._in_use:
                     return
             self._pose = given_or_fitted(frame.belt_from_camera, frame.belt_distance_m, fit, camera=frame.camera)
             self._fitted = not given
             self.belt = BeltGeometry(frame.intrinsics, self._pose)
-        if self._fitted and fit is not None and len(self._fits) < FITTED_OVER:
+        self._judge(frame, fit, self._pose)
+        if self._fitted and not self.hidden and fit is not None and len(self._fits) < FITTED_OVER:
             self._pose = self._mean_with(fit, frame.camera)
             self.belt = BeltGeometry(frame.intrinsics, self._pose)
-        self._check(frame, fit, self._pose)
+            self._judge(frame, fit, self._pose)
+        if self.hidden:
+            return
         self._seen.append(self.check.drift_m is not None)
         if self._follow_m > 0 and not self._fitted and self.check.drift_m is not None:
             self._drifts_m.append(self.check.drift_m)
@@ -104,14 +133,35 @@ class BeltKeeper:
         mean = PlaneFit((a, b, c), 1 / c, fit.tilt_deg, fit.residual_m, fit.share)
         return given_or_fitted(None, None, mean, camera=camera)
 
-    def _check(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> None:
-        if self._web is not None:
-            self.check = check_web(frame, BeltGeometry(frame.intrinsics, pose), self._web, fit)
+    def _judge(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> None:
+        """Whether the belt is where it is said to be; once something else was seen there, only where it is seen again.
+
+        Raises:
+            InputError: something else is seen there, and the belt was not in use before.
+        """
+        try:
+            check, share = self._compared(frame, fit, pose)
+        except InputError as error:
+            if not self._in_use:
+                raise
+            if fit is not None and self._hidden_looks % CHECK_EVERY == 0:  # as often as a belt that is seen is checked
+                self.check = BeltCheck(fit, fit.distance_m - belt_distance_m(pose))
+            self.hidden = str(error)
+            self._hidden_looks += 1
             return
+        if self.hidden and share < CLEAR_SHARE and (check.drift_m is None or abs(check.drift_m) > REFUSE_M):
+            return
+        self.check, self.hidden, self._hidden_looks, self._in_use = check, "", 0, True
+
+    def _compared(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> tuple[BeltCheck, float]:
+        """The belt seen against the one at `pose`, and the share of the frame that bears that out."""
+        if self._web is not None:
+            return check_web(frame, BeltGeometry(frame.intrinsics, pose), self._web, fit), 1.0
         share = support_share(
             pose, frame.depth, depth_scale_m=frame.depth_scale_m, intrinsics=frame.intrinsics, mask=frame.mask
         )
-        self.check = check_belt(pose, fit, given_share=share, camera=frame.camera, depth_scale_m=frame.depth_scale_m)
+        check = check_belt(pose, fit, given_share=share, camera=frame.camera, depth_scale_m=frame.depth_scale_m)
+        return check, share
 
     def _followed(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, 4) the given pose with its height over the belt as seen; drifts are along the optical axis."""

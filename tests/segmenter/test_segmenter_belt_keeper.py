@@ -9,10 +9,11 @@ import pytest
 from segmenter_scene import SMALL, Scene, scattered, tilted
 
 from conveyor.config import parse_config
+from conveyor.errors import InputError
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
 from conveyor.messages import Frame
 from segmenter.frame.belt_keeper import BeltKeeper
-from segmenter.frame.constants import CHECK_EVERY, FITTED_OVER
+from segmenter.frame.constants import BELT_PATIENCE, CHECK_EVERY, FITTED_OVER
 from segmenter.frame.plane import fit_plane
 from segmenter.setup import core_settings
 
@@ -108,3 +109,54 @@ def test_a_belt_that_is_seen_now_here_now_there_is_not_followed() -> None:
         keeper.belt_of(replace(frame, depth=(frame.depth.astype(np.int32) + shift).astype(np.uint16)))
     assert keeper.belt is not None
     assert keeper.belt.distance_m == pytest.approx(0.457, abs=1e-9)
+
+
+def covered(frame: Frame, at_m: float) -> Frame:
+    """The frame with a board in front of the belt."""
+    return replace(frame, depth=np.full(frame.depth.shape, round(at_m / frame.depth_scale_m), np.uint16))
+
+
+def test_a_board_before_a_belt_in_use_hides_it_until_it_is_seen_again() -> None:
+    """A hand, a sheet or a board in front of a running camera ended its segmenter with an error that no one restarts
+    (exit code 2), at the next check of the belt."""
+    keeper, clear = BeltKeeper(), frames(TRUE_M, n=CHECK_EVERY + 4)
+    for frame in clear[:CHECK_EVERY]:
+        assert keeper.belt_of(frame) is not None
+    for frame in clear[CHECK_EVERY : CHECK_EVERY + 3]:
+        assert keeper.belt_of(covered(frame, 0.12)) is None
+    assert "calibrated for a belt at 0.460 m, but the belt seen in the frame lies at 0.120 m" in keeper.hidden
+    belt = keeper.belt_of(clear[-1])
+    assert belt is not None
+    assert belt.distance_m == pytest.approx(TRUE_M, abs=1e-9)
+    assert keeper.hidden == ""
+
+
+def test_a_belt_in_use_that_is_said_to_be_elsewhere_stays_hidden_under_load() -> None:
+    """A camera that was knocked sees its belt elsewhere now and then, and load all the time: it must not weigh that
+    by where its belt was."""
+    keeper, knocked = BeltKeeper(), frames(0.42, n=3)
+    bare = Scene([], SMALL, noise_m=0.0015).frame(0, 0.0)
+    at_first = replace(bare, depth=(bare.depth - 40).astype(np.uint16), belt_from_camera=knocked[0].belt_from_camera)
+    assert keeper.belt_of(at_first) is not None
+    for _ in range(CHECK_EVERY - 1):
+        keeper.belt_of(at_first)
+    seen_elsewhere = replace(bare, belt_from_camera=at_first.belt_from_camera)
+    assert keeper.belt_of(seen_elsewhere) is None
+    rng = np.random.default_rng(9)
+    load = replace(at_first, depth=rng.integers(380, 455, bare.depth.shape).astype(np.uint16))
+    assert keeper.belt_of(load) is None
+    assert keeper.hidden
+    assert keeper.belt_of(at_first) is not None
+
+
+def test_a_first_look_that_contradicts_is_an_error_but_for_a_run_that_goes_on() -> None:
+    """A segmenter that was started again while a board lay there gave up for good."""
+    board = covered(frames(TRUE_M, n=1)[0], 0.12)
+    with pytest.raises(InputError, match=r"lies at 0\.120 m"):
+        BeltKeeper().belt_of(board)
+    keeper = BeltKeeper(in_use=True)
+    assert keeper.belt_of(board) is None
+    assert keeper.belt_of(frames(TRUE_M, n=1)[0]) is not None
+    beltless = BeltKeeper(in_use=True)
+    nothing = replace(board, depth=np.zeros_like(board.depth), belt_from_camera=None)
+    assert {beltless.belt_of(nothing) for _ in range(BELT_PATIENCE + 5)} == {None}

@@ -166,3 +166,21 @@ def test_coverage_counts_belt_once_when_it_runs_back() -> None:
     for travel_m in (0.0, 0.1, 0.05, 0.1, 0.2):
         coverage.step(travel_m)
     assert (coverage.looked_at_m, coverage.travelled_m) == pytest.approx((0.2, 0.2))
+
+
+def test_a_board_over_the_belt_costs_its_frames_and_not_the_run() -> None:
+    """The segmenter ended for good at the first check of the belt that saw one."""
+    scene = Scene(scattered(12, seed=3), noise_m=0.001)
+    core, counted, drops = Segmenter(Settings()), 0, []
+    for i in range(75):
+        frame = scene.frame(i, 0.0133 * i)
+        if 28 <= i < 34:
+            frame = replace(frame, depth=np.full(frame.depth.shape, 120, np.uint16))
+        result = core.step(frame)
+        counted += len(result.closed)
+        drops += [result.dropped] if result.dropped else []
+    counted += len(core.finish())
+    assert set(drops) == {FrameDrop.NO_BELT}
+    assert len(drops) == 4, "frame 30 is the first that the belt is looked at in, frame 33 the last that hides it"
+    assert counted == 12
+    assert core.looked_at_m == pytest.approx(core.travelled_m)
