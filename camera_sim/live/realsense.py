@@ -85,7 +85,7 @@ class RealSenseSource:
             DeviceError: it came back with other intrinsics; a new run has to be begun.
         """
         newest, last_s = after, time.monotonic()
-        offset: int | None = None
+        offset, before = None, -1
         try:
             while self._poll(time.monotonic() - last_s):
                 taken = self._take()
@@ -93,10 +93,16 @@ class RealSenseSource:
                     if time.monotonic() - last_s >= STALLED_AFTER_S:
                         if not self._recover(last_s):
                             return
-                        offset = None
+                        offset, before = None, -1
                     continue
                 depth, color = taken
                 number = int(depth.get_frame_number())
+                if number < before:  # it left the bus for a moment, and the SDK started it again without a word
+                    if not self._recover(last_s, reset=False):
+                        return
+                    offset, before = None, -1
+                    continue
+                before = number
                 if offset is None:  # the first one, or the first after a gap whose length only the time tells
                     missed = (
                         0
@@ -127,13 +133,19 @@ class RealSenseSource:
             return None
         return (depth, color or None) if depth else None
 
-    def _recover(self, since_s: float) -> bool:
-        """Reset and open the device again, until it works; False: stop."""
+    def _recover(self, since_s: float, *, reset: bool = True) -> bool:
+        """Reset and open the device again, until it works; False: stop. One that came back by itself has lost its
+        options and its depth unit: it is opened again, and is reset only where that fails.
+        """
         backoff_s = BACKOFF_FIRST_S
         while True:
             self._close()
-            self._log.warning("no frame for %.0f s: resetting the camera", time.monotonic() - since_s)
-            self._reset()
+            if reset:
+                self._log.warning("no frame for %.0f s: resetting the camera", time.monotonic() - since_s)
+                self._reset()
+            else:
+                self._log.warning("the camera's frame numbers began again: opening it again")
+            reset = True
             if not self._wait(lambda: self._device() is not None, BACK_WITHIN_S, since_s):
                 return False
             try:

@@ -2,7 +2,8 @@
 
 It shows a plane at 0.46 m, 30 times a second in real time. Files in the folder REALSENSE_STAND_IN command it: `gone`
 (off the bus), `stalled` (no frames until it is reset), `unit` (depth unit in metres after the next start), `fixed`
-(the unit cannot be set), `refuses` (does not start), `stubborn` (keeps its exposure). It has a D405's options: no
+(the unit cannot be set), `refuses` (does not start), `stubborn` (keeps its exposure), `blinks` (leaves the bus for a
+moment, and the SDK starts it again by itself). It has a D405's options: no
 projector. A reset takes it off the bus for a second. `asked` tells what was done.
 """
 
@@ -42,6 +43,14 @@ def _asked(what: str) -> None:
 
 def _there() -> bool:
     return not _is("gone") and time.monotonic() >= _away_until
+
+
+def _take_unit() -> None:
+    """The unit that a device has when it starts."""
+    global _unit_m
+    if _is("unit"):
+        _unit_m = float((FOLDER / "unit").read_text())
+        (FOLDER / "unit").unlink()
 
 
 def _need_device() -> None:
@@ -201,14 +210,11 @@ class pipeline:
         self._lost = False  # a pipeline does not survive its device's leaving the bus
 
     def start(self, wanted: config) -> profile:
-        global _unit_m
         _need_device()
         _asked("start")
         if _is("refuses"):
             raise RuntimeError("Couldn't resolve requests")
-        if _is("unit"):
-            _unit_m = float((FOLDER / "unit").read_text())
-            (FOLDER / "unit").unlink()
+        _take_unit()
         self._started = time.monotonic()
         return profile()
 
@@ -216,6 +222,10 @@ class pipeline:
         deadline = time.monotonic() + timeout_ms / 1000
         due = self._started + (self._number + 1) / FPS
         while time.monotonic() < deadline:
+            if _is("blinks"):
+                (FOLDER / "blinks").unlink()
+                _take_unit()
+                self._started = due = time.monotonic()
             self._lost |= not _there()
             if not self._lost and not _is("stalled") and time.monotonic() >= due:
                 self._number = int((time.monotonic() - self._started) * FPS)
