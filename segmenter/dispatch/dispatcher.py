@@ -36,6 +36,8 @@ from segmenter.dispatch.throughput import Throughput
 
 FIRSTS_PER_SPARE = 8
 """First views that may wait, whatever the pace, in units of `shed_over`: a bound on memory."""
+LEAST_QUEUE = 64
+"""Entries below which the queue is left as it is: what was given up meanwhile is skipped when its turn comes."""
 TURNS_IN_HAND = 2.0
 """A regressor gets what it weighs in this many of our turns, so that it never waits for us."""
 
@@ -181,10 +183,10 @@ class Dispatcher:
             name = self._freest()
             if name is None:
                 break
-            key, view_id = heapq.heappop(self._queue)
-            job = self._jobs.get(view_id)
-            if job is None or self._turn(job) != key or job.regressor is not None or job.fallback:
+            turn, view_id = heapq.heappop(self._queue)
+            if not self._waits(turn, view_id):
                 continue
+            job = self._jobs[view_id]
             job.regressor, job.deadline_s = name, now_s + self._patience_s(name)
             job.attempts += 1
             self.in_flight.sent(name, view_id, now_s)
@@ -325,6 +327,14 @@ class Dispatcher:
 
     def _enqueue(self, job: _Job) -> None:
         heapq.heappush(self._queue, (self._turn(job), job.view.view_id))
+        # Where no regressor comes, or spare views never have their turn, nothing else takes out what was given up.
+        if len(self._queue) > 2 * max(LEAST_QUEUE, len(self._jobs)):
+            self._queue = sorted({entry for entry in self._queue if self._waits(*entry)})
+
+    def _waits(self, turn: tuple[int, int], view_id: str) -> bool:
+        """This entry of the queue is the turn of a view that still waits for it."""
+        job = self._jobs.get(view_id)
+        return job is not None and self._turn(job) == turn and job.regressor is None and not job.fallback
 
     def _give_back(self, job: _Job, reason: Requeue) -> None:
         job.regressor = None
