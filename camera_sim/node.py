@@ -23,7 +23,8 @@ INFO_EVERY_S = 0.5
 STALL_AFTER_S = 10.0
 POLL_S = 0.05
 NUMBERING_S = 1.0
-"""A camera that waits for no one asks this long how far the run got, so that a restarted one numbers on from there."""
+"""A camera that waits for no one asks this long how far the run got, so that a restarted one numbers on from there;
+where the answer comes later, it goes on from there then."""
 
 
 class CameraNode:
@@ -56,6 +57,7 @@ class CameraNode:
         self._done_seq = -1
         self._word = False
         self._back_to: int | None = None
+        self._numbered_from = 0
 
     def run(self) -> None:
         """Publish everything, say that it ended, stay until stopped."""
@@ -100,7 +102,8 @@ class CameraNode:
 
     def _publish_after(self, after: int) -> None:
         """All frames above `after`, until none is in flight any more or the segmenter starts again."""
-        for item in self._source.frames(run=self._node.run, after=after):
+        for found in self._source.frames(run=self._node.run, after=after):
+            item = self._numbered_on(found)
             if isinstance(item, Refused):
                 self._refuse(item)
             elif fault := _fault(item):
@@ -113,6 +116,23 @@ class CameraNode:
                 after = item.seq
         while self._waits and self._window.in_flight and not self._interrupted:
             self._wait_for_progress()
+
+    def _numbered_on(self, item: Frame | Refused) -> Frame | Refused:
+        """What a live source gives, numbered above all that the run had before this process.
+
+        A segmenter that starts with its camera, after a reboot say, tells how far the run got only when it is ready,
+        and takes what has an old number for an old frame.
+        """
+        if self._waits or not self._source.description.live:
+            return item
+        seq = item.seq + self._numbered_from
+        done = max((p.done_seq for p in self._progress.latest().values() if p.run == self._node.run), default=-1)
+        if done >= seq:
+            self._node.log.warning("the run had frames up to %d already: numbering on from there", done)
+            self._node.counters.add("numbered_on")
+            self._numbered_from += done + 1 - seq
+            self._note(done)
+        return replace(item, seq=item.seq + self._numbered_from)
 
     @property
     def _interrupted(self) -> bool:
