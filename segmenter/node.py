@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from contextlib import ExitStack
 from dataclasses import replace
 
@@ -44,6 +45,8 @@ PICTURE_EVERY_S = 0.25
 IDLE_POLL_S = 0.02
 BUSY_POLL_S = 0.004
 COMMITTED_WAIT_S = 0.5
+RUNS_REMEMBERED = 64
+"""Older runs that are committed and closed: a frame of them that comes late does not begin them again."""
 
 
 class SegmenterNode:
@@ -58,6 +61,7 @@ class SegmenterNode:
         self._waits = source.waits and source.source == "recording"  # a device waits for no one
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
+        self._over: deque[str] = deque(maxlen=RUNS_REMEMBERED)
         stamped = source.source == "recording" and source.starts_at_s is None  # the others say the time of the day
         self._speed = source.speed if stamped else 1.0
         self._age = FrameAge(self._speed)
@@ -152,6 +156,9 @@ class SegmenterNode:
 
     def _take_frame(self, frame: Frame, now_s: float) -> None:
         counters = self._node.counters
+        if frame.run in self._over:
+            counters.add("frames_of_older_runs")
+            return
         if frame.run not in self._runs:
             self._end_older_runs(now_s)
             self._node.log.info("the camera began run %s", frame.run)
@@ -286,6 +293,7 @@ class SegmenterNode:
         elif camera_run.log.finished:
             camera_run.close()
             del self._runs[camera_run.run]
+            self._over.append(camera_run.run)
 
     def _work(self, regressor: str) -> LatestPublisher:
         if regressor not in self._works:

@@ -1,0 +1,72 @@
+"""A segmenter's runs: the camera's newest one goes on, whatever comes late of those before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conveyor.config import CameraConfig, LineConfig
+from conveyor.messages import Committed, Frame
+from segmenter.node import SegmenterNode
+from tests.segmenter.segmenter_scene import Body, Scene
+
+SCENE = Scene([Body(-0.3, 0.0)])
+LINE = LineConfig(cameras={"front": CameraConfig(source="realsense", belt_distance_m=0.46)})
+
+
+class _Sockets:
+    """In place of the node's links: what is sent goes nowhere, and everything that a run logged is committed."""
+
+    has_listener = False
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return lambda *_: set() if name == "names" else {}
+
+    def latest(self) -> dict[str, Committed]:
+        runs = self._node._runs.values()
+        return {run.run: Committed(camera="front", run=run.run, n=run.log.newest) for run in runs}
+
+
+@pytest.fixture(params=["a log on disk", "none"])
+def node(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Any]:
+    """A segmenter without sockets, in run r1."""
+    kept = LINE.segmenter.model_copy(update={"state_dir": tmp_path if request.param == "a log on disk" else None})
+    found: Any = SegmenterNode(LINE.model_copy(update={"segmenter": kept}), "front", "r1")
+    for link in ("_committed", "_regressors", "_log_out", "_progress", "_travel", "_in_view", "_pictures"):
+        setattr(found, link, _Sockets(found))
+    found._open_run("r1")
+    yield found
+    for camera_run in found._runs.values():
+        camera_run.close()
+
+
+def frame(run: str, seq: int) -> Frame:
+    return replace(SCENE.frame(seq, 0.01 * seq), run=run, captured_ns=10**9 + seq * 33_000_000)
+
+
+def give(node: Any, run: str, seqs: range) -> None:
+    for seq in seqs:
+        node._take_frame(frame(run, seq), 0.033 * seq)
+        for camera_run in list(node._runs.values()):
+            node._serve(camera_run, 0.033 * seq)
+
+
+def test_a_late_frame_of_a_finished_run_ends_nothing(node: Any) -> None:
+    """It opened its run again, which ended the newest one. With a log on disk no frame was processed any more; without
+    one the newest run began again, with entries that the aggregator has under their numbers already."""
+    give(node, "r1", range(4))
+    give(node, "r2", range(4))
+    assert list(node._runs) == ["r2"], "the first run is over, and all of it is committed"
+    give(node, "r1", range(4, 5))
+    give(node, "r2", range(4, 8))
+    assert (node._current.run, list(node._runs)) == ("r2", ["r2"])
+    assert node._current.frames.processed == 8
+    assert not node._current.ended
+    assert node._node.counters.get("frames_of_older_runs") == 1
