@@ -35,7 +35,8 @@ MARK_TURN_M = 0.004
 EMPTY_S = 2.0
 MOST_BEHIND = 4096
 """Entries of a live camera's log that a living aggregator may be behind, 90 s of a full belt: one that was frozen or
-started again costs no frame. Beyond, it does not keep up, and frames are left out until it does."""
+started again costs no frame. Beyond, it does not keep up, and frames are left out until it does. One that is away costs
+no frame before the log is nearly full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +139,10 @@ class CameraRun:
 
     @property
     def _far_behind(self) -> bool:
-        """The aggregator lives, and takes less than this camera logs."""
-        return self.aggregator_lives and not self.settings.replays and self.log.uncommitted > MOST_BEHIND
+        """The aggregator lives, and takes less than this camera logs; or it was away until the log was nearly full."""
+        if self.settings.replays:
+            return False
+        return self.log.nearly_full or (self.aggregator_lives and self.log.uncommitted > MOST_BEHIND)
 
     def _spared(self, frame: Frame) -> bool:
         """So many tubers wait for their first view that this frame is left out."""
@@ -208,8 +211,9 @@ class CameraRun:
         return self.dispatcher.assign(now_s)
 
     def progress(self) -> FrameProgress:
-        """How far the camera may go on. Held back while too many views wait for a regressor."""
-        if self.dispatcher.outstanding <= self.settings.max_pending_views:
+        """How far the camera may go on. Held back while too many views wait for a regressor, or entries of the log for
+        the aggregator."""
+        if self.dispatcher.outstanding <= self.settings.max_pending_views and not self.log.nearly_full:
             self._done_seq = max(self._done_seq, self.frames.newest_seq)
         return FrameProgress(camera=self.camera, run=self.run, done_seq=self._done_seq, window=self.settings.window)
 

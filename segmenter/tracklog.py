@@ -15,6 +15,8 @@ from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
 
 MAX_UNCOMMITTED = 100_000
+NEARLY_FULL = 0.95
+"""Of that: the rest is for what was seen already when no more is looked at."""
 RESEND_AFTER_S = 1.0
 RESEND_AFTER_AT_MOST_S = 8.0
 UNDER_WAY_AT_MOST, UNDER_WAY_AT_LEAST = 512, 16
@@ -89,6 +91,11 @@ class TrackLog:
     def uncommitted(self) -> int:
         """Entries the aggregator has not confirmed."""
         return len(self._entries)
+
+    @property
+    def nearly_full(self) -> bool:
+        """So much waits for the aggregator that no more belt should be looked at."""
+        return len(self._entries) > NEARLY_FULL * MAX_UNCOMMITTED
 
     @property
     def finished(self) -> bool:
