@@ -33,6 +33,11 @@ class CounterSet:
                 return
             self._gauges[name] = float(value)
 
+    def forget_gauges(self) -> None:
+        """Drop all levels: what they were levels of is over."""
+        with self._lock:
+            self._gauges.clear()
+
     def get(self, name: str) -> int:
         """The count of `name`, 0 where it never happened."""
         with self._lock:

@@ -125,7 +125,8 @@ class SegmenterNode:
         else:
             self._committed.wait(COMMITTED_WAIT_S)
         self._take_commits(camera_run)
-        self._belt, self._belt_told = BeltWatch(), set()
+        self._belt, self._belt_told, self._oldest_ms = BeltWatch(), set(), 0.0
+        self._node.counters.forget_gauges()
         mark = camera_run.log.last_mark
         self._age, self._clock = FrameAge(self._speed), CameraClock(self._speed, mark.captured_ns if mark else 0)
         self._current = self._runs[run] = camera_run

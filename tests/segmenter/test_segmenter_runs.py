@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from conveyor.config import CameraConfig, LineConfig
@@ -70,3 +71,26 @@ def test_a_late_frame_of_a_finished_run_ends_nothing(node: Any) -> None:
     assert node._current.frames.processed == 8
     assert not node._current.ended
     assert node._node.counters.get("frames_of_older_runs") == 1
+
+
+def test_a_new_run_starts_its_levels_anew(node: Any) -> None:
+    """What the run before had dropped stayed among the new run's levels, which then added up no more: a page told of
+    dark frames, and an alarm of a belt that is off rang, for as long as the process lived."""
+    dark = frame("r1", 0)
+    node._take_frame(replace(dark, depth=np.zeros_like(dark.depth)), 0.0)
+    give(node, "r1", range(1, 4))
+    node._node.counters.gauge("belt_alarm", 1.0)
+    node._report()
+    assert levels(node)["frames_dropped_blind"] == 1.0
+    give(node, "r2", range(5))
+    node._report()
+    told = levels(node)
+    assert told["frames_processed"] == told["frames_received"] == 5.0
+    assert told.get("frames_dropped_blind", 0.0) == 0.0
+    assert told.get("belt_alarm", 0.0) == 0.0
+    assert told["belt_backwards"] == 0.0
+
+
+def levels(node: Any) -> dict[str, float]:
+    """As a report tells them."""
+    return node._node.counters.snapshot()[1]  # type: ignore[no-any-return]
