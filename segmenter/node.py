@@ -130,6 +130,7 @@ class SegmenterNode:
         mark = camera_run.log.last_mark
         self._age, self._clock = FrameAge(self._speed), CameraClock(self._speed, mark.captured_ns if mark else 0)
         self._current = self._runs[run] = camera_run
+        self._node.run = run  # reports are of this one from now on
 
     def _turn(self) -> None:
         """One round: at most one frame, then everything that waits for a turn."""

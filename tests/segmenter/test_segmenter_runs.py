@@ -94,3 +94,14 @@ def test_a_new_run_starts_its_levels_anew(node: Any) -> None:
 def levels(node: Any) -> dict[str, float]:
     """As a report tells them."""
     return node._node.counters.snapshot()[1]  # type: ignore[no-any-return]
+
+
+def test_reports_name_the_run_that_they_tell_of(node: Any) -> None:
+    """They named the first one: the aggregator of the next run took no report for its own, so that it compared no
+    clocks of cameras and did not know who had its last acknowledgement."""
+    give(node, "r1", range(2))
+    assert node._node.run == "r1"
+    give(node, "r2", range(2))
+    assert node._node.run == "r2"
+    give(node, "r1", range(2, 3))
+    assert node._node.run == "r2"
