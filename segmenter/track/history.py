@@ -12,8 +12,8 @@ from segmenter.track.constants import KEPT_FRAMES, STILL_M
 
 @dataclass(slots=True)
 class TravelHistory:
-    """The travels of the processed frames. A standing belt adds nothing but its last moment; memory is bounded, and so
-    is what a question costs, however long the line runs.
+    """The travels of the processed frames. A belt that stands, or shakes where it has been, adds nothing but its last
+    moment; memory is bounded, and so is what a question costs, however long the line runs.
 
     `anchor` is where counting starts: the first frame, or where an earlier process of this run left off.
     """
@@ -32,7 +32,7 @@ class TravelHistory:
             self.anchor = (captured_ns, travel_m)
         if not self._times:
             self._note(*self.anchor)
-        if len(self._times) >= 3 and max(abs(t - travel_m) for _, t in self._times[-2:]) < STILL_M:
+        if self._newest_is_idle(travel_m):
             self._times.pop()
             self._reached.pop()
         self._note(captured_ns, travel_m)
@@ -73,6 +73,13 @@ class TravelHistory:
         (t0, x0), (t1, x1) = times[index - 1], times[index]
         share = (travel_m - x0) / (x1 - x0) if x1 > x0 else 1.0
         return t0 + round(max(0.0, min(1.0, share)) * (t1 - t0))
+
+    def _newest_is_idle(self, travel_m: float) -> bool:
+        """The newest entry says nothing of when the belt was where, once there is one at `travel_m` after it."""
+        if len(self._times) < 3:
+            return False
+        stands = max(abs(t - travel_m) for _, t in self._times[-2:]) < STILL_M
+        return stands or self._reached[-3] >= max(self._reached[-1], travel_m)
 
     def _note(self, captured_ns: int, travel_m: float) -> None:
         self._times.append((captured_ns, travel_m))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conveyor.reasons import TrackRefusal
 from segmenter.classify.evidence import Answer
 from segmenter.classify.patch import Patch
-from segmenter.track.constants import CUT_TRUST, ODD_AREA, ODD_TRUST, TRUST_CAP
+from segmenter.track.constants import CUT_TRUST, KEPT_FRAMES, ODD_AREA, ODD_TRUST, TRUST_CAP
 from segmenter.track.layers import evidence
 from segmenter.track.views import ViewShelf
 
@@ -60,8 +60,9 @@ class Hit:
 class TrackState:
     """What is known of a track so far. Places are x - travel and y, metres.
 
-    `frames` counts frames in which the belt had moved since the last one counted; a standing belt adds none. `covered`:
-    frames that did not show it but a much larger instance at its place.
+    `hits` are its readings, `KEPT_FRAMES` at most. `frames` counts frames in which the belt had moved since the one
+    counted before; a standing belt adds none. `covered`: frames that did not show it but a much larger instance at its
+    place.
     `sent_early`: wanted positions whose view was given to be weighed before the decision.
     `rims`: readings of its rim (`segmenter.track.layers.rim_of`).
     `waits`: it is due, and its turn comes in one of the next frames.
@@ -118,6 +119,8 @@ class TrackState:
         if moved or not self.hits:
             self.frames += 1
             self.hits.append(hit)
+            if len(self.hits) > KEPT_FRAMES:  # the belt shakes where it stands: every other one of the older half goes
+                del self.hits[1 : KEPT_FRAMES // 2 : 2]
             recent = self.hits[-15:]
             self.area_m2 = middle([h.area_m2 for h in recent if not h.ends_cut] or [hit.area_m2])
             self.height_m = middle([h.height_m for h in recent])
