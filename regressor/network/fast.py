@@ -13,6 +13,7 @@ second-stage centroids. What they cost in grams stands in docs/pointraft.md (`py
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -72,8 +73,22 @@ class _Folded:
     wide_biases: tuple[Tensor, ...]
 
 
+class _Blocks(threading.local):
+    """Room for the edges of one block, by their width. Each thread has its own: they are written while it weighs."""
+
+    def __init__(self, rows: int, kind: type[np.uint16] | type[np.float32]) -> None:
+        self._rows, self._kind = rows, kind
+        self._made: dict[int, NDArray[np.uint16] | NDArray[np.float32]] = {}
+
+    def of_width(self, width: int) -> NDArray[np.uint16] | NDArray[np.float32]:
+        """(rows, width); what stood there before is not kept."""
+        if width not in self._made:
+            self._made[width] = np.empty((self._rows, width), self._kind)
+        return self._made[width]
+
+
 class FastPointRaft:
-    """Grams from groups. Not thread-safe: one instance per worker."""
+    """Grams from groups. Several threads may weigh with one instance."""
 
     def __init__(self, model: PointRaft, form: Form = EXACT) -> None:
         self.form = form
@@ -88,11 +103,7 @@ class FastPointRaft:
         self._last_two = [weight.T.contiguous().view(self._bits).numpy() for weight in self._stage3.wide[1:]]
         self._height = _fold(model.height_embed) if model.height_embed is not None else None
         self._head = _fold(model.regression_head)
-        kind = np.uint16 if self._dtype == torch.bfloat16 else np.float32
-        self._block = {
-            width: np.empty((rows, width), kind)
-            for width in (self._stage1.weights[0].shape[0], self._stage2.weights[0].shape[0])
-        }
+        self._blocks = _Blocks(rows, np.uint16 if self._dtype == torch.bfloat16 else np.float32)
 
     def weigh(self, groups: SharedGroups | GatheredGroups, height_m: float) -> float:
         """Grams of one cloud. `height_m`: above the belt, clamped, metres."""
@@ -126,7 +137,7 @@ class FastPointRaft:
         source = torch.addmm(mlp.biases[0], inputs, mlp.weights[0].T).numpy()
         centroid = (centroids @ mlp.weights[0][:, -3:].T).numpy()
         pooled = np.empty((len(centroid), mlp.weights[2].shape[0]), np.float32)
-        block = self._block[source.shape[1]]
+        block = self._blocks.of_width(source.shape[1])
         for begin in range(0, len(centroid), BLOCK_CENTROIDS):
             part = slice(begin, min(begin + BLOCK_CENTROIDS, len(centroid)))
             edges = block[: (part.stop - begin) * NEIGHBOURS]

@@ -56,7 +56,7 @@ class Weighed:
 
 
 class Weigher:
-    """One set of weights, ready to weigh; without a network it weighs by volume. One instance per worker.
+    """One set of weights, ready to weigh; without a network it weighs by volume. On a device: one instance per thread.
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the

@@ -59,7 +59,7 @@ class Weight:
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Trained weights, loaded. Not for several threads at once: load them in each.
+    """Trained weights, loaded. Several threads may weigh with them at once.
 
     Attributes:
         network: the network with these weights, in evaluation mode.
