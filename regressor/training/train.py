@@ -146,8 +146,12 @@ class Training:
         return network.to(self.device)
 
     def finished_model(self) -> Network:
-        """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights."""
-        model = self._new_network()
+        """The averaged model in eval mode. Its batch-norm statistics are averaged like its weights.
+
+        The training's random numbers are left as they were: it takes the same steps whenever it is validated.
+        """
+        with torch.random.fork_rng(devices=[]):
+            model = self._new_network()
         state = self.average if self.settings.average else self.model.state_dict()
         model.load_state_dict(mean_of(state, self._start, share=self.settings.start_share) if self._start else state)
         return model.eval()

@@ -148,6 +148,20 @@ def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) 
         assert torch.equal(value, second.model.state_dict()[name]), name
 
 
+def test_a_validation_changes_no_step(data: CloudSet) -> None:
+    """The validated network's first parameters were drawn from the training's random numbers: every validation changed
+    the dropout after it, and when one comes is the clock's choice.
+    """
+    settings = replace(QUICK, dropout=0.5)
+    plain = Training(data, data, settings)
+    losses = [plain.step() for _ in range(4)]
+    validated, found = Training(data, data, settings), []
+    for _ in range(4):
+        found.append(validated.step())
+        validated.finished_model()
+    assert found == losses
+
+
 def test_a_gpu_takes_the_same_steps_or_is_said_to_be_missing(data: CloudSet, tmp_path: Path) -> None:
     settings = replace(QUICK, dropout=0.0)
     if not torch.cuda.is_available():
