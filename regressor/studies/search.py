@@ -7,13 +7,15 @@ goes on where it was stopped; a trial that was cut off is made again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from conveyor.errors import InputError
 from conveyor.extras import needed
+from regressor.training.begun import differences, digest_of
 from regressor.training.cloudset import CloudSet
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training, predict
@@ -21,6 +23,7 @@ from regressor.training.train import Training, predict
 STUDY = "pointraft"
 TRIALS = 25
 BATCHES = (16, 32, 64)
+SEARCHED = ("lr", "weight_decay", "batch", "beta_g")
 
 
 def search(
@@ -39,7 +42,7 @@ def search(
         storage: SQLite file.
 
     Raises:
-        InputError: Optuna is not installed.
+        InputError: Optuna is not installed, or `storage` holds a search with other settings or on other views.
     """
     optuna = needed("optuna", extra="train", what="a search")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -62,12 +65,31 @@ def search(
         # Seeded by what is there, so that a search that goes on does not repeat its first draws.
         sampler=optuna.samplers.TPESampler(seed=settings.seed + _finished(storage)),
     )
+    _same_search(study, data, validation, settings, storage)
     done = [trial for trial in study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
     if len(done) < trials:
         study.optimize(mae_g, n_trials=trials - len(done))
     finished = [trial for trial in study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
     rows = [{"trial": trial.number, "val_mae_g": trial.value, **trial.params} for trial in finished]
     return sorted(rows, key=lambda row: float(row["val_mae_g"]))
+
+
+def _same_search(study: Any, data: CloudSet, validation: CloudSet, settings: TrainSettings, storage: Path) -> None:
+    """Refuse to go on with a search whose trials cannot be held against the next ones; note what a new one is.
+
+    Raises:
+        InputError: names what differs.
+    """
+    fixed = {name: value for name, value in asdict(settings).items() if name not in SEARCHED}
+    given = {**fixed, "training views": digest_of(data), "validation views": digest_of(validation)}
+    changed = differences(study.user_attrs.get("settings", {}), given)
+    if changed:
+        raise InputError(
+            f"the search in {storage} was begun otherwise: {'; '.join(changed)}. Trials are compared with each other: "
+            "give the options of its first call, or begin another one with another --out"
+        )
+    if not study.user_attrs:
+        study.set_user_attr("settings", given)
 
 
 def suggested(trial: Any) -> dict[str, Any]:

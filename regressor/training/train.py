@@ -24,6 +24,7 @@ from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import NEIGHBOURS
 from regressor.network.reduced import FULL, Resolution
 from regressor.training.augment import augmented_batch
+from regressor.training.begun import differences, digest_of
 from regressor.training.cloudset import TARGET_POWER, CloudSet
 from regressor.training.recipe import TrainSettings
 from regressor.training.work import Work, no_work
@@ -183,6 +184,8 @@ class Training:
         """Everything needed to go on."""
         return {
             "settings": asdict(self.settings),
+            "data": digest_of(self.data),
+            "start": self._start,
             "model": self.model.state_dict(),
             "average": self.average,
             "optimiser": self.optimiser.state_dict(),
@@ -193,7 +196,21 @@ class Training:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from `state()`."""
+        """Go on from `state()`.
+
+        Raises:
+            InputError: it is of a training with other settings, or on other views.
+        """
+        changed = differences(state["settings"], asdict(self.settings))
+        if state.get("data", mine := digest_of(self.data)) != mine:
+            changed.append("other training views")
+        if changed:
+            raise InputError(
+                f"this training was begun otherwise: {'; '.join(changed)}. A training goes on as it was begun: give "
+                "the options of its first call with --resume, or begin another one with another --out"
+            )
+        if state.get("start") is not None:
+            self._start = {name: value.to(self.device) for name, value in state["start"].items()}
         self.model.load_state_dict(state["model"])
         self.average = {name: value.to(self.device) for name, value in state["average"].items()}
         self.optimiser.load_state_dict(state["optimiser"])

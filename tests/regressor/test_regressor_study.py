@@ -76,6 +76,11 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
     assert rows[0]["val_mae_g"] <= rows[1]["val_mae_g"]
     assert rows[0]["batch"] in (16, 32, 64)
     assert search(large, data, settings, storage=tmp_path / "search.db", trials=2) == rows
+    with pytest.raises(InputError, match=r"begun otherwise: epochs 0.3, now 0.6\. Trials are compared"):
+        # Trials of other lengths were ranked in one table, and taught the sampler.
+        search(large, data, replace(settings, epochs=0.6), storage=tmp_path / "search.db", trials=3)
+    with pytest.raises(InputError, match="validation views"):
+        search(large, large, settings, storage=tmp_path / "search.db", trials=3)
 
 
 def test_shifts_do_what_they_say(pack: Path, rng: np.random.Generator) -> None:

@@ -148,6 +148,30 @@ def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) 
         assert torch.equal(value, second.model.state_dict()[name]), name
 
 
+def test_a_training_goes_on_as_it_was_begun(data: CloudSet) -> None:
+    """Another recipe, learning rate or data set was taken without a word: half of one training and half of another."""
+    state = Training(data, data, QUICK).state()
+    Training(data, data, QUICK).restore(state)
+    other = replace(QUICK, epochs=3.0, augmentation=Augmentation.paper())
+    with pytest.raises(InputError, match=r"epochs 1.0, now 3.0; turn_deg 180.0, now 2.0; .*or begin another one"):
+        Training(data, data, other).restore(state)
+    with pytest.raises(InputError, match="begun otherwise: other training views"):
+        Training(data.subset(np.arange(30)), data, QUICK).restore(state)
+
+
+def test_a_resumed_fine_tuning_keeps_a_share_of_what_it_started_from(data: CloudSet) -> None:
+    """The weights to start from were not in the state: the mean was taken with whatever --start named at the end."""
+    settings = replace(QUICK, start_share=1.0)
+    torch.manual_seed(4)
+    begin, other = PointRaft().state_dict(), PointRaft().state_dict()
+    first, second = (Training(data, data, settings) for _ in range(2))
+    first.start_from(begin)
+    second.start_from(other)
+    second.restore(first.state())
+    kept = second.finished_model().state_dict()
+    assert all(torch.equal(kept[name], value) for name, value in begin.items() if value.is_floating_point())
+
+
 def test_a_validation_changes_no_step(data: CloudSet) -> None:
     """The validated network's first parameters were drawn from the training's random numbers: every validation changed
     the dropout after it, and when one comes is the clock's choice.
