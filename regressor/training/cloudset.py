@@ -21,15 +21,23 @@ from numpy.typing import NDArray
 
 from conveyor import depth_noise
 from conveyor.errors import InputError
+from conveyor.formats import ply
+from conveyor.formats.packs import views as packed
+from conveyor.formats.plain import pinhole
+from conveyor.formats.potatotwin import intrinsics, layout, pairs
+from conveyor.formats.potatotwin import views as twin
+from conveyor.formats.potatotwin.layout import SPLITS
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
-from regressor.weigh import outline, prepare, profile, surface
+from regressor.weigh import outline, pixel_grid, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 from regressor.weigh.view_features import view_features
 
 KEEP = 384
+READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, twin)
+PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
 LABELS = (
     *("weight_g", "volume_ml", "length_mm", "belt_distance_m", "belt_sd_m", "row_share", "resting_sd_m", *NUMBERS),
@@ -180,12 +188,13 @@ def joined(sets: list[CloudSet]) -> CloudSet:
 
 
 def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
-    """Changes with the input files (name, size, time) and with the code that prepares them."""
+    """Changes with the input files (name, size, time) and with the code that reads and prepares them."""
     digest = hashlib.sha256(json.dumps([keep, split]).encode())
-    for path in labelled_files(folder):
+    tables = [folder / SPLITS] if split is not None and (folder / SPLITS).is_file() else []
+    for path in [*labelled_files(folder), *tables]:
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
-    for module in (labelled, prepare, sampling, outline, surface, profile, depth_noise):
+    for module in (*READERS, *PREPARERS):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()[:16]
 

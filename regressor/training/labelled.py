@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.views import PackedView, count_views, read_views, view_shards
-from conveyor.formats.potatotwin.layout import is_potatotwin, twin_resting
+from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, TRUTH, is_potatotwin, twin_resting
 from conveyor.formats.potatotwin.views import TwinView, count_twin, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel
@@ -123,8 +123,9 @@ def labelled_files(folder: Path) -> list[Path]:
     shards = view_shards(folder)
     if shards:
         return shards
-    if is_potatotwin(folder) and (folder / "ground_truth.csv").is_file():
-        return [folder / "ground_truth.csv", *sorted((folder / "1_rgbd").rglob("*.p[nl][gy]"))]
+    if is_potatotwin(folder) and (folder / TRUTH).is_file():
+        cameras = sorted((folder / RGBD / INTRINSICS).glob("*.json"))
+        return [folder / TRUTH, *cameras, *sorted((folder / RGBD).rglob("*.p[nl][gy]"))]
     raise InputError(
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
         "(a 3DPotatoTwin folder)"
