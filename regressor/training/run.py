@@ -111,7 +111,7 @@ def train(
 def load_sets(
     options: RunOptions, on_prepared: Callable[[str, int], None], *, keep: int = KEEP
 ) -> tuple[CloudSet, CloudSet]:
-    """(training, validation) sets without a tuber in both: shared ones are left out of the training.
+    """(training, validation) sets without a tuber in both: shared ones are left out of the training and counted.
 
     So are tubers under soil (counted as refused): their truth is their weight without it, nothing in a view tells it,
     and clean tubers would read light for it.
@@ -135,7 +135,14 @@ def load_sets(
     shared = np.isin(_identity(data), _identity(validation))
     if shared.all():
         raise InputError(f"every tuber of {options.data} is also in {options.validation}: nothing is left to train on")
-    return clean_views(data.subset(~shared) if shared.any() else data, options.data), validation
+    return clean_views(without(data, shared, "in_validation"), options.data), validation
+
+
+def without(data: CloudSet, rows: NDArray[np.bool_], reason: str) -> CloudSet:
+    """The other rows; these are counted as refused."""
+    if not rows.any():
+        return data
+    return replace(data.subset(~rows), refused={**data.refused, reason: int(rows.sum())})
 
 
 def clean_views(data: CloudSet, source: Path) -> CloudSet:
@@ -146,16 +153,19 @@ def clean_views(data: CloudSet, source: Path) -> CloudSet:
     """
     if not data.clean.any():
         raise InputError(f"every tuber of {source} is under soil: nothing is left to train on")
-    under_soil = int((~data.clean).sum())
-    if not under_soil:
-        return data
-    return replace(data.subset(data.clean), refused={**data.refused, "under_soil": under_soil})
+    return without(data, ~data.clean, "under_soil")
 
 
 def _identity(data: CloudSet) -> NDArray[np.str_]:
-    """Tubers by their truth: each pack numbers its own tubers, and the same name need not be the same tuber."""
-    rows = zip(data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
-    return np.array([f"{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for w, v, length, cultivar in rows])
+    """Tubers by their truth: each pack numbers its own tubers, and the same name need not be the same tuber.
+
+    Where volume or length is not known, a weight alone is no truth to tell tubers by: many weigh the same gram. There
+    the name counts too, without the pack's.
+    """
+    measured = np.isfinite(data.volume_ml) & np.isfinite(data.length_mm)
+    names = np.where(measured, "", [tuber.rpartition("/")[2] for tuber in data.tuber.tolist()])
+    rows = zip(names, data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
+    return np.array([f"{name}/{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for name, w, v, length, cultivar in rows])
 
 
 def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: VolumeRule, options: RunOptions) -> Sidecar:

@@ -135,5 +135,9 @@ def train(
     torch.set_num_threads(threads)
     with TrainingBar() as bar:
         sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
+    refused = sidecar.training["refused_views"]
+    if refused:
+        left_out = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items()))
+        sys.stderr.write(f"training views left out: {left_out}\n")
     told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} g per view on the validation set"
     sys.stderr.write(f"{out / 'weights.safetensors'}: {told}\n")
