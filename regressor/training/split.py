@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.formats.potatotwin.layout import read_truth
 
 PARTS = ("train", "val", "test")
 SHARES = (0.6, 0.2, 0.2)
@@ -66,11 +67,14 @@ def write_splits(folder: Path, *, seed: int = SEED, force: bool = False) -> dict
 
 
 def _weights(table: Path) -> tuple[list[str], NDArray[np.float64]]:
-    try:
-        with table.open(newline="", encoding="utf-8-sig") as file:
-            rows = [(row["label"], float(row["weight_g_inctack"])) for row in csv.DictReader(file)]
-    except OSError as error:
-        raise InputError(f"table {table} cannot be read: {error.strerror or error}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"table {table} needs the columns label and weight_g_inctack (a number): {error!r}") from error
-    return [label for label, _ in rows], np.array([weight for _, weight in rows])
+    """Each label once, with its weight."""
+    if not table.is_file():
+        raise InputError(f"table {table} cannot be read: there is no such file")
+    rows = read_truth(table.parent)
+    unknown = [label for label, row in rows.items() if row.weight_g is None]
+    if unknown or not rows:
+        raise InputError(
+            f"table {table} needs the columns label and weight_g_inctack (a number): "
+            f"{f'{len(unknown)} labels have none, the first is {unknown[0]!r}' if unknown else 'it has no rows'}"
+        )
+    return list(rows), np.array([row.weight_g for row in rows.values()], np.float64)

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conveyor.errors import InputError
+from conveyor.formats.potatotwin.layout import labels_of_split
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.run import RunOptions, load_sets
+from regressor.training.split import write_splits
 from tests.regressor.twin_folder import write_parts, write_twin
 
 
@@ -54,3 +57,32 @@ def test_tubers_of_the_validation_set_are_counted_where_they_are_left_out(tmp_pa
     data, _ = _sets(tmp_path / "crop", tmp_path / "part", tmp_path / "out")
     assert data.tuber.tolist() == ["t002", "t003"]
     assert data.refused == {"in_validation": 2}
+
+
+def test_a_tuber_belongs_to_one_part(tmp_path: Path) -> None:
+    """A label in 'train' and in 'test' was trained on and tested; one with a blank beside it was in neither."""
+    write_parts(tmp_path, {"train": ["a", " b"], "test ": ["c"]})
+    assert labels_of_split(tmp_path, "train") == {"a", "b"}
+    assert labels_of_split(tmp_path, "test") == {"c"}
+    write_parts(tmp_path, {"train": ["a", "b"], "test": ["b", "c"]})
+    with pytest.raises(InputError, match=r"line 4: label 'b' is in 'test' and in 'train' before"):
+        labels_of_split(tmp_path, "train")
+
+
+def test_a_row_that_stands_twice_is_one_tuber(tmp_path: Path) -> None:
+    """`tuberline split` drew each row of the table: one that stands there twice came into two parts."""
+    rows = [f"t{number:03d}, {60 + 3 * number}" for number in range(40)]
+    table = "\n".join(["label,weight_g_inctack", *rows, *rows[:20]])
+    (tmp_path / "ground_truth.csv").write_text(table + "\n", encoding="utf-8")
+    assert write_splits(tmp_path) == {"train": 24, "val": 8, "test": 8}
+    parts = [labels_of_split(tmp_path, part) for part in ("train", "val", "test")]
+    assert sum(map(len, parts)) == len(set.union(*parts)) == 40
+
+
+@pytest.mark.parametrize("weight", ["nan", "NA", ""])
+def test_a_split_needs_every_weight(tmp_path: Path, weight: str) -> None:
+    """'nan' is a number to Python: all weight classes became one, and the parts had other weights."""
+    rows = [f"t{number:03d},{60 + 3 * number}" for number in range(40)]
+    (tmp_path / "ground_truth.csv").write_text("\n".join(["label,weight_g_inctack", *rows, f"odd,{weight}"]))
+    with pytest.raises(InputError, match=r"\(a number\): 1 labels have none, the first is 'odd'"):
+        write_splits(tmp_path)

@@ -134,13 +134,20 @@ def labels_of_split(folder: Path, split: str) -> set[str]:
     """The labels of one split of splits.csv.
 
     Raises:
-        InputError: no such file, or no such split; names those there are.
+        InputError: no such file, no such split (names those there are), or a label that stands in two of them.
     """
-    rows = list(_rows(folder / SPLITS))
-    known = sorted({row.get("split") or "" for row in rows})
-    if split not in known:
-        raise InputError(f"{folder / SPLITS} has no split '{split}'; known: {', '.join(known)}")
-    return {row["label"] for row in rows if row.get("split") == split}
+    parts: dict[str, str] = {}
+    for number, row in enumerate(_rows(folder / SPLITS), start=2):
+        label, part = ((row.get(key) or "").strip() for key in ("label", "split"))
+        if parts.setdefault(label, part) != part:
+            raise InputError(
+                f"{folder / SPLITS} line {number}: label '{label}' is in '{part}' and in '{parts[label]}' before; a "
+                "tuber belongs to one part, else it is trained on and tested"
+            )
+    if split not in parts.values():
+        known = ", ".join(sorted(set(parts.values())))
+        raise InputError(f"{folder / SPLITS} has no split '{split}'; known: {known}")
+    return {label for label, part in parts.items() if part == split}
 
 
 def season_at(distance_m: float) -> str | None:
