@@ -11,7 +11,7 @@ from conveyor.errors import InputError
 from conveyor.formats.clouds import CLOUDS, read_cloud
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics, read_intrinsics
 from conveyor.formats.potatotwin.layout import pair_of
-from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
+from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, distances_told, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weighed, Weigher
@@ -147,7 +147,7 @@ def prepare_file(path: Path, options: FileOptions) -> PreparedCloud:
         )
     intrinsics, stored_scale_m = read_intrinsics(options.intrinsics or find_intrinsics(path))
     scale_m = stored_scale_m if options.depth_scale_m is None else options.depth_scale_m
-    far_m = max(MAX_DEPTH_M, options.belt_distance_m + 0.05)
+    far_m = farthest_m(options.belt_distance_m)
     masked = read_pair(path, intrinsics=intrinsics, depth_scale_m=scale_m, max_depth_m=far_m)
     return prepare_depth(
         masked.depth,

@@ -13,6 +13,7 @@ from conveyor.formats.potatotwin.layout import labels_of_split
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.run import RunOptions, load_sets
 from regressor.training.split import write_splits
+from regressor.weigh.files import FileOptions, prepare_file
 from tests.regressor.twin_folder import write_parts, write_twin
 
 
@@ -86,3 +87,16 @@ def test_a_split_needs_every_weight(tmp_path: Path, weight: str) -> None:
     (tmp_path / "ground_truth.csv").write_text("\n".join(["label,weight_g_inctack", *rows, f"odd,{weight}"]))
     with pytest.raises(InputError, match=r"\(a number\): 1 labels have none, the first is 'odd'"):
         write_splits(tmp_path)
+
+
+@pytest.mark.parametrize("belt_distance_m", [0.54, 0.62])
+def test_a_belt_farther_than_the_reference_s_is_read_to_its_ground(tmp_path: Path, belt_distance_m: float) -> None:
+    """A training cut every tuber off at 0.5 m, `weigh` did not: at 0.54 m a third of the points was gone, at 0.6 m the
+    folder was refused.
+    """
+    (label,) = write_twin(tmp_path, tubers=1, belt_distance_m=belt_distance_m)
+    image = tmp_path / "1_rgbd" / "1_image" / label / f"{label}_depth_360.png"
+    weighed = prepare_file(image, FileOptions(belt_distance_m=belt_distance_m))
+    learned = load_cloudset(tmp_path)
+    assert learned.points_in_cloud.tolist() == [len(weighed.points)]
+    assert learned.features[0] == pytest.approx(weighed.surface.as_array())

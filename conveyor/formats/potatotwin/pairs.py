@@ -16,6 +16,8 @@ from conveyor.geometry import Intrinsics
 
 MAX_DEPTH_M = 0.5
 """Beyond it the reference takes nothing for a tuber."""
+UNDER_BELT_M = 0.05
+"""Over a belt that hangs lower than the reference's, what lies so far under it may still be a tuber's depth."""
 INSIDE = 255
 """Only full alpha is the tuber. The reference divides the mask by 255 in whole numbers before it deprojects, so what an
 edge blends (alpha 1 to 254) is outside; half of such a pixel's depth is belt, and it would pull the rim down."""
@@ -36,6 +38,11 @@ class MaskedDepth:
 
     depth: NDArray[np.uint16]
     intrinsics: Intrinsics
+
+
+def farthest_m(belt_distance_m: float) -> float:
+    """Beyond it no depth is a tuber's: the reference's limit, or a little under a belt that is farther away."""
+    return max(MAX_DEPTH_M, belt_distance_m + UNDER_BELT_M)
 
 
 def read_images(depth_path: Path, rgb_path: Path, intrinsics: Intrinsics) -> Pair | Refusal:

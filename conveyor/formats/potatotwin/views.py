@@ -25,7 +25,7 @@ from conveyor.formats.potatotwin.layout import (
     labels_of_split,
     read_truth,
 )
-from conveyor.formats.potatotwin.pairs import MAX_DEPTH_M, read_pair
+from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
 from conveyor.geometry import Intrinsics
 
 IMAGE_ROWS = 720
@@ -83,7 +83,8 @@ def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsic
     scale_m = 0.001
     if view.path.suffix == ".png":
         intrinsics, scale_m = camera or folder_intrinsics(folder)
-        masked = read_pair(view.path, intrinsics=intrinsics, max_depth_m=MAX_DEPTH_M, depth_scale_m=scale_m)
+        far_m = farthest_m(belt_distance_m)
+        masked = read_pair(view.path, intrinsics=intrinsics, max_depth_m=far_m, depth_scale_m=scale_m)
         depth, crop = masked.depth, masked.intrinsics
     else:
         cloud = read_ply(view.path)
