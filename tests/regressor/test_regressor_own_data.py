@@ -14,6 +14,7 @@ from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.run import RunOptions, load_sets
 from regressor.training.split import write_splits
 from regressor.weigh.files import FileOptions, prepare_file
+from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
 
 
@@ -100,3 +101,18 @@ def test_a_belt_farther_than_the_reference_s_is_read_to_its_ground(tmp_path: Pat
     learned = load_cloudset(tmp_path)
     assert learned.points_in_cloud.tolist() == [len(weighed.points)]
     assert learned.features[0] == pytest.approx(weighed.surface.as_array())
+
+
+@pytest.mark.parametrize("weight", ["0", "-999"])
+def test_a_weight_that_none_has_is_refused(tmp_path: Path, weight: str) -> None:
+    """One 0 in 2000 rows made the volume rule of the whole training NaN; a -999 ended it with a traceback."""
+    write_twin(tmp_path / "crop", tubers=2, weights_g=["120", weight])
+    with pytest.raises(InputError, match=rf"label 't001' has weight_g_inctack {weight}; allowed are grams above 0"):
+        load_cloudset(tmp_path / "crop")
+    write_pack(tmp_path / "pack", tubers=2, views=1, seed=1)
+    with np.load(tmp_path / "pack" / "views-00000.npz") as stored:
+        arrays = dict(stored)
+    arrays["weight_g"][1] = float(weight)
+    np.savez(tmp_path / "pack" / "views-00000.npz", **arrays)
+    with pytest.raises(InputError, match=rf"views-00000.npz, view 1: weight_g is {weight}; allowed are grams above 0"):
+        load_cloudset(tmp_path / "pack")

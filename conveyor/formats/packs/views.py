@@ -6,6 +6,7 @@ come back by their names in `PackedView.more`, so that what a simulator adds nee
 
 from __future__ import annotations
 
+import math
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -121,6 +122,9 @@ def _view(data: dict[str, NDArray[Any]], i: int) -> PackedView:
     crop = data["depth"][begin:end] if 0 <= begin <= end else data["depth"][:0]
     if height <= 0 or width <= 0 or crop.size != height * width:
         raise ValueError(f"{crop.size} depths for a crop of {height}x{width}")
+    weight_g = float(data["weight_g"][i])
+    if not 0 < weight_g < math.inf:
+        raise ValueError(f"weight_g is {weight_g:g}; allowed are grams above 0")
     image_width, image_height = (int(value) for value in data["image_size"][i])
     return PackedView(
         depth=crop.reshape(height, width).astype(np.uint16, copy=False),
@@ -129,7 +133,7 @@ def _view(data: dict[str, NDArray[Any]], i: int) -> PackedView:
         intrinsics=Intrinsics(image_width, image_height, *(float(value) for value in data["intrinsics"][i])),
         depth_scale_m=float(data["depth_scale_m"][i]),
         belt_distance_m=float(data["belt_distance_m"][i]),
-        weight_g=float(data["weight_g"][i]),
+        weight_g=weight_g,
         tuber=int(data["tuber"][i]),
         more={name: array[i] for name, array in data.items() if name not in _KNOWN},
         belt_sd_m=_number(data, "belt_sd_m", i),

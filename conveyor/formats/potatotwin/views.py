@@ -113,4 +113,9 @@ def _known(folder: Path, view: ViewFile, truth: TruthRow) -> tuple[float, float]
         )
     if truth.weight_g is None:
         raise InputError(f"{folder / TRUTH}: label '{truth.label}' has no number in column 'weight_g_inctack'")
+    if truth.weight_g <= 0:
+        raise InputError(
+            f"{folder / TRUTH}: label '{truth.label}' has weight_g_inctack {truth.weight_g:g}; allowed are grams above "
+            "0: take out rows of tubers that were not weighed"
+        )
     return truth.belt_distance_m, truth.weight_g
