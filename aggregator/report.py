@@ -24,6 +24,7 @@ from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
 from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket, with_own
 from aggregator.ledger.reader import read_marks
+from aggregator.ledger.stated import told_belt
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
@@ -224,8 +225,3 @@ def _in_turns(tubers: Iterable[Tuber], turn: Callable[[], None]) -> Iterator[Tub
         if n % ROWS_A_TURN == 0:
             turn()
         yield tuber
-
-
-def told_belt(config: LineConfig) -> dict[str, Any]:
-    """What tubers lie on, and how well the belt plane is known: as the summary has it."""
-    return {**config.belt.model_dump(), "plane_sd_mm": config.segmenter.belt_sd_mm}

@@ -17,7 +17,7 @@ from aggregator.core.coverage import Moment, coverage
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.machine import Aggregation
 from aggregator.core.totals import LoadTotals
-from aggregator.report import told_belt
+from aggregator.ledger.stated import told_belt
 from aggregator.scoring.score import Score, score_tubers
 from aggregator.scoring.truth import read_truth
 from conveyor.config import LineConfig, parse_config

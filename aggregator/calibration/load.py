@@ -13,6 +13,7 @@ from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import coverage_of, ledger_file, read_sums, read_tubers, reading, the_run
+from aggregator.ledger.stated import belt_of_run, stated_beside
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
@@ -24,6 +25,7 @@ MISCOUNTED = 0.002
 """Share of tubers that counting may miss or count twice where no one counted by hand."""
 
 MOST_MISCOUNTED = 0.1
+SAME_OFFSET_MM = 0.05
 LEAST_SD = 0.01
 """Of a tuber's weight: a ledger's interval is never narrower."""
 
@@ -32,7 +34,8 @@ LEAST_SD = 0.01
 class Counted:
     """What a run counted: its id, its tubers in the order they crossed, and what the totals make of the whole belt.
 
-    `unseen_sd_g` is the random error of the belt that was not looked at.
+    `unseen_sd_g` is the random error of the belt that was not looked at. `stated_offset_mm`: resting offset that it was
+    weighed with; None where neither its summary nor a config beside the ledger says.
     """
 
     run: str
@@ -40,6 +43,7 @@ class Counted:
     coverage: float
     estimated_g: float
     unseen_sd_g: float
+    stated_offset_mm: float | None = None
 
 
 def counted(path: Path, *, run: str | None) -> Counted:
@@ -53,6 +57,7 @@ def counted(path: Path, *, run: str | None) -> Counted:
         chosen = the_run(view, ledger, run)
         sums = read_sums(view, chosen.run)
         tubers = tuple(read_tubers(view, chosen.run))
+        belt = belt_of_run(view, chosen.run, stated_beside(ledger))
     load = LoadTotals(sums.load)
     seen = coverage_of(chosen, sums)
     coverage = seen.share or 0.0
@@ -62,7 +67,8 @@ def counted(path: Path, *, run: str | None) -> Counted:
     seen_half_g = (seen_high_g - seen_low_g) / 2 / max(coverage, 1e-9)
     unseen_g = math.sqrt(max(0.0, ((high_g - low_g) / 2) ** 2 - seen_half_g**2))
     ordered = tuple(sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id)))
-    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / NORMAL_90)
+    offset_mm = None if belt is None else float(belt.get("resting_offset_mm") or 0.0)
+    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / NORMAL_90, offset_mm)
 
 
 def ticket_of(
@@ -72,9 +78,12 @@ def ticket_of(
     ticket_g: float,
     ticket_sd_g: float,
     cultivar: str = "",
-    stated_offset_mm: float = 0.0,
+    stated_offset_mm: float | None = None,
 ) -> Ticket:
     """The ticket of a whole load: the run in the folder (or ledger) `path`.
+
+    Args:
+        stated_offset_mm: resting offset that the run was weighed with, where its ledger does not say.
 
     Raises:
         LedgerError: no ledger, or not that run. InputError: the load cannot be calibrated with; the text says why.
@@ -93,7 +102,7 @@ def ticket_of(
             found.coverage,
             tubers=len(found.tubers),
             per_mm_g=whole * sum(map(tuber_g_per_mm, found.tubers)),
-            stated_offset_mm=stated_offset_mm,
+            stated_offset_mm=_stated_mm(found, stated_offset_mm),
             cultivar=cultivar,
         )
     )
@@ -108,12 +117,13 @@ def bucket_ticket(
     ticket_sd_g: float,
     count: int | None = None,
     cultivar: str = "",
-    stated_offset_mm: float = 0.0,
+    stated_offset_mm: float | None = None,
 ) -> Ticket:
     """The ticket of tubers that passed and were weighed together.
 
     Args:
         count: how many were in the bucket by hand; the sum of those seen is scaled to it.
+        stated_offset_mm: as in `ticket_of`.
 
     Raises:
         LedgerError: no ledger, or not that run. InputError: the count is another, or the figures cannot be these.
@@ -140,7 +150,7 @@ def bucket_ticket(
             part=part.name,
             tubers=len(tubers),
             per_mm_g=scale * sum(map(tuber_g_per_mm, tubers)),
-            stated_offset_mm=stated_offset_mm,
+            stated_offset_mm=_stated_mm(found, stated_offset_mm),
             cultivar=cultivar,
         )
     )
@@ -154,9 +164,12 @@ def singles_ticket(
     scale_g: Sequence[float],
     scale_sd_g: float,
     cultivar: str = "",
-    stated_offset_mm: float = 0.0,
+    stated_offset_mm: float | None = None,
 ) -> tuple[Ticket, Alignment, tuple[Tuber, ...]]:
     """(ticket of single weights in belt order, how they were laid beside the tubers, those tubers in belt order).
+
+    Args:
+        stated_offset_mm: as in `ticket_of`.
 
     Raises:
         LedgerError: no ledger, or not that run. InputError: the weights are not of these tubers in this order.
@@ -182,11 +195,22 @@ def singles_ticket(
         part=part.name,
         tubers=len(singles),
         per_mm_g=sum(one.per_mm_g for one in singles),
-        stated_offset_mm=stated_offset_mm,
+        stated_offset_mm=_stated_mm(found, stated_offset_mm),
         cultivar=cultivar,
         singles=tuple(singles),
     )
     return check_ticket(ticket), laid, tubers
+
+
+def _stated_mm(found: Counted, given: float | None) -> float:
+    """The resting offset that a run was weighed with: its own, else the one given, else none."""
+    own = found.stated_offset_mm
+    if own is not None and given is not None and abs(own - given) > SAME_OFFSET_MM:
+        raise InputError(
+            f"run {found.run} was weighed with a resting offset of {own:g} mm, --resting-offset-mm says {given:g}: "
+            "leave it out, the ticket takes what the run states"
+        )
+    return own if own is not None else given or 0.0
 
 
 def _some(found: Counted, part: Part) -> tuple[Tuber, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from aggregator.calibration.correction import Prior
 from aggregator.calibration.load import LEAST_SHARE, MISCOUNTED
 from aggregator.calibration.tickets import Ticket, check_ticket
 from aggregator.core.load_sums import LoadSums
@@ -47,7 +48,7 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
             part=f"load {load.number}",
             tubers=sums.count,
             per_mm_g=whole * sums.per_mm_g,
-            stated_offset_mm=load.stated_offset_mm,
+            stated_offset_mm=found.known_before(Prior(load.stated_offset_mm)).stated_offset_mm,
             cultivar=load.variety or cultivar,
         )
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.tickets import Ticket
@@ -30,6 +30,8 @@ class LoadCounted:
         sums: over its tubers. coverage: share of its belt that was looked at; None where it has no belt.
         belt_m: of all its stretches. unseen_m: of that not seen, by reason, metres in the mean of the cameras.
         most_m: the belt that can have passed at most, where it is not known how far it moved; else None.
+        stated_offset_mm: resting offset that it was weighed with, in the mean where the line's file changed on the way;
+            None where no load was started.
     """
 
     sums: LoadSums
@@ -37,6 +39,11 @@ class LoadCounted:
     belt_m: float
     unseen_m: Mapping[str, float]
     most_m: float | None = None
+    stated_offset_mm: float | None = None
+
+    def known_before(self, prior: Prior) -> Prior:
+        """`prior` of the run, with the offset that this load was weighed with."""
+        return prior if self.stated_offset_mm is None else replace(prior, stated_offset_mm=self.stated_offset_mm)
 
 
 def span_coverage(
@@ -79,7 +86,8 @@ def load_now(
 
     `earlier`: of loads that it may be compared with (`aggregator.ledger.earlier_loads`), the newest last.
     """
-    totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=load.variety or cultivar)
+    known = found.known_before(prior or Prior())
+    totals = LoadTotals(found.sums, tickets, prior=known, cultivar=load.variety or cultivar)
     low_g, high_g = totals.interval_g()
     whole_g, whole_low_g, whole_high_g = totals.estimated(found.coverage, belt_m=found.belt_m, most_m=found.most_m)
     return LoadNow(

@@ -96,7 +96,8 @@ class Load:
 
     Attributes:
         began_ns, ended_ns: wall clock; `ended_ns` is None while it is open. utc_offset_s: of the line's clock.
-        stated_offset_mm: resting offset that the line stated when it began.
+        stated_offset_mm: resting offset that the line stated when it began. resumed_at_mm: (stretch of
+            belt, that offset) where it went on.
         spans: (run, span) of its stretches of belt; several where it went on after an end.
         notes, tickets: all, oldest first. undone: its start was undone; it holds no belt.
     """
@@ -107,6 +108,7 @@ class Load:
     began_by: str
     utc_offset_s: int = 0
     stated_offset_mm: float = 0.0
+    resumed_at_mm: tuple[tuple[int, float], ...] = ()
     ended_ns: int | None = None
     name: str = ""
     trailer: str = ""
@@ -201,7 +203,11 @@ class LoadBook:
         self._close_open(event)
         load = self._known(event)
         spans, notes = (*load.spans, (event.run, event.n)), (*load.notes, *_notes(event))
-        self.loads[event.load] = replace(load, ended_ns=None, spans=spans, notes=notes, **_fields(event))
+        stated_mm = float(event.payload.get("stated_offset_mm", load.stated_offset_mm))
+        at_mm = (*load.resumed_at_mm, (event.n, stated_mm))
+        self.loads[event.load] = replace(
+            load, ended_ns=None, spans=spans, notes=notes, resumed_at_mm=at_mm, **_fields(event)
+        )
         self._begin_span(event, event.load)
 
     def _end(self, event: LoadEvent) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Protocol
@@ -24,11 +23,10 @@ from aggregator.ledger.reader import (
     coverage_of,
     ledger_file,
     read_runs,
-    read_summary,
     read_sums,
     reading,
 )
-from aggregator.ledger.stated import Stated, stated_beside
+from aggregator.ledger.stated import Stated, belt_of_run, stated_beside
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
 
@@ -70,7 +68,20 @@ def count_load(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> LoadCounte
     """What a load came to, over all runs in which it has belt; `seen` by run."""
     runs = dict.fromkeys(run for run, _ in load.spans)
     parts = [part for run in runs for part in parts_of(ledger, run, load.number, seen[run])]
-    return counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, {}, {}))])
+    found = counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, {}, {}))])
+    return replace(found, stated_offset_mm=_stated_mm(ledger, load))
+
+
+def _stated_mm(ledger: Sums, load: Load) -> float:
+    """The resting offset that a load was weighed with: of its stretches in the mean, each by what a millimetre is worth
+    there.
+    """
+    resumed_mm, worth_g, sum_g_mm = dict(load.resumed_at_mm), 0.0, 0.0
+    for run, n in load.spans:
+        if (own := ledger.span_sums(run).get(n)) is not None:
+            worth_g += own.load.per_mm_g
+            sum_g_mm += own.load.per_mm_g * resumed_mm.get(n, load.stated_offset_mm)
+    return sum_g_mm / worth_g if worth_g > 0 else load.stated_offset_mm
 
 
 def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], list[str]]:
@@ -149,8 +160,7 @@ class ReadLoads:
     def prior(self, run: str) -> Prior:
         """What the line stated of its resting level in `run`; as wide as before any calibration where it did not."""
         if run not in self._priors:
-            summary = read_summary(self._view, run)
-            self._priors[run] = prior_told(json.loads(summary).get("belt", {}) if summary else {})
+            self._priors[run] = prior_told(belt_of_run(self._view, run, self.stated) or {})
         return self._priors[run]
 
     def span_sums(self, run: str) -> Mapping[int, SpanSums]:

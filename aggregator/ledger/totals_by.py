@@ -119,7 +119,7 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
 
 
 def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:
-    totals = LoadTotals(found.sums, tickets, prior=prior, cultivar=variety)
+    totals = LoadTotals(found.sums, tickets, prior=found.known_before(prior), cultivar=variety)
     return OneLoad(totals, found.coverage, found.belt_m, variety, found.most_m)
 
 

@@ -20,14 +20,17 @@ S = 1_000_000_000
 
 
 class Loads(Aggregator):
-    """An aggregation whose loads change on the way, at places that are stated."""
+    """An aggregation whose loads change on the way, at places that are stated; the line states `stated_mm`."""
+
+    stated_mm = 0.0
 
     def order(
         self, request: str, action: str, *, now_ns: int = 0, x_m: float | None = None, **more: object
     ) -> LoadAnswer:
         """Carry out an order as the node does."""
         asked = LoadOrder(request, action, by="me", place_x_m=x_m, **more)  # type: ignore[arg-type]
-        event = decide(asked, self.ledger.loads, run=self.story.run, now_ns=now_ns, line={}, place_x_m=self.place_x_m)
+        line = {"stated_offset_mm": self.stated_mm}
+        event = decide(asked, self.ledger.loads, run=self.story.run, now_ns=now_ns, line=line, place_x_m=self.place_x_m)
         self.ledger.say(event)
         return answer(asked, event, self.ledger.loads)
 

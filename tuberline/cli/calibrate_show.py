@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 
-def show(tickets: Path, /, *, model: str | None = None, resting_offset_mm: float = 0.0, json: bool = False) -> None:
+def show(
+    tickets: Path, /, *, model: str | None = None, resting_offset_mm: float | None = None, json: bool = False
+) -> None:
     """Each ticket against what all others expect of it, and what accuracy more tickets would bring.
 
     Parameters
@@ -18,17 +20,15 @@ def show(tickets: Path, /, *, model: str | None = None, resting_offset_mm: float
     model
         Weights to show, where the file holds tickets of several.
     resting_offset_mm
-        Resting offset that the line states now.
+        Resting offset that the line states now; default: what it stated at its newest ticket.
     json
         Print the table as JSON on stdout.
     """
-    from aggregator.calibration.correction import Prior
     from aggregator.calibration.tickets import read_tickets
 
     known = read_tickets(tickets)
     models = sorted({ticket.model for ticket in known})
-    prior = Prior(stated_offset_mm=resting_offset_mm)
-    told = [_of_model(known, name, prior) for name in models if model in (None, name)]
+    told = [_of_model(known, name, resting_offset_mm) for name in models if model in (None, name)]
     if json:
         sys.stdout.write(json_module.dumps(told, indent=2) + "\n")
         return
@@ -75,15 +75,17 @@ def set_aside(
     sys.stdout.write(f"run {run}: {'used again' if back else f'set aside: {reason.strip()}'}\n")
 
 
-def _of_model(known: tuple[Any, ...], model: str, prior: Any) -> dict[str, Any]:
+def _of_model(known: tuple[Any, ...], model: str, stated_mm: float | None) -> dict[str, Any]:
     from aggregator.calibration.apply import load_factor, told
-    from aggregator.calibration.correction import usable
+    from aggregator.calibration.correction import Prior, usable
     from aggregator.calibration.leave_one_out import leave_one_out
     from aggregator.calibration.robust import correction_of, expected_accuracy
     from tuberline.cli.calibration_told import correction_values
 
     used = usable(known, model)
-    cultivar = next((ticket.cultivar for ticket in reversed(known) if ticket in used), "")
+    newest = next((ticket for ticket in reversed(known) if ticket in used), None)
+    cultivar = newest.cultivar if newest else ""
+    prior = Prior(stated_offset_mm=stated_mm if stated_mm is not None else newest.stated_offset_mm if newest else 0.0)
     correction = correction_of(known, model, prior, cultivar=cultivar)
     weighed_g = sum(ticket.estimated_g for ticket in used)
     per_mm = sum(ticket.grams_per_mm for ticket in used) / weighed_g if used else None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from aggregator.calibration.correction import Correction
+    from aggregator.calibration.correction import Correction, Prior
     from aggregator.calibration.leave_one_out import LeftOut
     from aggregator.calibration.tickets import Ticket
 
@@ -26,7 +26,7 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
         "ticket": asdict(ticket),
         "load_factor": asdict(found) if found else None,
         "correction": correction_values(correction),
-        "contradicting": [entry.ticket.name for entry in contradicting(known, ticket.model)],
+        "contradicting": [entry.ticket.name for entry in contradicting(known, ticket.model, prior)],
     }
 
 
@@ -45,12 +45,11 @@ def correction_values(correction: Correction) -> dict[str, Any]:
     return {**plain, "loads_differ_by": correction.load_sd, "tickets": dict(correction.used)}
 
 
-def contradicting(known: Sequence[Ticket], model: str) -> list[LeftOut]:
+def contradicting(known: Sequence[Ticket], model: str, prior: Prior) -> list[LeftOut]:
     """Tickets of `model` that the others contradict."""
-    from aggregator.calibration.correction import Prior
     from aggregator.calibration.leave_one_out import leave_one_out
 
-    return [entry for entry in leave_one_out(known, model, Prior()) if entry.contradicts]
+    return [entry for entry in leave_one_out(known, model, prior) if entry.contradicts]
 
 
 def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
@@ -73,7 +72,7 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
             f"totals of such loads are multiplied by {found.factor:.3f}, a load is then known to "
             f"{100 * found.half_width:.1f} %",
         ]
-    lines += [warning(entry, path) for entry in contradicting(known, ticket.model)]
+    lines += [warning(entry, path) for entry in contradicting(known, ticket.model, prior)]
     lines.append(f'put tickets = "{path}" under [aggregator] of the line\'s file')
     return "\n".join(lines) + "\n"
 

@@ -29,14 +29,14 @@ class TicketOptions:
     cultivar
         Name of the cultivar; each gets a factor of its own. Name it as aggregator.cultivar for runs to come.
     resting_offset_mm
-        Resting offset that the run was weighed with.
+        Resting offset that the run was weighed with; default: what the run states.
     """
 
     tickets: Path = Path("tickets.json")
     run: str | None = None
     again: bool = False
     cultivar: str = ""
-    resting_offset_mm: float = 0.0
+    resting_offset_mm: float | None = None
 
     def add(self, ticket: Ticket) -> tuple[Ticket, ...]:
         """All tickets of the file, which is made where it does not exist, with one more.
