@@ -34,15 +34,16 @@ LEAST_SD = 0.01
 class Counted:
     """What a run counted: its id, its tubers in the order they crossed, and what the totals make of the whole belt.
 
-    `unseen_sd_g` is the random error of the belt that was not looked at. `stated_offset_mm`: resting offset that it was
-    weighed with; None where neither its summary nor a config beside the ledger says.
+    `unshared_sd_g` is the random error of belt that was not looked at and of what lies under others.
+    `stated_offset_mm`: resting offset that it was weighed with; None where neither its summary nor a config beside the
+    ledger says.
     """
 
     run: str
     tubers: tuple[Tuber, ...]
     coverage: float
     estimated_g: float
-    unseen_sd_g: float
+    unshared_sd_g: float
     stated_offset_mm: float | None = None
 
 
@@ -61,14 +62,12 @@ def counted(path: Path, *, run: str | None) -> Counted:
     load = LoadTotals(sums.load)
     seen = coverage_of(chosen, sums)
     coverage = seen.share or 0.0
-    estimated_g, low_g, high_g = load.estimated(coverage, belt_m=seen.belt_m)
-    # The unseen belt is random from load to load, the bias that all tubers share is what the ticket is to measure.
-    seen_low_g, seen_high_g = load.interval_g()
-    seen_half_g = (seen_high_g - seen_low_g) / 2 / max(coverage, 1e-9)
-    unseen_g = math.sqrt(max(0.0, ((high_g - low_g) / 2) ** 2 - seen_half_g**2))
+    estimated_g, _, _ = load.estimated(coverage, belt_m=seen.belt_m)
+    # What is random from load to load; the bias that all tubers share is what the ticket is to measure.
+    random_sd_g = load.unshared_sd_g(coverage, belt_m=seen.belt_m)
     ordered = tuple(sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id)))
     offset_mm = None if belt is None else float(belt.get("resting_offset_mm") or 0.0)
-    return Counted(chosen.run, ordered, coverage, estimated_g, unseen_g / NORMAL_90, offset_mm)
+    return Counted(chosen.run, ordered, coverage, estimated_g, random_sd_g, offset_mm)
 
 
 def ticket_of(
@@ -98,7 +97,7 @@ def ticket_of(
             ticket_g,
             ticket_sd_g,
             found.estimated_g,
-            math.hypot(own_sd_g, found.unseen_sd_g),
+            math.hypot(own_sd_g, found.unshared_sd_g),
             found.coverage,
             tubers=len(found.tubers),
             per_mm_g=whole * sum(map(tuber_g_per_mm, found.tubers)),
@@ -143,7 +142,7 @@ def bucket_ticket(
             ticket_sd_g,
             weighed_g,
             math.hypot(
-                scale * _own_sd_g(tubers), _miscounted_sd_g(tubers, count), found.unseen_sd_g if whole_run else 0.0
+                scale * _own_sd_g(tubers), _miscounted_sd_g(tubers, count), found.unshared_sd_g if whole_run else 0.0
             ),
             coverage,
             kind="bucket",

@@ -12,7 +12,6 @@ from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
 from conveyor.errors import InputError
-from conveyor.statistics import NORMAL_90
 
 
 def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket | None:
@@ -31,10 +30,8 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
         raise InputError(f"{load.told} holds no belt: its start was undone")
     sums, coverage = found.sums, found.coverage or 0.0
     totals = LoadTotals(sums)
-    whole = 1.0 / max(coverage, 1e-9)
-    estimated_g, low_g, high_g = totals.estimated(coverage, belt_m=found.belt_m)
-    seen_low_g, seen_high_g = totals.interval_g()
-    unseen_g = math.sqrt(max(0.0, ((high_g - low_g) / 2) ** 2 - (whole * (seen_high_g - seen_low_g) / 2) ** 2))
+    whole = totals.whole(coverage, belt_m=found.belt_m)
+    estimated_g, _, _ = totals.estimated(coverage, belt_m=found.belt_m)
     own_g2 = (sums.low_variance_g2 + sums.high_variance_g2) / 2 + MISCOUNTED * sums.squares_g2
     return check_ticket(
         Ticket(
@@ -43,7 +40,7 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
             said.ticket_g,
             said.sd_g,
             estimated_g,
-            math.hypot(whole * math.sqrt(own_g2), unseen_g / NORMAL_90),
+            math.hypot(whole * math.sqrt(own_g2), totals.unshared_sd_g(coverage, belt_m=found.belt_m)),
             coverage,
             part=f"load {load.number}",
             tubers=sums.count,

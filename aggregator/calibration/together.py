@@ -1,8 +1,9 @@
 """The weight of several loads together, and its interval: what they share does not shrink with their number.
 
 The resting level and the camera are one and the same in all loads, so their errors add up; a variety's own factor is
-one in all loads of it. What differs from load to load, each tuber's own error, and belt that was not seen are
-independent from load to load: their squares add up.
+one in all loads of it. Heaps of one line are taken to be alike: errors of what lies under others add up, too. What
+differs from load to load, each tuber's own error, and belt that was not seen are independent from load to load: their
+squares add up.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from aggregator.calibration.apply import CAMERA, RESTING, TUBERS, UNSEEN
-from aggregator.core.totals import LEAST_COVERAGE, LoadTotals
+from aggregator.calibration.apply import CAMERA, LAYERS, RESTING, TUBERS, UNSEEN
+from aggregator.core.totals import LoadTotals
 from conveyor.statistics import NORMAL_90
 
 
@@ -34,21 +35,20 @@ class OneLoad:
     @property
     def whole(self) -> float:
         """By what is multiplied what was seen, for all of its belt."""
-        return 1.0 / max(self.coverage, LEAST_COVERAGE) if self.coverage and self.coverage < 1.0 else 1.0
+        return self.totals.whole(self.coverage, belt_m=self.belt_m)
 
     @property
     def scale(self) -> float:
-        """By what each of its tubers is multiplied as weighed: calibration, and belt that was not seen."""
-        raw_g = self.totals.sums.as_weighed_g
-        return self.whole * self.totals.weight_g / raw_g if raw_g > 0 else self.whole
+        """By what each of its tubers is multiplied as weighed: calibration, what lies under others, belt not seen."""
+        raw_g, there_g = self.totals.sums.as_weighed_g, self.totals.weight_g + self.totals.hidden().weight_g
+        return self.whole * there_g / raw_g if raw_g > 0 else self.whole
 
     @property
-    def unseen_sd_g(self) -> float:
-        """Standard deviation of the weight on belt that was not seen."""
-        whole_g, _, high_g = self.estimated
-        _, seen_high_g = self.totals.interval_g()
-        seen_half_g = (seen_high_g - self.totals.weight_g) * self.whole
-        return math.sqrt(max(0.0, (high_g - whole_g) ** 2 - seen_half_g**2)) / NORMAL_90
+    def reach_g(self) -> float:
+        """90 % half-width, above alone, of what may lie on belt of which it is not known how far it moved."""
+        there_g, _, high_g = self.estimated
+        known_g = self.totals.estimated(self.coverage, belt_m=self.belt_m)[2]
+        return math.sqrt(max(0.0, (high_g - there_g) ** 2 - (known_g - there_g) ** 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,42 +74,65 @@ class Together:
 
 
 def together(loads: Sequence[OneLoad]) -> Together:
-    """The sum of `loads` and its interval."""
-    found = [(load, load.totals.calibrated()) for load in loads]
-    estimated_g = sum(load.whole * seen.weight_g for load, seen in found)
-    shared = {name: sum(load.whole * seen.parts_g[name] for load, seen in found) for name in (RESTING, CAMERA)}
-    varieties: dict[str, float] = {}
-    for load, seen in found:
-        own = math.sqrt(max(0.0, seen.parts_g[TUBERS] ** 2 - seen.own_g**2 - seen.between_g**2))
-        varieties[load.variety] = varieties.get(load.variety, 0.0) + load.whole * own
-    variety_g2 = sum(sd_g**2 for sd_g in varieties.values())
-    between_g2 = sum((load.whole * seen.between_g) ** 2 for load, seen in found)
-    unseen_g2 = sum(load.unseen_sd_g**2 for load in loads)
-    own_g2 = [sum((load.whole * load.totals.own_error_g()[at] / NORMAL_90 * _scale(load)) ** 2 for load in loads)
-              for at in (0, 1)]  # fmt: skip
-    common_g2 = sum(sd_g**2 for sd_g in shared.values()) + variety_g2 + between_g2 + unseen_g2
-    low_sd_g, high_sd_g = (math.sqrt(common_g2 + own) for own in own_g2)
+    """The sum of `loads` and its interval; of one load what it comes to by itself."""
+    weight_g = sum(load.totals.weight_g for load in loads)
+    estimated_g = sum(load.whole * (load.totals.weight_g + load.totals.hidden().weight_g) for load in loads)
+    errors, seen = _errors(loads, whole=True), _errors(loads, whole=False)
+    missed_g2 = sum(load.totals.missed_g(load.coverage, belt_m=load.belt_m) ** 2 for load in loads)
+    reach_g2 = sum(load.reach_g**2 for load in loads)
+    below_g = math.sqrt((NORMAL_90 * errors.low_sd_g) ** 2 + missed_g2)
+    above_g = math.sqrt((NORMAL_90 * errors.high_sd_g) ** 2 + missed_g2 + reach_g2)
+    floor_g = weight_g - NORMAL_90 * seen.low_sd_g if any(load.whole != 1.0 for load in loads) else 0.0
     belt_m = sum(load.belt_m for load in loads)
     seen_m = sum((load.coverage or 0.0) * load.belt_m for load in loads)
-    tubers_g = math.sqrt(variety_g2 + between_g2 + sum(own_g2) / 2)
-    parts = {**shared, TUBERS: tubers_g, UNSEEN: math.sqrt(unseen_g2)}
+    parts = {**errors.parts_g, UNSEEN: math.sqrt(missed_g2 + reach_g2) / NORMAL_90}
     return Together(
         tubers=sum(load.totals.sums.count for load in loads),
         as_weighed_g=sum(load.totals.sums.as_weighed_g for load in loads),
-        weight_g=sum(seen.weight_g for _, seen in found),
+        weight_g=weight_g,
         estimated_g=estimated_g,
-        low_g=max(0.0, estimated_g - NORMAL_90 * low_sd_g),
-        high_g=estimated_g + NORMAL_90 * high_sd_g,
+        low_g=max(0.0, floor_g, estimated_g - below_g),
+        high_g=estimated_g + above_g,
         coverage=seen_m / belt_m if belt_m > 0 else None,
         belt_m=belt_m,
         parts_percent={name: 100 * NORMAL_90 * sd_g / estimated_g for name, sd_g in parts.items()}
         if estimated_g > 0
         else {},
-        tickets=max((seen.tickets for _, seen in found), default=0),
+        tickets=max((load.totals.tickets_used for load in loads), default=0),
     )
 
 
-def _scale(load: OneLoad) -> float:
-    """By what the calibration multiplies a load, its tubers' own errors too."""
-    raw_g = load.totals.sums.as_weighed_g
-    return load.totals.weight_g / raw_g if raw_g > 0 else 1.0
+@dataclass(frozen=True, slots=True)
+class _Errors:
+    """Standard deviations of the sum, but for belt that was not seen: `parts_g` by cause, and all of them below and
+    above.
+    """
+
+    parts_g: Mapping[str, float]
+    low_sd_g: float
+    high_sd_g: float
+
+
+def _errors(loads: Sequence[OneLoad], *, whole: bool) -> _Errors:
+    """Of the weight of the whole belt, or of what was seen on it and lies under nothing."""
+    shared = dict.fromkeys((RESTING, CAMERA, LAYERS), 0.0)
+    varieties: dict[str, float] = {}
+    between_g2, own_g2 = 0.0, [0.0, 0.0]
+    for load in loads:
+        found, under, times = load.totals.calibrated(), load.totals.hidden(), load.whole if whole else 1.0
+        raw_g = load.totals.sums.as_weighed_g
+        layers_g = math.hypot(under.support_sd_g, under.weight_sd_g if whole else 0.0)
+        for name, sd_g in ((RESTING, found.parts_g[RESTING]), (CAMERA, found.parts_g[CAMERA]), (LAYERS, layers_g)):
+            shared[name] += times * sd_g
+        own = math.sqrt(max(0.0, found.parts_g[TUBERS] ** 2 - found.own_g**2 - found.between_g**2))
+        varieties[load.variety] = varieties.get(load.variety, 0.0) + times * own
+        between_g2 += (times * found.between_g) ** 2
+        scale = times * (load.totals.weight_g / raw_g if raw_g > 0 else 1.0) / NORMAL_90
+        own_g2 = [had + (scale * half_g) ** 2 for had, half_g in zip(own_g2, load.totals.own_error_g(), strict=True)]
+    tubers_g2 = sum(sd_g**2 for sd_g in varieties.values()) + between_g2
+    common_g2 = sum(sd_g**2 for sd_g in shared.values()) + tubers_g2
+    parts = {name: sd_g for name, sd_g in shared.items() if sd_g > 0 or name != LAYERS}
+    return _Errors(
+        {**parts, TUBERS: math.sqrt(tubers_g2 + sum(own_g2) / 2)},
+        *(math.sqrt(common_g2 + own) for own in own_g2),
+    )

@@ -87,6 +87,14 @@ class LoadTotals:
         scale = self.weight_g / raw_g if raw_g > 0 else 1.0
         return hidden(self.sums.layers, count=self.sums.count, scale=scale)
 
+    def unshared_sd_g(self, coverage: float | None, *, belt_m: float | None) -> float:
+        """Standard deviation of what a ticket's load does not share with others: belt that was not seen, and what lies
+        under others, for another heap may be looser.
+        """
+        whole, under = self.whole(coverage, belt_m=belt_m), self.hidden()
+        missed_sd_g = self.missed_g(coverage, belt_m=belt_m) / NORMAL_90
+        return math.hypot(missed_sd_g, whole * under.weight_sd_g, whole * under.support_sd_g)
+
     def own_error_g(self) -> tuple[float, float]:
         """90 % half-widths, below and above, of the errors that tubers have for themselves, as weighed."""
         return NORMAL_90 * math.sqrt(self.sums.low_variance_g2), NORMAL_90 * math.sqrt(self.sums.high_variance_g2)
@@ -121,23 +129,32 @@ class LoadTotals:
             high_g = self.estimated(min(1.0, seen_m / most_m), belt_m=most_m)[2]
             there_g, low_g, seen_high_g = self.estimated(None)
             return there_g, low_g, max(high_g, seen_high_g)
-        if coverage is not None and self.sums.count and belt_m:
-            coverage = max(coverage, TUBER_M / belt_m)
         (low_g, high_g), under = self._seen_g(), self.hidden()
-        there_g = self.weight_g + under.weight_g
+        there_g, whole = self.weight_g + under.weight_g, self.whole(coverage, belt_m=belt_m)
         hidden_g = NORMAL_90 * under.weight_sd_g
         below_g, above_g = math.hypot(self.weight_g - low_g, hidden_g), math.hypot(high_g - self.weight_g, hidden_g)
-        if not coverage or coverage >= 1.0:
+        if whole == 1.0:
             return there_g, max(0.0, there_g - below_g), there_g + above_g
-        coverage = max(coverage, LEAST_COVERAGE)
-        whole_g = there_g / coverage
-        unseen_g = whole_g - there_g
+        missed_g = self.missed_g(coverage, belt_m=belt_m)
+        below_g, above_g = math.hypot(below_g * whole, missed_g), math.hypot(above_g * whole, missed_g)
+        return whole * there_g, max(low_g, whole * there_g - below_g), whole * there_g + above_g
+
+    def whole(self, coverage: float | None, *, belt_m: float | None) -> float:
+        """By what the weight that was seen is multiplied for that of the whole belt; 1 where no belt was looked at."""
+        if coverage is not None and self.sums.count and belt_m:
+            coverage = max(coverage, TUBER_M / belt_m)
+        return 1.0 / max(coverage, LEAST_COVERAGE) if coverage and coverage < 1.0 else 1.0
+
+    def missed_g(self, coverage: float | None, *, belt_m: float | None) -> float:
+        """90 % half-width of the weight on belt that was not looked at."""
+        whole = self.whole(coverage, belt_m=belt_m)
+        if whole == 1.0:
+            return 0.0
+        seen, unseen_g = 1.0 / whole, (whole - 1.0) * (self.weight_g + self.hidden().weight_g)
         spread = UNSEEN_SPREAD
         if belt_m:
-            spread = math.hypot(spread, NORMAL_90 * UNEVEN / math.sqrt(belt_m * coverage * (1.0 - coverage)))
-        missed_g = math.hypot(spread * unseen_g, self._chance_g(coverage))
-        below_g, above_g = math.hypot(below_g / coverage, missed_g), math.hypot(above_g / coverage, missed_g)
-        return whole_g, max(low_g, whole_g - below_g), whole_g + above_g
+            spread = math.hypot(spread, NORMAL_90 * UNEVEN / math.sqrt(belt_m * seen * (1.0 - seen)))
+        return math.hypot(spread * unseen_g, self._chance_g(seen))
 
     def _chance_g(self, coverage: float) -> float:
         """90 % half-width of the unseen weight by the chance of how many tubers lay on belt seen and not seen."""
