@@ -129,11 +129,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--before", help="a commit to draw beside today's tree")
     options = parser.parse_args(arguments)
     parts = [(f"before ({options.before})", files_of(options.before))] if options.before else []
-    parts.append(("now", files_of(None)))
+    parts.append(("now" if options.before else "", files_of(None)))
     options.out.write_text(picture(parts), encoding="utf-8")
     for title, files in parts:
         graph = imports(files)
-        print(title, {f"{a} -> {b}": n for (a, b), n in sorted(graph.items()) if not allowed(a, b)} or "no rule broken")
+        broken = {f"{a} -> {b}": n for (a, b), n in sorted(graph.items()) if not allowed(a, b)}
+        print(f"{title}: " if title else "", broken or "no rule broken", sep="")
     print(sizes(parts))
 
 
