@@ -2,7 +2,7 @@
 
 The reference clouds are ellipsoids seen from above over a flat belt, 71, 176 and 338 g: made, not recorded, so they are
 the same on every machine and belong to no season. A network that learned to weigh potatoes weighs them to a few percent
-(the shipped ones: +5, +3 and +2 %); one that was broken, trained on other units or taken for another camera does not.
+(the shipped ones: within 5 %); one that was broken, trained on other units or taken for another camera does not.
 """
 
 from __future__ import annotations
