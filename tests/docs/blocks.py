@@ -24,6 +24,7 @@ CLOCKED = ("train", "ablate")
 """Commands that get --minutes where the page gives none."""
 SMALL = {
     "aggregate": "--tubers 500",
+    "clods": "--tubers 6 --only 0",
     "day": "--loads 2 --box-kg 14 --delay-s 9 --cell-m 1 --workers 1 --database none",
     "dispatch": "--per-s 50 --seconds 2 --workers 2",
     "follow": "--tubers 6 --only 0",
