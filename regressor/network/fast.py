@@ -83,7 +83,7 @@ class _Blocks(threading.local):
     def of_width(self, width: int) -> NDArray[np.uint16] | NDArray[np.float32]:
         """(rows, width); what stood there before is not kept."""
         if width not in self._made:
-            self._made[width] = np.empty((self._rows, width), self._kind)
+            self._made[width] = np.empty((self._rows, width), self._kind)  # type: ignore[assignment]
         return self._made[width]
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+
+if TYPE_CHECKING:
+    from regressor.network.checkpoint import Sidecar
 
 
 def train(
@@ -135,9 +138,14 @@ def train(
     torch.set_num_threads(threads)
     with TrainingBar() as bar:
         sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
+    _tell(out / "weights.safetensors", sidecar)
+
+
+def _tell(weights: Path, sidecar: Sidecar) -> None:
+    """What was left out, and how good the weights are."""
     refused = sidecar.training["refused_views"]
     if refused:
         left_out = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items()))
         sys.stderr.write(f"training views left out: {left_out}\n")
     told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} g per view on the validation set"
-    sys.stderr.write(f"{out / 'weights.safetensors'}: {told}\n")
+    sys.stderr.write(f"{weights}: {told}\n")
