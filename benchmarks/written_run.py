@@ -33,12 +33,16 @@ def write_run(
     crossed_ns: NDArray[np.int64],
     weight_g: NDArray[np.float64],
     sd_share: float = 0.08,
+    stopped: bool = False,
 ) -> None:
     """Write ledger.db, summary.json and tubers.csv of a finished run of one camera into `folder`.
+
+    A ledger that is there gets one run more.
 
     Args:
         crossed_ns: (N,) when each tuber crossed, Unix nanoseconds, ascending.
         weight_g: (N,) as weighed; its 90 % interval is `sd_share` wide as a standard deviation.
+        stopped: its line was stopped before the camera ended, as a live one is.
     """
     config = parse_config(
         {"name": "line", "cameras": {CAMERA: {"path": "x"}}, "aggregator": {"out": str(folder)}}, where="written run"
@@ -64,7 +68,8 @@ def write_run(
         core.receive(TrackEntry(CAMERA, run, len(crossed_ns) + 1, mark=final), now_s=0.0)
         ledger.write(run, core.commit(now_s=0.0))
         reporter = Reporter(ledger, core, config=config, counters=CounterSet())
-        ledger.finish(run, reporter.summary_text(0.0), sights=core.cameras.sights)
+        if not stopped:
+            ledger.finish(run, reporter.summary_text(0.0), sights=core.cameras.sights)
         reporter.write(folder, 0.0)
 
 

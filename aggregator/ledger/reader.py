@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,6 +71,23 @@ def the_run(view: LedgerView, path: Path, run: str | None) -> RunRow:
     if chosen:
         raise LedgerError(f"ledger {path} holds {len(runs)} runs; choose one with --run: {names}")
     raise LedgerError(f"ledger {path} holds no run{f' {run!r}' if run else ''}; known: {names}")
+
+
+def all_runs(view: LedgerView, path: Path) -> list[RunRow]:
+    """The runs of a ledger in the order they were begun: a line that is started again goes on in its ledger.
+
+    Raises:
+        LedgerError: it holds none.
+    """
+    runs = read_runs(view)
+    if not runs:
+        raise LedgerError(f"ledger {path} holds no run")
+    return runs
+
+
+def runs_in_words(runs: Sequence[str]) -> str:
+    """The name of one run, or of several together."""
+    return runs[0] if len(runs) == 1 else f"{runs[0]}_to_{runs[-1]}"
 
 
 def read_tubers(view: LedgerView, run: str, *, since: int = 0, limit: int | None = None) -> Iterator[Tuber]:

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.calibration.tickets import Ticket, read_tickets
-from aggregator.ledger.reader import read_summary
+from aggregator.ledger.reader import read_summary, read_sums
 from aggregator.ledger.verified import LedgerView
 from conveyor.config import LineConfig, load_config
 from conveyor.config_yield import ForeignConfig
 from conveyor.errors import TuberlineError
 
-CONFIG_FILE = "line.toml"
+CONFIG_FILE, SUMMARY_FILE = "line.toml", "summary.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +59,27 @@ def told_belt(config: LineConfig) -> dict[str, Any]:
     return {**config.belt.model_dump(), "plane_sd_mm": config.segmenter.belt_sd_mm}
 
 
-def belt_of_run(view: LedgerView, run: str, stated: Stated) -> Mapping[str, Any] | None:
-    """What tubers of `run` lay on, by its summary; by the config beside the ledger where the run has not ended, for
-    only then it has none. None where neither says.
+def summary_told(view: LedgerView, run: str) -> dict[str, Any]:
+    """The summary of a run; {} where there is none.
+
+    A line that is stopped before its cameras ended leaves it beside the ledger alone: it is taken where it is of that
+    run and of all that is committed.
     """
-    summary = read_summary(view, run)
-    told: Mapping[str, Any] | None = json.loads(summary).get("belt") if summary else stated.belt
+    if (told := read_summary(view, run)) is not None:
+        summary: dict[str, Any] = json.loads(told)
+        return summary
+    try:
+        beside = json.loads((view.path.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
+        same = (beside["run"], beside["tubers"]["committed"]) == (run, read_sums(view, run).load.count)
+    except (OSError, ValueError, LookupError, TypeError):
+        return {}
+    return dict(beside) if same else {}
+
+
+def belt_of_run(view: LedgerView, run: str, stated: Stated) -> Mapping[str, Any] | None:
+    """What tubers of `run` lay on, by its summary; by the config beside the ledger where there is none yet. None where
+    neither says.
+    """
+    summary = summary_told(view, run)
+    told: Mapping[str, Any] | None = summary.get("belt") if summary else stated.belt
     return told

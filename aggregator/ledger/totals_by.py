@@ -43,7 +43,8 @@ class Total:
 class Labelled:
     """A load to be added, with the label that it has by each of `BY`.
 
-    `net_g` is what a scale said. `load` is None for a run without loads, and for what passed without one.
+    `net_g` is what a scale said. `load` is None for a run without loads, and for what passed without one; `run` is the
+    one in which that was, or in which the load began.
     """
 
     labels: dict[str, str]
@@ -51,6 +52,7 @@ class Labelled:
     net_g: float | None
     load: Load | None
     unseen_m: Mapping[str, float]
+    run: str
 
 
 def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ()) -> tuple[list[Total], list[str]]:
@@ -108,13 +110,13 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
             one = _one(counted, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar)
             net = load.ticket(net=True)
             net_g = net.ticket_g if net else None
-            found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m)))
+            found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run)))
     for name, run in ledger.runs.items():
         rest = ledger.without_load(name, seen[name]) if name in ledger.loads.spans else ledger.whole(run)
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
-            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m)))
+            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m, name)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
 

@@ -31,6 +31,7 @@ from tuberline.export.report.html import report_html
 from tuberline.export.report.page import Bars, Figures, Grid, Report, Sentences
 from tuberline.export.report.pdf import report_pdf
 from tuberline.export.report.wrong import what_went_wrong
+from tuberline.maps.field import Settings, field_map
 
 pytest.importorskip("pyproj")
 pa_parquet = pytest.importorskip("pyarrow.parquet")
@@ -78,6 +79,58 @@ def test_csv_has_its_units_beside_it(run: Path, weights_g: list[float], tmp_path
     assert (units["weight_g"], units["length_mm"], units["model"]) == ("g", "mm", None)
     (of_run,) = told["dc:description"]["runs"]
     assert (of_run["weights"], of_run["calibrated_by"], of_run["coverage"]) == (["written@0"], "nothing", 1.0)
+
+
+@pytest.fixture(scope="module")
+def stopped(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same crop and positions by a live line that was stopped at noon and started again in its folder."""
+    folder = tmp_path_factory.mktemp("twice") / "monday"
+    (day,) = simulate_field(WORLD, seed=SEED).machines
+    half = len(day.crossed_ns) // 2
+    for name, part in (("morning", slice(half)), ("noon", slice(half, None))):
+        write_run(folder, run=name, crossed_ns=day.crossed_ns[part], weight_g=day.weight_g[part], stopped=True)
+    shutil.copy(run / "positions.csv", folder / "positions.csv")
+    return folder
+
+
+def test_a_line_that_was_stopped_and_started_again_is_exported_whole(
+    run: Path, stopped: Path, weights_g: list[float], tmp_path: Path
+) -> None:
+    """Every export, the report and the map refused a ledger with two runs ("choose one with --run", which none of them
+    takes): from the second start of a line on there was nothing to be had of it. The files of a line that was stopped
+    told no weights, no coverage and no sum."""
+    with exported(stopped, tmp_path, "csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["weight_g"]) for row in rows] == weights_g
+    assert {row["run"] for row in rows} == {"morning", "noon"}
+    (told,) = json.loads((tmp_path / "out.csv-metadata.json").read_text())["dc:description"]["runs"]
+    assert (told["run"], told["finished"], told["weights"]) == ("morning_to_noon", False, ["written@0"])
+    assert told["weight_g"] == pytest.approx(sum(weights_g), rel=0.02)
+    assert told["low_g"] < told["weight_g"] < told["high_g"]
+    with exported(stopped, tmp_path, "csv", "loads").open() as file:
+        loads = list(csv.DictReader(file))
+    assert [row["load"] for row in loads] == ["morning", "noon", "all"]
+    assert float(loads[-1]["weight_kg"]) == pytest.approx(told["weight_g"] / 1000)
+    (once,), (twice,) = (field_map([folder], [], Settings(**HOW)).shares for folder in (run, stopped))
+    assert twice.kg == pytest.approx(once.kg, rel=0.01)
+    assert twice.points.kg.sum() == pytest.approx(once.points.kg.sum(), rel=0.01)
+
+
+def test_the_report_of_a_line_that_was_stopped_tells_what_went_wrong(stopped: Path, tmp_path: Path) -> None:
+    """A live line has no summary in its ledger when it is stopped, and all that the report knows of frames, views,
+    balance, layers and alarms was left out; the summary lies beside the ledger."""
+    folder = tmp_path / "monday"
+    shutil.copytree(stopped, folder)
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["differences"] = ["left: frames received does not hold"]
+    (folder / "summary.json").write_text(json.dumps(summary))
+    morning, noon = day_facts([folder]).runs
+    assert (morning.models, noon.models) == ({"written@0": morning.models["written@0"]}, summary["models"])
+    assert (morning.summary, noon.summary) == ({}, summary)
+    assert any("balance sheet of run noon does not hold" in said for said in what_went_wrong(day_facts([folder])))
+    summary["tubers"]["committed"] += 1  # written before the last tubers came: of another time
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert day_facts([folder]).runs[1].summary == {}
 
 
 def test_parquet_opens_in_duckdb(run: Path, weights_g: list[float], tmp_path: Path) -> None:

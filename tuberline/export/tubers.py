@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
-from aggregator.ledger.totals_by import totals_by
+from aggregator.ledger.load_totals import ReadLoads, tickets_beside
+from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
+from aggregator.ledger.stated import belt_of_run
+from aggregator.ledger.totals_by import ALL, labelled, total_of, totals_by
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
@@ -52,19 +53,19 @@ LOAD_COLUMNS = (
 
 
 def read_all(runs: Sequence[Path]) -> list[list[Tuber]]:
-    """The tubers of each run."""
+    """The tubers of each ledger, of all of its runs one after the other."""
     found = []
     for path in runs:
         file = ledger_file(path)
         with reading(file) as db:
-            found.append(list(read_tubers(db, the_run(db, file, None).run)))
+            found.append([tuber for run in all_runs(db, file) for tuber in read_tubers(db, run.run)])
     return found
 
 
 def tubers_table(runs: Sequence[Path], field: FieldMap | None, read: Sequence[Sequence[Tuber]] | None = None) -> Table:
     """Every tuber of `runs`; with a place where `field` knows the machines' ways.
 
-    `read`: the tubers of each run, where they were read already.
+    `read`: the tubers of each ledger, where they were read already.
 
     Raises:
         InputError: the runs hold no tuber.
@@ -101,27 +102,33 @@ def loads_table(runs: Sequence[Path]) -> Table:
 
 
 def about(runs: Sequence[Path]) -> dict[str, Any]:
-    """What holds for all rows: program, runs with weights, calibration, coverage and totals."""
+    """What holds for all rows: program, and of each ledger its runs with weights, calibration, coverage and totals.
+
+    By the ledgers as they are now: a line that was stopped has no summary in its ledger, and tickets come later.
+    """
     found = []
     for path in runs:
         file = ledger_file(path)
         with reading(file) as db:
-            run = the_run(db, file, None)
-            told = read_summary(db, run.run)
-        summary = json.loads(told) if told else {}
-        totals = summary.get("totals", {})
+            known = all_runs(db, file)
+            ledger = ReadLoads(db)
+            loads = labelled(ledger, tickets_beside(ledger)[0])
+            models = {model for run in known for model in read_sums(db, run.run).load.models()}
+            belt = belt_of_run(db, known[-1].run, ledger.stated)
+        sums, by = total_of(ALL, loads).sums, (load.one.totals.calibrated().told for load in loads)
+        counted = sums.tubers > 0
         found.append(
             {
-                "run": run.run,
-                "line": run.line,
-                "finished": bool(summary),
-                "weights": sorted(summary.get("models", {})),
-                "calibrated_by": totals.get("calibrated_by") or "nothing",
-                "coverage": totals.get("coverage"),
-                "weight_g": totals.get("estimated_weight_g"),
-                "low_g": totals.get("estimated_low_g"),
-                "high_g": totals.get("estimated_high_g"),
-                "belt": summary.get("belt", {}),
+                "run": runs_in_words([run.run for run in known]),
+                "line": known[-1].line,
+                "finished": all(run.finished for run in known),
+                "weights": sorted(models),
+                "calibrated_by": "; ".join(dict.fromkeys(filter(None, by))) or "nothing",
+                "coverage": sums.coverage,
+                "weight_g": sums.estimated_g if counted else None,
+                "low_g": sums.low_g if counted else None,
+                "high_g": sums.high_g if counted else None,
+                "belt": dict(belt or {}),
             }
         )
     return {"made_by": f"tuberline {__version__}", "made_at": _time(datetime.now(UTC).timestamp()), "runs": found}

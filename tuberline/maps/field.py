@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,20 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aggregator.core.loads import NO_LOAD, span_of
-from aggregator.core.totals import LoadTotals
 from aggregator.ledger.load_totals import ReadLoads, tickets_beside
 from aggregator.ledger.reader import (
     LedgerView,
-    RunRow,
-    coverage_of,
+    all_runs,
     ledger_file,
-    read_summary,
-    read_sums,
     read_tubers,
     reading,
+    runs_in_words,
     the_run,
 )
-from aggregator.ledger.totals_by import ALL, labelled, total_of
+from aggregator.ledger.totals_by import ALL, Labelled, labelled, total_of
 from aggregator.yield_map.cells import YieldMap, cells_of, check_cell, factors_to_one_scale
 from aggregator.yield_map.delay import Delay, delays
 from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
@@ -36,8 +32,7 @@ from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
 from aggregator.yield_map.track import Path as Way
 from conveyor.errors import InputError
 from conveyor.formats.positions import POSITIONS_FILE, read_positions
-from conveyor.messages import Totals, Tuber
-from conveyor.messages.base import plain
+from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
 SUREST_SD_S = 3.0
@@ -62,10 +57,10 @@ class Settings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MachineShare:
-    """What one run gave to the map.
+    """What the runs of one ledger gave to the map.
 
     Attributes:
-        run: its id.
+        run: its id, or those of the first and the last one of its ledger.
         way: the machine's way, as far as it is believed.
         delay: by which the crop lags behind the ground; `by` 'given' where it was set.
         points: its yield points, each with the reason why it is not used.
@@ -129,10 +124,10 @@ def field_map(
     """The map of one field.
 
     Args:
-        runs: folders of runs, or ledgers, with one run each.
-        run: which one of a ledger that holds several.
-        tracks: one file of positions per run, in their order; empty: each run's own positions.csv.
-        tubers: those of each run, where they were read already.
+        runs: folders of runs, or ledgers; those of one ledger are of one machine.
+        run: which one of a ledger that holds several; default: all of them.
+        tracks: one file of positions per ledger, in their order; empty: the positions.csv beside each.
+        tubers: those of each ledger, where they were read already.
 
     Raises:
         InputError: a run without positions or without tubers, or positions that cannot be used.
@@ -194,13 +189,13 @@ def _own_tracks(runs: Sequence[Path]) -> list[Path]:
 def _read(run: Path, track: Path, settings: Settings, name: str | None, known: Sequence[Tuber] | None) -> _Run:
     file = ledger_file(run)
     with reading(file) as db:
-        chosen = the_run(db, file, name)
-        rows = read_tubers(db, chosen.run) if known is None else known
-        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g, t.place_x_m) for t in rows]
+        chosen = all_runs(db, file) if name is None else [the_run(db, file, name)]
+        rows = [t for each in chosen for t in read_tubers(db, each.run)] if known is None else known
+        tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in rows]
         if not tubers:
             raise InputError(f"run {run} counted no tuber: there is nothing to map")
         values = np.array(tubers, dtype=np.float64)
-        scale, shared_percent = _scale(db, chosen, grams=values[:, 1], place_x_m=values[:, 4])
+        scale, shared_percent = _scale(db, rows)
     crop = Crop(
         time_s=np.array([row[0] for row in tubers]) / 1e9,
         kg=values[:, 1] / 1000 * scale,
@@ -209,7 +204,7 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
     places = read_positions(track)
     shift_ns = round(settings.track_shift_s * 1e9)
     return _Run(
-        run=chosen.run,
+        run=runs_in_words([each.run for each in chosen]),
         crop=crop,
         track=Track(
             time_ns=np.array([place.time_ns + shift_ns for place in places], dtype=np.int64),
@@ -221,38 +216,28 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
     )
 
 
-def _scale(
-    db: LedgerView, run: RunRow, *, grams: NDArray[np.float64], place_x_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
+def _scale(db: LedgerView, tubers: Sequence[Tuber]) -> tuple[NDArray[np.float64], float]:
     """((N,) by what each tuber is multiplied, half of the interval of all in percent): calibration and unseen belt.
 
-    Where loads were started each has its own: its tickets and its variety, and belt that was missed under it.
+    Each load has its own, by its tickets, its variety and the belt that was missed under it; a run without loads, too.
     """
     ledger = ReadLoads(db)
-    spans = ledger.loads.spans.get(run.run)
-    if spans is None:
-        told = read_summary(db, run.run)
-        totals = json.loads(told)["totals"] if told else plain(_so_far(db, run, ledger))
-        half_g = (totals["estimated_high_g"] - totals["estimated_low_g"]) / 2
-        estimate_g = totals["estimated_weight_g"]
-        return np.full(len(grams), estimate_g / grams.sum()), 100 * half_g / estimate_g
     loads = labelled(ledger, tickets_beside(ledger)[0])
-    scales = {load.load.number if load.load else NO_LOAD: load.one.scale for load in loads}
-    of_tuber = [span_of(spans, float(x_m)).load for x_m in place_x_m]
-    sums = total_of(ALL, loads).sums
-    return np.array([scales[load] for load in of_tuber]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
+    scales = {(load.run, NO_LOAD): load.one.scale for load in loads if load.load is None}
+    of_load = {load.load.number: load.one.scale for load in loads if load.load is not None}
+
+    def scale(tuber: Tuber) -> float:
+        spans = ledger.loads.spans.get(tuber.run)
+        number = span_of(spans, tuber.place_x_m).load if spans else NO_LOAD
+        return scales[tuber.run, NO_LOAD] if number == NO_LOAD else of_load[number]
+
+    runs = {tuber.run for tuber in tubers}
+    sums = total_of(ALL, [load for load in loads if runs & _runs_of(load)]).sums
+    return np.array([scale(tuber) for tuber in tubers]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
 
 
-def _so_far(db: LedgerView, run: RunRow, ledger: ReadLoads) -> Totals:
-    """The totals of a run that goes on, or was cut off."""
-    sums = read_sums(db, run.run)
-    seen = coverage_of(run, sums)
-    totals = LoadTotals(
-        sums.load, tickets_beside(ledger)[0], prior=ledger.prior(run.run), cultivar=ledger.stated.cultivar
-    )
-    return totals.message(
-        run.run, coverage=seen.share, cameras={}, final=False, belt_m=seen.belt_m, unseen_m=seen.mean_unseen_m()
-    )
+def _runs_of(load: Labelled) -> set[str]:
+    return {load.run} if load.load is None else {run for run, _ in load.load.spans}
 
 
 def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, Way, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -13,8 +12,8 @@ from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import ledger_file, read_summary, reading, the_run
-from aggregator.ledger.stated import CONFIG_FILE
+from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading
+from aggregator.ledger.stated import CONFIG_FILE, summary_told
 from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, grouped, total_of
 from conveyor.config import load_config
 from conveyor.config_yield import ForeignConfig
@@ -63,13 +62,15 @@ class LoadFacts:
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """One run as its summary has it; `summary` is empty where it has not ended."""
+    """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights."""
 
     path: Path
     run: str
     line: str
     version: str
     summary: dict[str, Any]
+    finished: bool
+    models: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +123,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         camera_doubt=whole.camera_doubt(),
         late=whole.late,
         refused=tuple(refused),
-        runs=tuple(_run(path) for path in dict.fromkeys(ledger_file(run) for run in runs)),
+        runs=tuple(run for path in dict.fromkeys(ledger_file(run) for run in runs) for run in _runs(path)),
     )
 
 
@@ -157,11 +158,20 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
     )
 
 
-def _run(file: Path) -> RunFacts:
+def _runs(file: Path) -> list[RunFacts]:
     with reading(file) as view:
-        run = the_run(view, file, None)
-        told = read_summary(view, run.run)
-    return RunFacts(file, run.run, run.line, run.version, json.loads(told) if told else {})
+        return [
+            RunFacts(
+                file,
+                run.run,
+                run.line,
+                run.version,
+                summary_told(view, run.run),
+                finished=run.finished,
+                models=read_sums(view, run.run).load.models(),
+            )
+            for run in all_runs(view, file)
+        ]
 
 
 def _clock(unix_ns: int, offset_s: int) -> str:

@@ -167,7 +167,7 @@ def _edges(each: ClassTotal) -> str:
 def _made_of(facts: DayFacts) -> Grid:
     rows = []
     for run in facts.runs:
-        models = ", ".join(f"{name} ({n})" for name, n in run.summary.get("models", {}).items()) or "not ended"
+        models = ", ".join(f"{name} ({n})" for name, n in run.models.items()) or NONE
         rest = run.summary.get("belt", {})
         rows.append((run.run, run.line, run.version, models, _stated(rest)))
     heads = ("Run", "Line", "Version", "Weights (tubers)", "Resting offset")

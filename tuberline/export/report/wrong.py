@@ -83,8 +83,9 @@ def _weighing(facts: DayFacts) -> Iterator[str]:
 
 def _of_run(run: RunFacts) -> Iterator[str]:
     summary = run.summary
-    if not summary:
+    if not (run.finished and summary):
         yield f"Run {run.run} has not ended, or was cut off: this is what is committed."
+    if not summary:
         return
     for text in summary.get("differences", []):
         yield f"The balance sheet of run {run.run} does not hold: {text}. `tuberline audit` says more."
