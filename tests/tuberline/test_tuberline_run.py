@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from conveyor.config import load_config
+from conveyor.errors import ConfigError
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
-from tuberline.cli.run import summarise_late
+from tuberline.cli.config import check
+from tuberline.cli.run import run, summarise_late
 from tuberline.replayer import free_port
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
@@ -98,3 +100,24 @@ def test_a_line_whose_only_camera_gave_up_ends_with_its_code_and_a_sentence(tmp_
     last = done.stderr[done.stderr.rindex("tuberline: ") :]
     assert last.startswith("tuberline: the line is not kept up: camera-front gave up\n")
     assert "nowhere does not exist" in done.stderr
+
+
+def test_a_line_whose_tickets_or_contract_cannot_be_read_is_refused_before_it_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`config check` called it fine; its aggregator ended at once and for good, and cameras and segmenters ran on: a
+    whole recording passed and nothing was counted."""
+    file = tmp_path / "line.toml"
+    (tmp_path / "contract.toml").write_text("classes = 3\n", encoding="utf-8")
+    file.write_text(
+        f'[cameras.left]\npath = "{tmp_path}"\n[aggregator]\ntickets = "gone.json"\ncontract = "contract.toml"\n',
+        encoding="utf-8",
+    )
+    check(file)
+    warned = capsys.readouterr().err.splitlines()
+    assert warned[0] == f"warning: aggregator.tickets: tickets {tmp_path / 'gone.json'} cannot be read: " + (
+        "No such file or directory"
+    )
+    assert warned[1].startswith("warning: aggregator.contract: ")
+    with pytest.raises(ConfigError, match=r"(?s)aggregator\.tickets: .*; aggregator\.contract: .*count nothing"):
+        run(file)

@@ -9,13 +9,16 @@ from pathlib import Path
 from cyclopts import App
 
 from conveyor.config import LineConfig, dump_toml, load_config
+from tuberline.cli.named_files import unreadable_files
 
 config = App(name="config", help="Check, show or explain a line's configuration.")
 
 
 @config.command
 def check(config: Path) -> None:
-    """Say whether a line's TOML file is accepted; every fault is named. Recordings that are not here are warned of.
+    """Say whether a line's TOML file is accepted; every fault is named.
+
+    Recordings, tickets and contracts that cannot be read here are warned of.
 
     Parameters
     ----------
@@ -28,6 +31,8 @@ def check(config: Path) -> None:
     for name, camera in sorted(line.cameras.items()):
         if camera.path is not None and not camera.path.exists():
             sys.stderr.write(f"warning: cameras.{name}.path: {camera.path} is not on this computer\n")
+    for fault in unreadable_files(line):
+        sys.stderr.write(f"warning: {fault}\n")
 
 
 @config.command
