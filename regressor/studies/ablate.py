@@ -19,6 +19,7 @@ from regressor.studies.evaluate import (
     evaluate,
     method_scores,
 )
+from regressor.training.labelled import part_of
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, train
 from regressor.training.train import Training
@@ -71,7 +72,7 @@ def ablate(
     rules: Table = {}
     for name in names:
         scale = load_scale(_trained(name, settings, options, on_step))
-        figures = method_scores(evaluate(test, scale, max_views=max_views))
+        figures = method_scores(evaluate(test, scale, split=part_of(test, "test"), max_views=max_views))
         trained = scale.sidecar.training
         table[name] = {**figures[NETWORK], "steps": float(trained["steps"]), "hours": float(trained["hours"])}
         rules = rules or {rule: figures[rule] for rule in RULES}

@@ -20,7 +20,7 @@ from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, load_cloudset
-from regressor.training.labelled import UNKNOWN
+from regressor.training.labelled import UNKNOWN, part_of
 from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
@@ -173,13 +173,18 @@ def recalibrate(
 ) -> Sidecar:
     """Calibrate saved weights again on the views of `data` and write their sidecar; the tensors stay as they are.
 
+    Of a folder with a splits.csv the part 'val' is read.
+
     Raises:
         InputError: weights without a sidecar of their own, or views that cannot be used.
     """
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
-    views = load_cloudset(data, cache=cache, max_views=max_views, progress=preparing(data, on_work))
+    split = part_of(data, "val")
+    views = load_cloudset(
+        data, split=split, cache=cache, max_views=max_views, progress=preparing(data, on_work, split=split)
+    )
     views = views.with_target(sidecar.target)
     network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)

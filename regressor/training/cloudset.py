@@ -191,7 +191,7 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
     """Changes with the input files (name, size, time) and with the code that reads and prepares them."""
     digest = hashlib.sha256(json.dumps([keep, split]).encode())
     tables = [folder / SPLITS] if split is not None and (folder / SPLITS).is_file() else []
-    for path in [*labelled_files(folder), *tables]:
+    for path in [*labelled_files(folder, split=split), *tables]:
         stat = path.stat()
         digest.update(f"{path.name}|{stat.st_size}|{stat.st_mtime_ns}".encode())
     for module in (*READERS, *PREPARERS):

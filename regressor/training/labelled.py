@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.views import PackedView, count_views, read_views, view_shards
-from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, TRUTH, is_potatotwin, twin_resting
+from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, SPLITS, TRUTH, is_potatotwin, twin_resting
 from conveyor.formats.potatotwin.views import TwinView, count_twin, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel
@@ -114,13 +114,18 @@ class LabelledView:
         )
 
 
-def labelled_files(folder: Path) -> list[Path]:
+def labelled_files(folder: Path, *, split: str | None = None) -> list[Path]:
     """The files that `read_labelled` would read, sorted: what a cache depends on.
 
     Raises:
-        InputError: neither a view pack nor a 3DPotatoTwin folder.
+        InputError: neither a view pack nor a 3DPotatoTwin folder, or a `split` of a pack.
     """
     shards = view_shards(folder)
+    if shards and split is not None:
+        raise InputError(
+            f"{folder} is a view pack and has no split '{split}': only a 3DPotatoTwin folder has a splits.csv; give a "
+            "pack of its own for each part"
+        )
     if shards:
         return shards
     if is_potatotwin(folder) and (folder / TRUTH).is_file():
@@ -132,13 +137,18 @@ def labelled_files(folder: Path) -> list[Path]:
     )
 
 
+def part_of(folder: Path, part: str) -> str | None:
+    """`part` where `folder` has a splits.csv: its other parts are kept for something else. None reads all of it."""
+    return part if is_potatotwin(folder) and (folder / SPLITS).is_file() else None
+
+
 def count_labelled(folder: Path, *, split: str | None = None) -> int:
     """About how many views `read_labelled` would read: for a bar with a remaining time.
 
     Raises:
         InputError: unknown layout.
     """
-    files = labelled_files(folder)
+    files = labelled_files(folder, split=split)
     return sum(map(count_views, files)) if files[0].suffix == ".npz" else count_twin(folder, split=split)
 
 
@@ -148,7 +158,7 @@ def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = 
     Raises:
         InputError: unknown layout, unreadable shard, missing key.
     """
-    files = labelled_files(folder)
+    files = labelled_files(folder, split=split)
     if files[0].suffix == ".npz":
         for shard in files:
             yield from _read_shard(shard, resting)

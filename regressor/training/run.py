@@ -20,6 +20,7 @@ from regressor.network.networks import Network
 from regressor.studies.metrics import scores
 from regressor.training.calibration import calibration
 from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
+from regressor.training.labelled import part_of
 from regressor.training.loop import load_state, run_training
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
@@ -113,14 +114,16 @@ def load_sets(
 ) -> tuple[CloudSet, CloudSet]:
     """(training, validation) sets without a tuber in both: shared ones are left out of the training and counted.
 
+    Of a folder with a splits.csv its own part is read, also where the two sets are of different folders.
     So are tubers under soil (counted as refused): their truth is their weight without it, nothing in a view tells it,
     and clean tubers would read light for it.
     """
     cache = options.cache or options.out / "cache"
+    same = options.validation.resolve() == options.data.resolve()
     validation = load_cloudset(
         options.validation,
         cache=cache,
-        split="val" if options.validation == options.data else None,
+        split="val" if same else part_of(options.validation, "val"),
         max_views=options.max_validation_views,
         keep=keep,
         progress=lambda done: on_prepared("validation", done),
@@ -128,7 +131,7 @@ def load_sets(
     data = load_cloudset(
         options.data,
         cache=cache,
-        split="train" if options.validation == options.data else None,
+        split="train" if same else part_of(options.data, "train"),
         keep=keep,
         progress=lambda done: on_prepared("training", done),
     )

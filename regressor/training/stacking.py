@@ -17,6 +17,7 @@ from conveyor.errors import InputError
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.studies.metrics import scores
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
+from regressor.training.labelled import part_of
 from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, BlendRule, best_share, fit_blend
@@ -40,6 +41,8 @@ def restack(
 ) -> Sidecar:
     """Fit volume rule and blend of saved weights again and write their sidecar; the tensors stay as they are.
 
+    Of a folder with a splits.csv its part is read: 'train' of `data`, 'val' of `unseen`.
+
     Args:
         data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for
             the rule and the blend. correction: for weight, rim and pose; else the blend is its share alone. compute:
@@ -52,8 +55,10 @@ def restack(
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to write to: `tuberline import-checkpoint` makes one")
     seen, views = (
-        load_cloudset(folder, cache=cache, progress=preparing(folder, on_work)).with_target(sidecar.target)
-        for folder in (data, unseen)
+        load_cloudset(folder, split=split, cache=cache, progress=preparing(folder, on_work, split=split)).with_target(
+            sidecar.target
+        )
+        for folder, split in ((data, part_of(data, "train")), (unseen, part_of(unseen, "val")))
     )
     seen, views = seen.subset(seen.clean), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:

@@ -15,9 +15,9 @@ def no_work(words: str, done: int, of: int | None) -> None:
     """Says nothing."""
 
 
-def preparing(folder: Path, on_work: Work) -> Callable[[int], None]:
+def preparing(folder: Path, on_work: Work, *, split: str | None = None) -> Callable[[int], None]:
     """For `load_cloudset`, whose counts start again with every pack of `folder`."""
-    total, before, last = count_labelled(folder), 0, 0
+    total, before, last = count_labelled(folder, split=split), 0, 0
 
     def on_views(done: int) -> None:
         nonlocal before, last

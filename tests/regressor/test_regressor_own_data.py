@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,14 @@ import pytest
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import labels_of_split
+from regressor.network.checkpoint import SHIPPED
+from regressor.studies.evaluate import evaluate
+from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.run import RunOptions, load_sets
 from regressor.training.split import write_splits
 from regressor.weigh.files import FileOptions, prepare_file
+from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
 
@@ -116,3 +121,27 @@ def test_a_weight_that_none_has_is_refused(tmp_path: Path, weight: str) -> None:
     np.savez(tmp_path / "pack" / "views-00000.npz", **arrays)
     with pytest.raises(InputError, match=rf"views-00000.npz, view 1: weight_g is {weight}; allowed are grams above 0"):
         load_cloudset(tmp_path / "pack")
+
+
+def test_the_test_part_stays_untouched(tmp_path: Path) -> None:
+    """With another folder for --val all of a crop was trained on, its test part too; calibrations read all of it."""
+    labels = write_twin(tmp_path / "crop", tubers=5)
+    write_twin(tmp_path / "other", tubers=2, seed=9)
+    write_parts(tmp_path / "crop", {"train": labels[:2], "val": labels[2:3], "test": labels[3:]})
+    data, validation = _sets(tmp_path / "crop", tmp_path / "other", tmp_path / "out")
+    assert data.tuber.tolist() == labels[:2]
+    assert validation.tuber.tolist() == ["t000", "t001"]
+    assert _sets(tmp_path / "other", tmp_path / "crop", tmp_path / "out")[1].tuber.tolist() == labels[2:3]
+    for name in ("tuberline-sim.safetensors", "tuberline-sim.json"):
+        shutil.copy(SHIPPED.with_name(name), tmp_path / name)
+    found = recalibrate(tmp_path / "tuberline-sim.safetensors", tmp_path / "crop", cache=None, max_views=None)
+    assert found.metrics["calibration"]["tubers"] == 1
+
+
+def test_a_pack_has_no_split(tmp_path: Path) -> None:
+    """`evaluate --split test` of a pack judged on all of it, the views of the training included."""
+    write_pack(tmp_path / "pack", tubers=2, views=1, seed=1)
+    with pytest.raises(InputError, match="is a view pack and has no split 'test'"):
+        evaluate(tmp_path / "pack", Weigher.load(), split="test")
+    with pytest.raises(InputError, match="give a pack of its own for each part"):
+        _sets(tmp_path / "pack", tmp_path / "pack", tmp_path / "out")

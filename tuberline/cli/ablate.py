@@ -34,7 +34,7 @@ def ablate(
     val
         Validation views.
     test
-        Views to compare on.
+        Views to compare on; of a 3DPotatoTwin folder its part `test`.
     out
         Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained again.
     epochs

@@ -30,7 +30,8 @@ def calibrate_blend(
     weights
         The .safetensors file; its .json sidecar lies beside it.
     data
-        Views for the rule alone: a folder of view packs, those that the network was trained on say.
+        Views for the rule alone: a folder of view packs, those that the network was trained on say, or a 3DPotatoTwin
+        folder, of which its part `train` is read.
     unseen
         Views of recordings that the network has not seen, for the rule and the blend.
     cache

@@ -29,7 +29,7 @@ def calibrate_interval(
     weights
         The .safetensors file; its .json sidecar lies beside it.
     data
-        A folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin folder.
+        A folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin folder, of which its part `val` is read.
     cache
         Folder of prepared clouds, to save the preparing; default: none.
     max_views

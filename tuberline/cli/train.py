@@ -50,7 +50,7 @@ def train(
     data
         A folder of view packs (`tuberline simulate-views`) or a 3DPotatoTwin folder.
     val
-        The same for validation. The same folder means the splits of its splits.csv.
+        The same for validation. A folder with a splits.csv is read by its parts, for both.
     out
         Folder to write into.
     recipe
