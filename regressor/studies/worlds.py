@@ -24,7 +24,9 @@ FEWEST_VIEWS = 50
 
 @dataclass(frozen=True, slots=True)
 class ClassRow:
-    """One class of one preset. Biases are of the total, percent; `low` and `high` their 90 % bootstrap interval."""
+    """One class of one preset. Biases are of the total, percent; `low` and `high` their 90 % bootstrap interval, None
+    where all views are of one recording.
+    """
 
     by: str
     label: str
@@ -32,8 +34,8 @@ class ClassRow:
     views: int
     recordings: int
     bias_percent: float
-    low_percent: float
-    high_percent: float
+    low_percent: float | None
+    high_percent: float | None
     mae_g: float
     coverage: float
 
@@ -47,8 +49,8 @@ class PresetRow:
     recordings: int
     mae_g: float
     bias_percent: float
-    low_percent: float
-    high_percent: float
+    low_percent: float | None
+    high_percent: float | None
     views_held: float
     tubers_held: float
     loads_held: float
@@ -112,15 +114,22 @@ def by_preset(result: Evaluation, *, seed: int = 0) -> list[PresetRow]:
     return rows
 
 
-def bias_percent(result: Evaluation, rows: NDArray[np.bool_], *, seed: int) -> tuple[float, float, float]:
-    """(bias of the total, 5 % and 95 % quantile over drawn recordings), percent."""
+def bias_percent(result: Evaluation, rows: NDArray[np.bool_], *, seed: int) -> tuple[float, float | None, float | None]:
+    """(bias of the total, 5 % and 95 % quantile over drawn recordings), percent.
+
+    The two are None where all views are of one recording, as those of a 3DPotatoTwin folder: nothing tells then how far
+    another one would be off.
+    """
     _, owner = np.unique(result.recording[rows], return_inverse=True)
     found = np.bincount(owner, result.predicted[SHIPPED][rows])
     truth = np.bincount(owner, result.weight_g[rows])
+    bias = round(100 * float(found.sum() / truth.sum() - 1), 2)
+    if len(truth) < 2:
+        return bias, None, None
     drawn = np.random.default_rng(seed).integers(0, len(truth), (DRAWS, len(truth)))
     biases = 100 * (found[drawn].sum(1) / truth[drawn].sum(1) - 1)
     low, high = np.quantile(biases, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return round(100 * float(found.sum() / truth.sum() - 1), 2), round(float(low), 2), round(float(high), 2)
+    return bias, round(float(low), 2), round(float(high), 2)
 
 
 def _load_held(result: Evaluation, rows: NDArray[np.bool_]) -> tuple[bool, float]:
@@ -193,4 +202,6 @@ def markdown(presets: list[PresetRow], classes: list[ClassRow]) -> str:
 
 
 def _bias(row: ClassRow | PresetRow) -> str:
+    if row.low_percent is None or row.high_percent is None:
+        return f"{row.bias_percent:+.1f} (one recording)"
     return f"{row.bias_percent:+.1f} ({row.low_percent:+.1f} to {row.high_percent:+.1f})"

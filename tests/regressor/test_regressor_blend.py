@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -195,10 +196,15 @@ def test_the_table_of_worlds_finds_the_class_that_is_biased() -> None:
     result = _evaluation(np.random.default_rng(SEED))
     classes = {(row.label, row.preset): row for row in by_class(result, ("rim", "weight"))}
     poor = classes["poor", "harsh"]
+    assert poor.low_percent is not None
+    assert poor.high_percent is not None
     assert poor.high_percent < -1.5
     assert poor.low_percent < poor.bias_percent < poor.high_percent
     assert poor.recordings == 30
-    assert classes["poor", "field"].low_percent < 0.0 < classes["poor", "field"].high_percent
+    low, high = classes["poor", "field"].low_percent, classes["poor", "field"].high_percent
+    assert low is not None
+    assert high is not None
+    assert low < 0.0 < high
     presets = {row.preset: row for row in by_preset(result)}
     assert presets["field"].views_held == pytest.approx(0.9, abs=0.04)
     assert presets["field"].loads_held >= 0.8
@@ -209,6 +215,16 @@ def test_the_table_of_worlds_finds_the_class_that_is_biased() -> None:
     text = markdown(list(presets.values()), list(classes.values()))
     assert "| rim | poor |" in text
     assert "over 300 g" in text
+
+
+def test_one_recording_tells_nothing_of_another() -> None:
+    """The 90 % interval over drawn recordings of a single one, as of any 3DPotatoTwin folder, had no width."""
+    result = _evaluation(np.random.default_rng(SEED))
+    one = replace(result, recording=np.full(2400, "unknown"), groups={"rim": result.groups["rim"]})
+    (whole,) = by_preset(one)
+    assert (whole.recordings, whole.low_percent, whole.high_percent) == (1, None, None)
+    text = markdown([whole], by_class(one, ("rim",)))
+    assert f"| {whole.bias_percent:+.1f} (one recording) |" in text
 
 
 def test_between_what_the_fit_has_seen_the_shipped_rule_goes_straight() -> None:
