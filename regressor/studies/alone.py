@@ -31,6 +31,9 @@ class Scale(Protocol):
     ) -> Weighed:
         """The weight of one prepared cloud."""
 
+    def network_g(self, cloud: PreparedCloud) -> float | None:
+        """What the network alone says of it, grams, believed or not; None without one."""
+
 
 class PointNetScale:
     """PointNet alone: a weight without a calibrated interval, and the volume rule's beside it."""
@@ -48,10 +51,8 @@ class PointNetScale:
     def weigh(
         self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0
     ) -> Weighed:
-        """The network's grams for the cloud's first 1024 farthest points; neither sd changes them."""
-        points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
-        with torch.inference_mode():
-            weight_g = float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])
+        """The network's grams; neither sd changes them."""
+        weight_g = self.network_g(cloud)
         return Weighed(
             weight_g=weight_g,
             low_g=weight_g,
@@ -63,6 +64,12 @@ class PointNetScale:
             flags=cloud.flags,
             sizes=None,
         )
+
+    def network_g(self, cloud: PreparedCloud) -> float:
+        """Grams of the cloud's first 1024 farthest points."""
+        points = cloud.points[farthest_points(cloud.points, min(POINTNET_POINTS, len(cloud.points)))]
+        with torch.inference_mode():
+            return float(self._model(torch.from_numpy(np.ascontiguousarray(points))[None])[0])
 
 
 def load_scale(path: Path) -> Scale:

@@ -20,7 +20,7 @@ from regressor.studies.alone import Scale
 from regressor.studies.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.studies.metrics import scores
 from regressor.training.labelled import UNKNOWN, LabelledView, Resting, read_labelled
-from regressor.weigh.prepare import RefusedCloud
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 from regressor.weigh.surface import NAMES
 from regressor.weigh.weigher import Weighed
 
@@ -102,16 +102,21 @@ def evaluate_views(
     where: str,
     progress: Callable[[int], None] | None = None,
 ) -> Evaluation:
-    """Weigh `labelled` views; `where` they are from.
+    """Weigh `labelled` views; `where` they are from. Views whose truth no one knows are refused.
 
     Raises:
         InputError: nothing to weigh.
     """
     views: list[LabelledView] = []
     answers: list[Weighed] = []
+    alone_g: list[float] = []
+    target = weigher.sidecar.target
     features: list[list[float]] = []
     refused: Counter[str] = Counter()
     for done, view in enumerate(labelled, start=1):
+        if not 0 < getattr(view, target) < math.inf:
+            refused[f"no_{target}"] += 1
+            continue
         try:
             cloud = view.prepare()
         except RefusedCloud as refusal:
@@ -119,18 +124,29 @@ def evaluate_views(
             continue
         length, width, _ = oriented_box_m(cloud.points)
         views.append(view)
-        answers.append(weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m))
+        answer = weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m)
+        answers.append(answer)
+        alone_g.append(_network_g(weigher, cloud, answer))
         features.append([*cloud.surface.as_array(), 1e3 * length, 1e3 * width, 1e3 * cloud.height_m])
         if progress is not None:
             progress(done)
     if not views:
         raise InputError(f"{where} holds no view that can be weighed; refused: {dict(refused)}")
-    return _collect(views, answers, np.array(features), dict(refused), weigher)
+    return _collect(views, answers, np.array(alone_g), np.array(features), dict(refused), weigher)
+
+
+def _network_g(weigher: Scale, cloud: PreparedCloud, answer: Weighed) -> float:
+    """What the network alone says, though the scale did not believe it: its errors are its own. Without one, the
+    weight.
+    """
+    alone_g = weigher.network_g(cloud) if answer.network_g is None else answer.network_g
+    return answer.weight_g if alone_g is None else alone_g
 
 
 def _collect(
     views: list[LabelledView],
     answers: list[Weighed],
+    alone_g: NDArray[np.float64],
     features: NDArray[np.float64],
     refused: dict[str, int],
     weigher: Scale,
@@ -140,7 +156,7 @@ def _collect(
     surface, box = features[:, : len(NAMES)], features[:, len(NAMES) :]
     predicted = {
         SHIPPED: np.array([answer.weight_g for answer in answers]),
-        NETWORK: np.array([answer.network_g or answer.weight_g for answer in answers]),
+        NETWORK: alone_g,
         VOLUME_RULE: np.array([answer.volume_g for answer in answers]),
         VISIBLE_VOLUME: cross_validated(fit_linear, surface[:, :1], weight_g, tuber),
         PRODUCT: cross_validated(fit_product, surface[:, 2:5], weight_g, tuber),

@@ -114,10 +114,13 @@ class Weigher:
         """
         if self._together is not None:
             return self.weigh_many([cloud], belt_sd_m=[belt_sd_m], resting_sd_m=[resting_sd_m])[0]
-        network_g = None
-        if self._network is not None:
-            network_g = self._network.weigh(self._group(cloud.points), self._height_m(cloud))
-        return self._weighed(cloud, network_g, math.hypot(belt_sd_m, resting_sd_m))
+        return self._weighed(cloud, self.network_g(cloud), math.hypot(belt_sd_m, resting_sd_m))
+
+    def network_g(self, cloud: PreparedCloud) -> float | None:
+        """What the network alone says of a cloud, grams, also where `weigh` does not believe it; None without one."""
+        if self._network is None:
+            return None
+        return self._network.weigh(self._group(cloud.points), self._height_m(cloud))
 
     def weigh_many(
         self, clouds: Sequence[PreparedCloud], *, belt_sd_m: Sequence[float], resting_sd_m: Sequence[float]

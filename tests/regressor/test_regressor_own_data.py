@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import labels_of_split
-from regressor.network.checkpoint import SHIPPED
-from regressor.studies.evaluate import evaluate
+from regressor.network.checkpoint import SHIPPED, load_checkpoint
+from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_scores
+from regressor.studies.report import summary
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.run import RunOptions, load_sets
@@ -145,3 +147,30 @@ def test_a_pack_has_no_split(tmp_path: Path) -> None:
         evaluate(tmp_path / "pack", Weigher.load(), split="test")
     with pytest.raises(InputError, match="give a pack of its own for each part"):
         _sets(tmp_path / "pack", tmp_path / "pack", tmp_path / "out")
+
+
+def test_a_network_that_fails_is_judged_by_its_own_answers(tmp_path: Path) -> None:
+    """Where its answer was not believed, the row 'PointRAFT' had the volume rule's: a network that says -1900 g of
+    every tuber was told to err by 11 g.
+    """
+    write_pack(tmp_path / "pack", tubers=6, views=1, seed=1)
+    network, sidecar = load_checkpoint()
+    with torch.no_grad():
+        network.regression_head.linear(2).bias -= 2000
+    result = evaluate(tmp_path / "pack", Weigher(network, sidecar))
+    assert result.flags["network_failed"] == 6
+    scores = method_scores(result)
+    assert scores[NETWORK]["mae_g"] > 1900
+    assert scores[VOLUME_RULE]["mae_g"] < 50
+
+
+def test_views_without_the_target_are_refused_and_counted(tmp_path: Path) -> None:
+    """One tuber without a volume made every figure of weights for volumes NaN, and metrics.json no JSON."""
+    volumes = ["", *(["120"] * 6)]
+    write_twin(tmp_path / "crop", tubers=7, more={"volume_metashape": volumes})
+    network, sidecar = load_checkpoint()
+    weigher = Weigher(network, sidecar.model_copy(update={"target": "volume_ml"}))
+    result = evaluate(tmp_path / "crop", weigher)
+    assert result.refused == {"no_volume_ml": 1}
+    assert result.weight_g.tolist() == [120.0] * 6
+    json.dumps(summary(result), allow_nan=False)
