@@ -40,6 +40,7 @@ SMALL = {
     "regressor": "--batches 1 --rounds 1",
     "site": "--hosts 1 --undisturbed --tubers 6",
     "sizes": "--tubers 6 --only 0",
+    "training": "--rounds 1",
     "yield_map": "--seeds 1",
 }
 """What a benchmark is given in the test after the page's own arguments."""
