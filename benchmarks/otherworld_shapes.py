@@ -105,7 +105,7 @@ def bumps(unit: np.ndarray, rng: np.random.Generator, *, height: float, top: int
         for order in range(degree + 1):
             wave = sph_harm_y(degree, order, polar, turn)
             field += (rng.normal() * wave.real + rng.normal() * wave.imag) / degree
-    return field * height / field.std()
+    return np.asarray(field * height / field.std())
 
 
 def tuber(rng: np.random.Generator, family: str) -> Body:
@@ -134,7 +134,7 @@ def tuber(rng: np.random.Generator, family: str) -> Body:
         points[:, 1:] *= 1 + taper * points[:, :1]
         points[:, 2] += bend * points[:, 0] ** 2
         low, high = points.min(0), points.max(0)
-        return (points - (low + high) / 2) / (high - low) * lwd / 1000
+        return np.asarray((points - (low + high) / 2) / (high - low) * lwd / 1000)
 
     wanted_m3 = fullness * np.pi / 6 * float(np.prod(lwd)) * 1e-9
     low, high = 1.6, 4.0

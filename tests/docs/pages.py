@@ -103,6 +103,7 @@ PAGES: dict[str, Page] = {
     ),
     "docs/map.md": Page(given=("recording", "run", "track")),
     "docs/operate.md": Page(given=("recording", "other_weights"), line="line"),
+    "docs/otherworld.md": Page(),
     "docs/performance.md": Page(given=("recording",)),
     # A batch of the paper's recipe is 32 views here, too.
     "docs/pointraft.md": Page(
