@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import cv2
 import numba
@@ -162,7 +163,7 @@ class View:
         if sensor.baseline_m:
             depth_m, lost = self._stereo(depth_m)
         if sensor.speckle:
-            specks = self._smooth(rng.normal(size=depth_m.shape), 1.2) > _normal_quantile(1 - sensor.speckle)
+            specks = self._smooth(rng.normal(size=depth_m.shape), 1.2) > NormalDist().inv_cdf(1 - sensor.speckle)
             lost |= specks & (label == MASK_BELT)
         units = np.clip(np.rint(depth_m / sensor.unit_m), 0, 65535)
         units[lost] = 0
@@ -214,12 +215,6 @@ def _fattened(disparity: np.ndarray, reach_px: int) -> np.ndarray:
     step = cv2.dilate((near - far > 1.0).astype(np.uint8), size) > 0
     around, below = cv2.dilate(disparity, size), cv2.erode(disparity, size)
     return np.where(step & (disparity < (around + below) / 2), around, disparity)
-
-
-def _normal_quantile(share: float) -> float:
-    from statistics import NormalDist
-
-    return NormalDist().inv_cdf(share)
 
 
 def _fill(units: np.ndarray) -> np.ndarray:

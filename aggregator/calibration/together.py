@@ -120,14 +120,13 @@ def _errors(loads: Sequence[OneLoad], *, whole: bool) -> _Errors:
     between_g2, own_g2 = 0.0, [0.0, 0.0]
     for load in loads:
         found, under, times = load.totals.calibrated(), load.totals.hidden(), load.whole if whole else 1.0
-        raw_g = load.totals.sums.as_weighed_g
         layers_g = math.hypot(under.support_sd_g, under.weight_sd_g if whole else 0.0)
         for name, sd_g in ((RESTING, found.parts_g[RESTING]), (CAMERA, found.parts_g[CAMERA]), (LAYERS, layers_g)):
             shared[name] += times * sd_g
         own = math.sqrt(max(0.0, found.parts_g[TUBERS] ** 2 - found.own_g**2 - found.between_g**2))
         varieties[load.variety] = varieties.get(load.variety, 0.0) + times * own
         between_g2 += (times * found.between_g) ** 2
-        scale = times * (load.totals.weight_g / raw_g if raw_g > 0 else 1.0) / NORMAL_90
+        scale = times * load.totals.scale / NORMAL_90
         own_g2 = [had + (scale * half_g) ** 2 for had, half_g in zip(own_g2, load.totals.own_error_g(), strict=True)]
     tubers_g2 = sum(sd_g**2 for sd_g in varieties.values()) + between_g2
     common_g2 = sum(sd_g**2 for sd_g in shared.values()) + tubers_g2

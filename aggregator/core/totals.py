@@ -77,15 +77,19 @@ class LoadTotals:
         return self.calibrated().weight_g
 
     @property
+    def scale(self) -> float:
+        """By what calibration multiplies what was weighed; 1 where nothing was."""
+        raw_g = self.sums.as_weighed_g
+        return self.weight_g / raw_g if raw_g > 0 else 1.0
+
+    @property
     def tickets_used(self) -> int:
         """Tickets of the weights that weighed this load; 0: it is not calibrated."""
         return self.calibrated().tickets
 
     def hidden(self) -> Hidden:
         """What lies under others, as far as the tubers that lie on them tell."""
-        raw_g = self.sums.as_weighed_g
-        scale = self.weight_g / raw_g if raw_g > 0 else 1.0
-        return hidden(self.sums.layers, count=self.sums.count, scale=scale)
+        return hidden(self.sums.layers, count=self.sums.count, scale=self.scale)
 
     def unshared_sd_g(self, coverage: float | None, *, belt_m: float | None) -> float:
         """Standard deviation of what a ticket's load does not share with others: belt that was not seen, and what lies
