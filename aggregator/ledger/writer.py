@@ -111,8 +111,12 @@ class Ledger:
             self._receipt.__exit__(None, None, None)
 
     def _refuse_unacknowledged(self) -> None:
-        """Batches without a receipt are refused before one is made: the next start would find it and go on."""
-        uri = f"{self.path.resolve().as_uri()}?mode=ro"
+        """Batches without a receipt are refused before one is made: the next start would find it and go on.
+
+        A process that was killed while it made the file leaves a journal, and only who may write can roll it back.
+        """
+        being_made = self.path.with_name(f"{self.path.name}-journal").exists()
+        uri = f"{self.path.resolve().as_uri()}?mode={'rw' if being_made else 'ro'}"
         with explained(self.path, "opening"), closing(sqlite3.connect(uri, uri=True)) as db:
             if db.execute("SELECT 1 FROM sqlite_master").fetchone():
                 self._refuse(opening_faults(LedgerView(db, self.path), acknowledged=None))

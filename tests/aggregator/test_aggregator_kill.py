@@ -86,6 +86,25 @@ def test_killed_at_any_moment(tmp_path: Path, calm: list[str], rng: np.random.Ge
         survives(Path(folder), calm)
 
 
+def test_killed_while_the_file_was_made_it_can_be_opened(tmp_path: Path, calm: list[str]) -> None:
+    """What is left is a file with a journal and no receipt: every later start refused it as read-only."""
+    making = (
+        "import os, sqlite3, sys\n"
+        "db = sqlite3.connect(sys.argv[1], isolation_level=None)\n"
+        "db.execute('PRAGMA cache_size = 1')\n"
+        "db.execute('BEGIN')\n"
+        "db.execute('CREATE TABLE t (x)')\n"
+        "db.executemany('INSERT INTO t VALUES (?)', [(bytes(4000),)] * 50)\n"
+        "os._exit(9)\n"
+    )
+    ledger = tmp_path / "ledger.db"
+    subprocess.run([sys.executable, "-c", making, str(ledger)], check=False, timeout=60)
+    assert ledger.stat().st_size > 0
+    assert (tmp_path / "ledger.db-journal").stat().st_size > 0
+    assert not (tmp_path / "ledger.ack").exists()
+    survives(tmp_path, calm)
+
+
 def test_a_second_writer_is_refused(tmp_path: Path) -> None:
     from conveyor.errors import LedgerError
 
