@@ -14,6 +14,7 @@ from conveyor.errors import StorageError, TuberlineError
 from conveyor.files import cause
 from conveyor.messages import Sizes, Tuber
 
+RESULT_FILES = ("summary.json", "tubers.csv")
 SIZES = {"caliper_length": "length", "caliper_width": "width", "caliper_thickness": "thickness", "mesh": "mesh"}
 """Sizes of the whole tuber by their names in the table; `low` and `high` bound the 90 % interval of each."""
 

@@ -288,6 +288,23 @@ def test_what_needs_a_place_says_so_and_nothing_is_left(
     assert "tubers without their places: a map needs the working width" in capsys.readouterr().err
 
 
+def test_an_export_never_replaces_what_the_run_keeps(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`export RUN --format csv` wrote its rows over the run's own tubers.csv."""
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    (folder / "tubers.csv").write_text("the run's own\n", encoding="utf-8")
+    export([folder], format="csv")
+    assert "exported-tubers.csv" in capsys.readouterr().out
+    assert (folder / "tubers.csv").read_text(encoding="utf-8") == "the run's own\n"
+    ledger = (folder / "ledger.db").read_bytes()
+    for name in ("tubers.csv", "ledger.db"):
+        with pytest.raises(InputError, match="is the run's own file"):
+            export([folder], format="csv", out=folder / name)
+    assert (folder / "ledger.db").read_bytes() == ledger
+
+
 def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -> None:
     text = exported(run, tmp_path, "html").read_text()
     summary = json.loads((run / "summary.json").read_text())["totals"]

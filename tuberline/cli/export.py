@@ -48,7 +48,8 @@ def export(
     what
         Rows of the file: one per tuber, per load, or per cell of the field's map. A report has all it needs.
     out
-        File to write; default: named after what and format, beside the first ledger.
+        File to write; default: named after what and format, beside the first ledger (tubers as csv:
+        exported-tubers.csv, for tubers.csv is the run's own).
     track
         Positions of each run, in their order: CSV, NMEA or GPX.
     width_m
@@ -66,6 +67,7 @@ def export(
     contract
         Of the report: a buyer's classes of size (TOML); default: that of the line's config.
     """
+    from aggregator.ledger.files import RESULT_FILES
     from aggregator.ledger.reader import ledger_file
     from tuberline.cli.progress import ledger_bar
     from tuberline.export.tubers import read_all
@@ -100,6 +102,11 @@ def export(
         return
     name = "taskdata" if form is Format.ISOXML else what
     target = out or folder / f"{name}.{ENDINGS.get(form, form.value)}"
+    own = {(ledger_file(run).parent / kept).resolve() for run in runs for kept in RESULT_FILES}
+    if target.resolve() in own | {ledger_file(run).resolve() for run in runs}:
+        if out is not None:
+            raise InputError(f"--out {out} is the run's own file, which the export would replace: give another name")
+        target = folder / f"exported-{target.name}"
     with ledger_bar(form.value):
         rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
     noun = "record" if form is Format.ISOXML else "row"

@@ -16,6 +16,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
 
+from aggregator.ledger.files import RESULT_FILES
 from conveyor import __version__
 from conveyor.access import access_control
 from conveyor.config import LineConfig, dump_toml
@@ -23,7 +24,6 @@ from conveyor.errors import InputError
 
 LOG_TAIL_BYTES = 2_000_000
 JOURNAL_LINES = 5000
-RESULTS = ("summary.json", "tubers.csv")
 RESULT_LIMIT_BYTES = 20_000_000
 
 
@@ -60,7 +60,7 @@ def _members(config: LineConfig, reports: Mapping[str, Any]) -> Iterator[tuple[s
     yield "access.json", _json(access_control(config))
     for name, value in reports.items():
         yield name, _json(value)
-    for name in RESULTS:
+    for name in RESULT_FILES:
         file = config.aggregator.out / name
         if file.is_file() and file.stat().st_size <= RESULT_LIMIT_BYTES:
             yield f"results/{name}", file.read_bytes()
