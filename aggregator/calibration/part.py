@@ -53,13 +53,15 @@ class Part:
         low_m, high_m = self._places_m()
         return low <= tuber.tuber_id < high and low_m <= tuber.place_x_m <= high_m
 
-    def overlaps(self, other: Part) -> bool:
-        """Some tubers belong to both; false also where one goes by numbers, the other by places: it cannot be told."""
+    def overlaps(self, other: Part) -> bool | None:
+        """Some tubers belong to both; None where one goes by numbers, the other by places: it cannot be told."""
         if Part() in (self, other):
             return True
         pairs = ((self._ids(), other._ids()), (self._places_m(), other._places_m()))
         told = [(one, two) for one, two in pairs if _ALL not in (one, two)]
-        return bool(told) and all(max(one[0], two[0]) < min(one[1], two[1]) for one, two in told)
+        if not told:
+            return None
+        return all(max(one[0], two[0]) < min(one[1], two[1]) for one, two in told)
 
     def _ids(self) -> tuple[float, float]:
         """The first tuber and the one after the last."""

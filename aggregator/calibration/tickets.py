@@ -145,8 +145,15 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     """`tickets` with one more; no tuber is in two tickets of a kind, else what a scale said of it counts twice.
 
     Raises:
-        InputError: some of its tubers have one already and `again`, which replaces it, is not given.
+        InputError: some of its tubers have one already and `again`, which replaces it, is not given; or one part goes
+            by numbers, the other by places, and whether they overlap cannot be told.
     """
+    for known in tickets:
+        if _overlap(known, ticket) is None:
+            raise InputError(
+                f"{ticket.name} and the ticket {known.name} may hold the same tubers, which would count twice: name "
+                "both by numbers or both by places (the run's tubers.csv has the two side by side)"
+            )
     of_same = [known for known in tickets if same_tubers(known, ticket)]
     if of_same and not again:
         found = of_same[0]
@@ -161,6 +168,11 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
 
 def same_tubers(one: Ticket, other: Ticket) -> bool:
     """Of a kind and a run, and the same or overlapping parts of it; a whole run holds all of its loads."""
+    return _overlap(one, other) is True
+
+
+def _overlap(one: Ticket, other: Ticket) -> bool | None:
+    """As `same_tubers`; None where it cannot be told."""
     if one.key == other.key:
         return True
     if (one.kind, one.run) != (other.kind, other.run):
@@ -168,7 +180,7 @@ def same_tubers(one: Ticket, other: Ticket) -> bool:
     if "" in (one.part, other.part):
         return True
     parts = Part.named(one.part), Part.named(other.part)
-    return parts[0] is not None and parts[1] is not None and parts[0].overlaps(parts[1])
+    return parts[0].overlaps(parts[1]) if parts[0] is not None and parts[1] is not None else False
 
 
 def set_aside(
