@@ -122,9 +122,14 @@ class TrackLog:
         self._next += len(entries)
 
     def commit(self, n: int) -> None:
-        """The aggregator has made entries 1..n durable."""
+        """The aggregator has made entries 1..n durable.
+
+        Where those are more than were written here, they are of a log that is lost, and what waits here is none of
+        them: it is numbered on behind them.
+        """
         if n <= self.committed:
             return
+        waiting = [item for entry in self._entries if (item := entry.track or entry.mark)] if n > self.newest else []
         self._under_way = min(self._under_way + n - self.committed, UNDER_WAY_AT_MOST)
         self.committed = n
         self._progress_s = None
@@ -135,6 +140,8 @@ class TrackLog:
             before = [self._mark_before] if self._mark_before else []
             keep = (entry.n for entry in [*before, *self._since_mark])
             self.store.commit(newest=self.newest, committed=n, keep=keep)
+        if waiting:
+            self.append(waiting)
 
     def due(self, now_s: float) -> list[TrackEntry]:
         """Entries to send now: the new ones; those under way once more when nothing was confirmed for a while."""

@@ -233,6 +233,25 @@ def test_what_is_not_confirmed_is_sent_again_and_again_more_slowly() -> None:
         assert log.due(60.0) == []
 
 
+def test_what_waits_when_another_log_was_committed_is_numbered_on(tmp_path: Path) -> None:
+    """A log that was lost had got as far as 40: two tracks that waited in its successor were forgotten in silence."""
+    path = tmp_path / "front.db"
+    with TrackLog(path, camera="front", run="r1") as log:
+        log.append([track(1), track(2), mark(0.5)])
+        assert [entry.n for entry in log.due(0.0)] == [1, 2, 3]
+        log.commit(40)
+        assert (log.committed, log.newest, log.uncommitted) == (40, 43, 3)
+        assert [(entry.n, entry.track or entry.mark) for entry in log.due(0.1)] == [
+            (41, track(1)),
+            (42, track(2)),
+            (43, mark(0.5)),
+        ]
+    with TrackLog(path, camera="front", run="r1") as log:
+        assert (log.committed, log.newest, log.uncommitted, log.last_mark) == (40, 43, 3, mark(0.5))
+        log.commit(43)
+        assert log.uncommitted == 0
+
+
 def test_a_slow_aggregator_is_not_sent_a_long_log_again_and_again() -> None:
     """Under overload it got 6000 entries from each of six cameras every few seconds, and confirmed nothing any more."""
     with TrackLog(None, camera="front", run="r1") as log:
