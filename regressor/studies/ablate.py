@@ -75,7 +75,7 @@ def ablate(
         figures = method_scores(evaluate(test, scale, split=part_of(test, "test"), max_views=max_views))
         trained = scale.sidecar.training
         table[name] = {**figures[NETWORK], "steps": float(trained["steps"]), "hours": float(trained["hours"])}
-        rules = rules or {rule: figures[rule] for rule in RULES}
+        rules = rules or {rule: figures[rule] for rule in RULES if rule in figures}
         _write(options.out, {**table, **rules}, _recipe_words(settings, options, test))
     return {**table, **rules}
 

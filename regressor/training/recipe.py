@@ -135,11 +135,14 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
     """The recipe 'tuberline', 'paper' or 'fine-tune' with what is `given` in place of its own; None is not given.
 
     Raises:
-        InputError: a share that is none.
+        InputError: a share that is none, or a number of what there must be some of that is 0 or less.
     """
     share = given.get("start_share")
     if share is not None and not 0 <= share <= 1:
         raise InputError(f"--start-share is {share:g}; a share lies between 0 and 1")
+    for option in ("epochs", "minutes", "batch", "lr"):
+        if (value := given.get(option)) is not None and not 0 < value < np.inf:
+            raise InputError(f"--{option} is {value:g}; it must be above 0")
     recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))

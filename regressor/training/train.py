@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, TuberlineError
 from regressor.network.device import usable_device
 from regressor.network.networks import POINTNET_POINTS, Network, new_network, run_network
 from regressor.network.pointnet import PointNet
@@ -94,6 +94,11 @@ class Training:
             self.model, points, heights, resolution=self.settings.resolution(share), compute=self.compute
         )
         loss = nn.functional.smooth_l1_loss(predicted, weights, beta=self.settings.beta_g)
+        if not torch.isfinite(loss):
+            raise TuberlineError(
+                f"the loss of step {self.progress.step + 1} is no number: a smaller --lr (it was {self.settings.lr:g}) "
+                "or float32 helps; --resume goes on from the state that was written last"
+            )
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimiser.step()
         self._update_average()

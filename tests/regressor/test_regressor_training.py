@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, TuberlineError
 from regressor.network.checkpoint import load_checkpoint
 from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
@@ -19,12 +20,12 @@ from regressor.network.reduced import Resolution, reduced_forward
 from regressor.network.sampling import farthest_points
 from regressor.studies.ablate import RULES, ablate, read_table
 from regressor.studies.evaluate import LINEAR_BOX, evaluate
-from regressor.studies.report import markdown, summary
+from regressor.studies.report import markdown, summary, write_report
 from regressor.training.augment import Augmentation, augmented_batch
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.loop import load_state, save_state
-from regressor.training.recipe import TrainSettings
+from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.run import RunOptions, clean_views, load_sets, train
 from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
@@ -170,6 +171,32 @@ def test_a_resumed_fine_tuning_keeps_a_share_of_what_it_started_from(data: Cloud
     second.restore(first.state())
     kept = second.finished_model().state_dict()
     assert all(torch.equal(kept[name], value) for name, value in begin.items() if value.is_floating_point())
+
+
+def test_a_loss_that_is_no_number_ends_the_training(data: CloudSet) -> None:
+    """It went on to the end, and shipped weights that answer nothing."""
+    training = Training(data, data, QUICK)
+    with torch.no_grad():
+        training.model.regression_head.lins[-1].bias.fill_(np.nan)  # type: ignore[operator, union-attr]
+    with pytest.raises(TuberlineError, match=r"loss of step 1 is no number: a smaller --lr \(it was 0.001\)"):
+        training.step()
+    assert training.progress.step == 0
+
+
+def test_few_tubers_are_evaluated_without_baselines(tmp_path: Path) -> None:
+    """Baselines fitted on no tuber wrote NaN into metrics.json, which no other program reads."""
+    write_pack(tmp_path / "few", tubers=2, views=2, seed=3)
+    measured = write_report(evaluate(tmp_path / "few", Weigher.load()), tmp_path / "out", title="Few")
+    assert LINEAR_BOX not in measured["methods"]
+    told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
+    assert json.loads(told, parse_constant=pytest.fail) == measured
+    assert "Baselines are left out" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("option", "value"), [("batch", 0), ("minutes", 0.0), ("epochs", -1.0), ("lr", np.nan)])
+def test_a_recipe_without_any_training_is_refused(option: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"--{option} is .*must be above 0"):
+        recipe_named("tuberline", shear=None, **{option: value})
 
 
 def test_a_validation_changes_no_step(data: CloudSet) -> None:
