@@ -102,7 +102,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--regressors", type=int, default=2)
     parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
-    parser.add_argument("--centroids", type=int, choices=(64,))
+    parser.add_argument("--centroids", type=int, choices=(16, 32, 64))
     parser.add_argument("--direct", choices=("auto", "off"), default="auto", help="off: frames pass the router")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")

@@ -13,8 +13,8 @@ def markdown(report: Mapping[str, Any]) -> str:
     lines = [
         f"{asked['cameras']} cameras at {asked['fps']:g} frames/s, {asked['tubers_per_s']:g} tubers/s asked for "
         f"({asked['load']}, {asked['tubers']} a lap), "
-        f"{report['tubers_per_s']:.1f} committed; {asked['regressors']} regressors, {asked['precision']}, "
-        f"centroids {asked['centroids'] or 128}; {asked['seconds']:g} s, seed {asked['seed']}. "
+        f"{report['tubers_per_s']:.1f} committed; {asked['regressors']} regressors, precision "
+        f"{asked['precision']}{'' if asked['centroids'] is None else ', centroids ' + str(asked['centroids'])}; {asked['seconds']:g} s, seed {asked['seed']}. "
         f"{machine['cores']} cores {machine['machine']}, Python {machine['python']}, load average {before:.1f} at the "
         f"start and {after:.1f} at the end.",
         "",

@@ -86,9 +86,9 @@ def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str
     """Every back end by name, warm."""
     model, _ = load_checkpoint(weights)
     graph = _network_alone(scratch / "network.onnx", model)
-    forms = {"torch, exact": Form(), "torch, exact, 64 centroids": Form(centroids=64)}
+    forms = {"torch, exact": Form(), "torch, float32, 16 centroids": Form(centroids=16)}
     if multiplies_bfloat16():
-        forms |= {"torch, bfloat16": Form("bfloat16"), "torch, bfloat16, 64 centroids": Form("bfloat16", 64)}
+        forms |= {"torch, bfloat16": Form("bfloat16"), "torch, bfloat16, 16 centroids": Form("bfloat16", 16)}
     else:
         sys.stderr.write("bfloat16 is left out, for this processor does not multiply it\n")
     runners = {

@@ -28,7 +28,7 @@ from conveyor.config import CameraConfig, LineConfig
 from conveyor.formats import camera_names, open_source
 from conveyor.heap import keep_buffers
 from conveyor.messages import Frame, View
-from regressor.serve.form import FORMS, fastest
+from regressor.serve.form import fastest
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.weigher import Weigher, weigh_views
 from segmenter.belt_segmenter import BeltSegmenter
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warm_up(settings.split.pixel_mm)
     _frames(frames, settings, options.rounds)
     weigher = Weigher.load()
-    _views(_chosen(frames, settings), weigher if options.exact else weigher.in_form(fastest(weigher, FORMS)))
+    _views(_chosen(frames, settings), weigher if options.exact else weigher.in_form(fastest(weigher)))
     print(f"\nload average {os.getloadavg()[0]:.1f} at the end; {os.cpu_count()} cores.")
     return 0
 

@@ -47,7 +47,7 @@ class Form:
 
     Attributes:
         precision: of the operands of the wide products; sums are float32 in both.
-        centroids: of the second stage that are used, at most; None is all of them.
+        centroids: of the second stage that are used, at most, where all of them have the same neighbours; None is all.
     """
 
     precision: Literal["float32", "bfloat16"] = "float32"
@@ -112,11 +112,12 @@ class FastPointRaft:
 
     def _describe(self, groups: SharedGroups | GatheredGroups) -> Tensor:
         """(1024,) global feature."""
-        used = slice(self.form.centroids)
         if isinstance(groups, SharedGroups):
+            used = slice(self.form.centroids)
             source, index1, index2 = torch.from_numpy(groups.neighbours), None, None
         else:
-            source, index1, index2 = torch.from_numpy(groups.points), groups.neighbours1, groups.neighbours2[used]
+            used = slice(None)  # each centroid has a part of the cloud of its own to tell of
+            source, index1, index2 = torch.from_numpy(groups.points), groups.neighbours1, groups.neighbours2
         centroids1, centroids2 = torch.from_numpy(groups.centroids1), torch.from_numpy(groups.centroids2[used])
         features1 = self._abstract(self._stage1, source, centroids1, index1)
         features2 = self._abstract(self._stage2, torch.cat([features1, centroids1], dim=1), centroids2, index2)

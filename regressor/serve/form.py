@@ -1,9 +1,9 @@
 """Which form of the network a worker computes: the exact one for a replay, the fastest good one for a live line.
 
 A live line weighs what it has time for, and a view that is weighed in a third of the time is worth more than a tenth
-of a gram. What is fastest depends on the processor (bfloat16 pays where it has instructions for it, and is not tried
-where oneDNN has no products for it), so it is tried at the start. Every weight is flagged with the form it was computed
-in.
+of a gram. Fewer second-stage centroids save time on every processor. Products of bfloat16 cost more exactness, so they
+are taken only where the processor has instructions that make them pay; that is tried at the start. Every weight is
+flagged with the form it was computed in.
 """
 
 from __future__ import annotations
@@ -20,11 +20,13 @@ from regressor.network.fast import EXACT, Form, multiplies_bfloat16
 from regressor.weigh.prepare import PreparedCloud, prepare_view
 from regressor.weigh.weigher import Weigher
 
-FORMS = (EXACT, Form(centroids=64), Form("bfloat16"), Form("bfloat16", 64))
+FEWEST = (16, 32, 64, None)
+"""Second-stage centroids, from the fewest on; None is all of them."""
 MOST_OFF_G = 0.1
 """Grams that a form may be off the exact one, in the mean over the made-up tubers."""
-WORTH = 0.85
-"""A less exact form must take less than this share of the time of what is chosen so far."""
+WORTH = 0.6
+"""bfloat16 must take less than this share of the time without it. What pays does so clearly, and two workers of one
+machine shall choose alike."""
 ROUNDS = 4
 SIZES_M = ((0.030, 0.024, 0.020), (0.040, 0.030, 0.026), (0.055, 0.036, 0.030), (0.062, 0.042, 0.036))
 """Half axes of the made-up tubers, 60 to 400 g."""
@@ -41,27 +43,32 @@ def form_of(config: LineConfig, weigher: Weigher) -> Form:
         return Form(asked.precision, asked.centroids)
     if asked.precision == "auto" and not config.live:
         return Form(centroids=asked.centroids)
-    forms = [form for form in FORMS if asked.centroids is None or form.centroids == asked.centroids]
-    return fastest(weigher, forms)
+    return fastest(weigher, centroids=asked.centroids)
 
 
-def fastest(weigher: Weigher, forms: Sequence[Form]) -> Form:
-    """The fastest of `forms`, the most exact one first, that is at most `MOST_OFF_G` off the exact form.
+def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
+    """The form with the fewest centroids that is at most `MOST_OFF_G` off the exact one, in bfloat16 where that pays.
 
     Forms in bfloat16 are left out where this processor does not multiply it: they are some thirty times as slow.
+
+    Args:
+        centroids: take so many, whatever they cost.
     """
-    if not multiplies_bfloat16():
-        forms = [form for form in forms if form.precision != "bfloat16"]
     clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
     exact = _grams(weigher.in_form(EXACT), clouds)
-    chosen, chosen_s = forms[0], _seconds(weigher.in_form(forms[0]), clouds[0])
-    for form in forms[1:]:
-        tried = weigher.in_form(form)
-        took_s = _seconds(tried, clouds[0])
-        # What is slower need not be asked four times more.
-        if took_s < WORTH * chosen_s and np.mean(np.abs(_grams(tried, clouds) - exact)) <= MOST_OFF_G:
-            chosen, chosen_s = form, took_s
-    return chosen
+
+    def near(form: Form) -> bool:
+        return bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - exact)) <= MOST_OFF_G)
+
+    if centroids is None:
+        plain = next(form for form in (Form(centroids=count) for count in FEWEST) if form == EXACT or near(form))
+    else:
+        plain = Form(centroids=centroids)
+    if not multiplies_bfloat16():
+        return plain
+    rounded = Form("bfloat16", plain.centroids)
+    took_s, plain_s = (_seconds(weigher.in_form(form), clouds[0]) for form in (rounded, plain))
+    return rounded if took_s < WORTH * plain_s and near(rounded) else plain
 
 
 def made_up_view(along_m: float, across_m: float, up_m: float) -> View:

@@ -17,6 +17,8 @@ from conveyor.geometry import straight_down_belt_from_camera
 from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
+from regressor.network.grouping import GatheredGroups, group_prefix
+from regressor.serve.form import fastest
 from regressor.studies.evaluate import load_bias
 from regressor.training.calibration import fused_share
 from regressor.weigh.interval import IntervalRule, calibrate
@@ -30,7 +32,7 @@ TRUE_G = DENSITY * 4e6 / 3 * np.pi * float(np.prod(AXES))
 
 WITHOUT_BFLOAT16 = f"""
 from regressor.network.fast import Form, multiplies_bfloat16
-from regressor.serve.form import FORMS, fastest
+from regressor.serve.form import fastest
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import ellipsoid_view
@@ -39,7 +41,7 @@ weigher = Weigher.load()
 cloud = prepare_view(ellipsoid_view({AXES}))
 asked_for = weigher.in_form(Form("bfloat16", 64)).weigh(cloud)
 near = abs(asked_for.weight_g - weigher.weigh(cloud).weight_g) < 1.0
-print(multiplies_bfloat16(), fastest(weigher, FORMS).precision, asked_for.flags[0], near)
+print(multiplies_bfloat16(), fastest(weigher).precision, asked_for.flags[0], near)
 """
 
 
@@ -93,12 +95,32 @@ def test_units_and_belt_distance_do_not_matter(weigher: Weigher) -> None:
 def test_faster_forms_cost_little_and_say_so(weigher: Weigher) -> None:
     cloud = prepare_view(ellipsoid_view(AXES))
     exact = weigher.weigh(cloud)
-    for form, flags in ((Form("bfloat16"), ("bfloat16",)), (Form("bfloat16", 64), ("bfloat16", "centroids_64"))):
+    for form, flags in ((Form("bfloat16"), ("bfloat16",)), (Form("bfloat16", 16), ("bfloat16", "centroids_16"))):
         answer = weigher.in_form(form).weigh(cloud)
         assert answer.flags == flags
         assert answer.weight_g == pytest.approx(exact.weight_g, abs=1.0)
         assert answer.weight_g != exact.weight_g
     assert weigher.in_form(weigher.form) is weigher
+
+
+def test_the_fewest_centroids_are_taken_that_cost_little(
+    weigher: Weigher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert fastest(weigher).centroids == 16
+    assert fastest(weigher, centroids=64).centroids == 64
+    cloud = prepare_view(ellipsoid_view(AXES))
+    answer = weigher.in_form(Form(centroids=16)).weigh(cloud)
+    assert answer.flags == ("centroids_16",)
+    assert answer.weight_g == pytest.approx(weigher.weigh(cloud).weight_g, abs=0.2)
+    monkeypatch.setattr("regressor.serve.form.MOST_OFF_G", 0.0)
+    assert fastest(weigher) == Form()
+
+
+def test_a_cloud_whose_centroids_see_different_points_keeps_all_of_them(weigher: Weigher) -> None:
+    """Of two tubers in one mask half of the centroids may lie on either; a sixteenth of them tells of one."""
+    cloud = prepare_view(ellipsoid_view((0.14, 0.033, 0.028)))
+    assert isinstance(group_prefix(cloud.points), GatheredGroups)
+    assert weigher.in_form(Form(centroids=16)).network_g(cloud) == weigher.network_g(cloud)
 
 
 @pytest.mark.parametrize("signs", [(1, 1), (-1, -1), (1, -1)])

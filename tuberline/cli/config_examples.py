@@ -38,7 +38,7 @@ EXAMPLES: Mapping[str, Any] = {
     "segmenter.weights": "my-belt.onnx",
     "segmenter.state_dir": "/var/lib/tuberline/segmenter",
     "regressor.weights": "my-crop.safetensors",
-    "regressor.centroids": 64,
+    "regressor.centroids": 16,
     "regressor.state_dir": "/var/lib/tuberline/regressor",
     "aggregator.out": "runs/monday",
     "aggregator.tickets": "tickets.json",
