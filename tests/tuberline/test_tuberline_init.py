@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import pty
+import shutil
 import subprocess
 import sys
 import time
@@ -45,6 +47,23 @@ def test_recordings_near_here_are_found(two: Path) -> None:
         "/recordings/monday",
         "/tuesday.mcap",
     ]
+
+
+def test_the_resting_level_of_a_recording_stands_in_its_line(
+    two: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A replay of the recording took it, the line of `init` did not: it weighed its tubers light."""
+    for name, offset_mm in (("one", 5.5), ("other", 2.0)):
+        shutil.copytree(two / "recordings" / "monday", tmp_path / name)
+        for told in (tmp_path / name).rglob("camera.json"):
+            said = json.loads(told.read_text(encoding="utf-8"))
+            told.write_text(json.dumps({**said, "resting_offset_mm": offset_mm, "resting_sd_mm": 1.0}))
+    init(tmp_path / "a.toml", recording=(tmp_path / "one",))
+    belt = load_config(tmp_path / "a.toml").belt
+    assert (belt.resting_offset_mm, belt.resting_sd_mm) == (5.5, 1.0)
+    init(tmp_path / "b.toml", recording=(tmp_path / "one", tmp_path / "other"))
+    assert load_config(tmp_path / "b.toml").belt.resting_offset_mm == 0.0
+    assert "state several resting levels" in capsys.readouterr().out
 
 
 def test_a_recording_becomes_a_line_that_opens_it(two: Path, capsys: pytest.CaptureFixture[str]) -> None:

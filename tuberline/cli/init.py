@@ -48,7 +48,7 @@ def init(
     from conveyor.config import load_config
     from conveyor.files import whole_output
     from conveyor.topics import check_name
-    from tuberline.setup.found import found_recording, found_ros2, named
+    from tuberline.setup.found import common_belt, found_recording, found_ros2, named
     from tuberline.setup.line_file import line_file
 
     if file.exists():
@@ -72,13 +72,16 @@ def init(
     if distance_m is not None:
         cameras = {camera: {**settings, "belt_distance_m": distance_m} for camera, settings in cameras.items()}
     processes = min(8, max(1, (os.cpu_count() or 2) - len(cameras)))
-    text = line_file(line, cameras, file=file, distance_known=known, processes=processes)
+    belt = common_belt(chosen)
+    text = line_file(line, cameras, file=file, distance_known=known, processes=processes, belt=belt)
     with whole_output(file) as partial:
         partial.write_text(text, encoding="utf-8")
         load_config(partial)
     sys.stdout.write(f"{file}: line '{line}', camera {', '.join(cameras)}\n")
     sys.stdout.write(f"run it: tuberline run {file}\n")
     sys.stdout.write(f"in another terminal: tuberline doctor --config {file}, tuberline top --config {file}\n")
+    if not belt and any(one.belt for one in chosen):
+        sys.stdout.write("the recordings state several resting levels: give the line's own in its section [belt]\n")
     if distance_m is None and not known:
         sys.stdout.write("the belt distance is not given: it is fitted to what is seen; better measure it\n")
 

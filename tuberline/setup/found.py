@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from conveyor.config import LinkConfig
 from conveyor.errors import InputError, TuberlineError
 from conveyor.formats import describe_recording
 from conveyor.formats.detect import Recording
+from tuberline.replayer import stated_belt
 
 NAMES = ("front", "rear", "left", "right")
 """Of cameras that have none of their own, in this order."""
@@ -26,11 +27,13 @@ class Found:
         words: one line for people.
         cameras: of each camera its own name, or None, and the settings of its section.
         distance_known: the recording says how far its belt is.
+        belt: settings of section `belt`, as the recording states them.
     """
 
     words: str
     cameras: tuple[tuple[str | None, dict[str, Any]], ...]
     distance_known: bool = False
+    belt: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = field(default=())
 
 
@@ -64,7 +67,8 @@ def found_recording(path: Path) -> Found:
     names = ", ".join(camera.name for camera in recording.cameras)
     known = all(c.belt_distance_m is not None or c.belt_from_camera is not None for c in recording.cameras)
     words = f"recording {path}: {frames} frame{'s' * (frames != 1)} of {'cameras' if many else 'camera'} {names}"
-    return Found(words, cameras, distance_known=known)
+    belt = stated_belt(path, [camera.name for camera in recording.cameras], None, None)
+    return Found(words, cameras, distance_known=known, belt=belt)
 
 
 def _candidates(folder: Path) -> Iterator[Path]:
@@ -138,3 +142,9 @@ def named(found: Iterable[Found]) -> dict[str, dict[str, Any]]:
             own = {"camera": name} if settings["source"] == "recording" and chosen != name else {}
             sections[chosen] = {**settings, **own}
     return sections
+
+
+def common_belt(found: Iterable[Found]) -> Mapping[str, float]:
+    """The resting level that all sources state which state one; none where they differ."""
+    stated = [one.belt for one in found if one.belt]
+    return stated[0] if stated and all(belt == stated[0] for belt in stated) else {}

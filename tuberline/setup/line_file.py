@@ -24,6 +24,11 @@ _REMARKS = {
     "belt_distance_m": "camera to belt along the optical axis, metres",
 }
 
+_RESTING = (
+    ("resting_offset_mm", 5.5, "undersides lie this far below the plane the camera sees"),
+    ("resting_sd_mm", 1.5, "how well that is known; `tuberline calibrate bucket` finds it"),
+)
+
 
 def line_file(
     name: str,
@@ -32,17 +37,19 @@ def line_file(
     file: Path,
     distance_known: bool,
     processes: int,
+    belt: Mapping[str, float] | None = None,
 ) -> str:
     """The text of the line's file at `file`.
 
     Args:
         cameras: settings of each section; paths are made relative to the file's folder.
         distance_known: the recordings say how far their belts are.
+        belt: the resting level that they state.
     """
     parts = [_head(name, file)]
     for camera, settings in cameras.items():
         parts.append(_camera(camera, settings, file.resolve().parent, distance_known=distance_known))
-    parts.append(_rest(name, processes))
+    parts.append(_rest(name, processes, belt or {}))
     return "".join(parts)
 
 
@@ -72,13 +79,15 @@ def _camera(camera: str, settings: Mapping[str, Any], base: Path, *, distance_kn
     return "".join(lines)
 
 
-def _rest(name: str, processes: int) -> str:
+def _rest(name: str, processes: int, belt: Mapping[str, float]) -> str:
     return "".join(
         [
             "\n[belt]\n",
             _aside("surface", "rods", "a web; then rod_pitch_mm and rod_diameter_mm too"),
-            _aside("resting_offset_mm", 5.5, "undersides lie this far below the plane the camera sees"),
-            _aside("resting_sd_mm", 1.5, "how well that is known; `tuberline calibrate bucket` finds it"),
+            *(
+                _row(key, belt[key], f"{remark}, as the recording states") if key in belt else _aside(key, typical, remark)
+                for key, typical, remark in _RESTING
+            ),
             "\n[segmenter]\n",
             _row("belt_sd_mm", 2.0, "how well the belt's height is known: 0.5 calibrated, 2 measured once"),
             _aside("method", "classical", "counts all; the default tells clods and stones from tubers"),
