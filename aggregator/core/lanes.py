@@ -132,5 +132,7 @@ def _densities(
         fitted = np.maximum(a @ density, 1e-12)
         elsewhere = np.maximum((density[alone].sum() - density) / others, 1e-12)
         found = density * (a.T @ (n / fitted)) + belief
-        density = np.where(whole > 0, found / np.maximum(whole + belief / elsewhere, 1e-12), 0.0)
+        before, density = density, np.where(whole > 0, found / np.maximum(whole + belief / elsewhere, 1e-12), 0.0)
+        if np.array_equal(before, density):
+            break  # every further round gives the same
     return density
