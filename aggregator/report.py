@@ -70,14 +70,14 @@ class Reporter:
 
     def coverage(self, now_s: float) -> Coverage:
         """What of the load's belt was seen."""
+        seen_by = self._ledger.sums(self._core.run).load.seen_by
+        return coverage(self._core.cameras.sights, seen_by=seen_by, moment=self._moment(now_s))
+
+    def _moment(self, now_s: float) -> Moment:
+        """Now; once the process was told to stop, belt whose tubers are not in the ledger was not seen."""
         cameras = self._core.cameras
-        return coverage(
-            cameras.sights,
-            seen_by=self._ledger.sums(self._core.run).load.seen_by,
-            moment=cameras.moment(
-                now_s, over=self._over or cameras.final, waiting_m=self._core.waiting_m() if self._over else None
-            ),
-        )
+        waiting_m = self._core.waiting_m() if self._over else None
+        return cameras.moment(now_s, over=self._over or cameras.final, waiting_m=waiting_m)
 
     def _tickets(self, now_s: float) -> tuple[Ticket, ...]:
         """The tickets given, and those of the ledger's loads: a load's own takes the place of one given before."""
@@ -94,7 +94,7 @@ class Reporter:
         cameras, own = self._core.cameras, self._core.run
         runs = dict.fromkeys(run for load in self._ledger.loads.loads.values() for run, _ in load.spans)
         found = {run: Seen(self._ledger.sums(run).sights, Moment(over=True)) for run in runs if run != own}
-        found[own] = Seen(cameras.sights, cameras.moment(now_s, over=self._over or cameras.final))
+        found[own] = Seen(cameras.sights, self._moment(now_s))
         return found
 
     def unused_ticket(self, event: LoadEvent, now_s: float) -> str:
