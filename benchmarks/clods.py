@@ -83,10 +83,11 @@ BELTS: dict[str, tuple[tuple[str, str, int, int], ...]] = {
         (CLEAN, "harsh", 8407, 60),
     ),
     "many": many(9001),
+    "later": many(9301),
 }
 """(scene, preset, seed, tubers) of each belt; a rule tuned on `tuning` was judged on `first`, the next was tuned on
 both and judged on `judging`; two of its constants were then set in sight of all. `harsh` is for choices too; nothing
-was ever chosen on `held-out`, `final` and `many`."""
+was ever chosen on `held-out`, `final`, `many` and `later`."""
 
 NOISE_CLASSES = (("up to 0.035 px", 0.0, 0.035), ("0.035 to 0.1 px", 0.035, 0.1), ("above 0.1 px", 0.1, 1.0))
 REFUSED_BELOW = CountSettings().reject_below

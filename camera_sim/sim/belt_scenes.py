@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.belt import draw_belt
 from camera_sim.sim.conditions import Conditions, draw_conditions, draw_tuber_of
-from camera_sim.sim.cultivars import draw_recipe
+from camera_sim.sim.cultivars import Relief, draw_recipe
 from camera_sim.sim.distractors import draw_hard_negative
 from camera_sim.sim.optics import D405_848, D405_1280
 from camera_sim.sim.placement import CROWDED, SINGULATED, TOUCHING
@@ -35,8 +35,12 @@ RESTLESS = 0.4
 HARSH_SHARE, EXACT_SHARE = 0.5, 0.1
 """Shares of belts of hard negatives whose camera, surface, resting level, cultivar and soil are those of `harsh`, and
 whose camera only rounds while half of their tubers have shapes of no cultivar, as those of other simulators."""
-HARD_SHARE, SMALL_ML, KNOBBY = 0.4, 90.0, 0.25
-"""Share of tubers drawn until one is smaller than this, or has stronger second growth than this."""
+HARD_SHARE, SMALL_ML, KNOBBY = 0.5, 90.0, 0.25
+"""Share of tubers that are hard to tell from clods: half of them are drawn until one is smaller than this, or has
+stronger second growth than this; the others are bumpy."""
+BUMPY_RMS, BUMPY_FINEST, BUMPY_FALL = (0.03, 0.08), (6.0, 13.0), (0.5, 1.5)
+"""Relief of bumpy tubers, up to four times that of ordinary ones: broad, as tubers that stopped and went on growing
+have it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +69,8 @@ def random_belt_views(
 ) -> Iterator[BeltView]:
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
-    `hard_negatives`: every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent,
-    views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in ten of
+    `hard_negatives`: every other body is a clod or a stone of a tuber's size, small, knobby and bumpy tubers are
+    frequent, views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in ten of
     `exact`.
     """
     rng = np.random.default_rng([seed, 40, number])
@@ -157,8 +161,11 @@ def _often_hard(rng: Generator) -> Tuber:
 
 
 def _hard(rng: Generator) -> Tuber:
-    """A tuber that is small or has second growth."""
+    """A tuber that is bumpy, small or has second growth."""
     recipe = draw_recipe(rng)
+    if rng.random() < 0.5:
+        bumps = Relief(rng.uniform(*BUMPY_RMS), finest=rng.uniform(*BUMPY_FINEST), fall=rng.uniform(*BUMPY_FALL))
+        return grow(replace(recipe, relief=bumps), rng, level=3)
     while recipe.volume_ml > SMALL_ML and recipe.knobs < KNOBBY:
         recipe = draw_recipe(rng)
     return grow(recipe, rng, level=3)

@@ -50,14 +50,28 @@ class Stock:
 
 
 @dataclass(frozen=True, slots=True)
+class Relief:
+    """Bumps of a tuber's skin: their rms as a share of its radius, the finest waves in radians, and how fast they fall
+    off with finer ones."""
+
+    rms: float
+    finest: float = 13.0
+    fall: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
 class Recipe:
-    """What one tuber shall be: sorted axes in mm, its volume, density and the strength of its second growth, 0 to 1."""
+    """What one tuber shall be: sorted axes in mm, its volume, density and the strength of its second growth, 0 to 1.
+
+    `relief`: None is that of ordinary tubers.
+    """
 
     stock: Stock
     axes_mm: tuple[float, float, float]
     volume_ml: float
     density_g_ml: float
     knobs: float
+    relief: Relief | None = None
 
 
 _KITAHIME = (22192, 18811, 12845, -741, 17648, 11222, -676, 14237, -1601, 3199)

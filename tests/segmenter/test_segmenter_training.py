@@ -104,6 +104,21 @@ def test_a_training_goes_on_where_another_ended(packs: Path, tmp_path: Path) -> 
         make_classifier(fourth, recipe, on_step=lambda step, total, loss: None)
 
 
+def test_what_is_written_may_keep_a_share_of_what_it_began_with(packs: Path, tmp_path: Path) -> None:
+    def trained(name: str, share: float, start: Path | None) -> dict[str, torch.Tensor]:
+        run = TrainingRun((packs / "train",), packs / "val", tmp_path, name, "test", start)
+        make_classifier(run, ClassifierRecipe(epochs=1, batch=4, start_share=share), on_step=lambda *_: None)
+        state: dict[str, torch.Tensor] = torch.load(tmp_path / f"{name}.pt")
+        return state
+
+    first = trained("first", 0.0, None)
+    new, kept, half = (trained(f"share{share}", share, tmp_path / "first.pt") for share in (0.0, 1.0, 0.5))
+    for name, value in first.items():
+        if value.is_floating_point():
+            torch.testing.assert_close(kept[name], value)
+            torch.testing.assert_close(half[name], (new[name] + value) / 2)
+
+
 @pytest.mark.parametrize("missing", ["lost.pt", "lost.json"])
 def test_no_training_goes_on_from_nothing(packs: Path, tmp_path: Path, missing: str) -> None:
     run = TrainingRun((packs / "train",), packs / "val", tmp_path, "classifier", "test", tmp_path / "lost.pt")

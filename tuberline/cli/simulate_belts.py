@@ -33,9 +33,9 @@ def simulate_belts(
     tubers
         Tubers on each; distractors come on top.
     hard_negatives
-        Every other body is a clod or a stone of a tuber's size, small and knobby tubers are frequent, the load of two
-        belts in five moves, every second belt is of the world `harsh`, one in ten of `exact`, and frames are 11 to 21
-        mm apart: for the classifier.
+        Every other body is a clod or a stone of a tuber's size, small, knobby and bumpy tubers are frequent, the load
+        of two belts in five moves, every second belt is of the world `harsh`, one in ten of `exact`, and frames are 11
+        to 21 mm apart: for the classifier.
     seed
         The same seed gives the same frames.
     force

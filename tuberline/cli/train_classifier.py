@@ -57,6 +57,7 @@ def train_classifier(
     val: Path,
     out: Path,
     start: Path | None = None,
+    start_share: float | None = None,
     epochs: int = 40,
     rate: float = 4e-3,
     seed: int = 1,
@@ -76,6 +77,8 @@ def train_classifier(
         Folder of <name>.onnx, for `segmenter.weights` of a line's file, <name>.pt and <name>.json.
     start
         The .pt of an earlier training: learn on from there, on the same belts or on others.
+    start_share
+        Of the network to start from, in what is written, 0 to 1: keeps what it knew (0).
     epochs
         Passes over all bodies.
     rate
@@ -95,9 +98,11 @@ def train_classifier(
         raise InputError(f"--epochs {epochs}: at least 1 is needed")
     if not 0 < rate <= 1:
         raise InputError(f"--rate {rate}: above 0, at most 1")
+    if start_share is not None and (start is None or not 0 <= start_share <= 1):
+        raise InputError(f"--start-share {start_share:g}: from 0 to 1, of the network that --start names")
     run = TrainingRun(tuple(data), val, out, name, " ".join(["tuberline", *sys.argv[1:]]), start)
     with work_bar("reading belts") as on_work:
-        recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed)
+        recipe = ClassifierRecipe(epochs=epochs, rate=rate, seed=seed, start_share=start_share or 0.0)
         sidecar = make_classifier(
             run, recipe, on_step=lambda step, total, loss: on_work(f"loss {loss:.3f}", step, total)
         )
