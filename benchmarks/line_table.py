@@ -10,11 +10,12 @@ def markdown(report: Mapping[str, Any]) -> str:
     """The report as Markdown."""
     asked, machine = report["asked"], report["machine"]
     before, after = report["load_average"]
+    centroids = "" if asked["centroids"] is None else f", {asked['centroids']} centroids"
     lines = [
         f"{asked['cameras']} cameras at {asked['fps']:g} frames/s, {asked['tubers_per_s']:g} tubers/s asked for "
         f"({asked['load']}, {asked['tubers']} a lap), "
         f"{report['tubers_per_s']:.1f} committed; {asked['regressors']} regressors, precision "
-        f"{asked['precision']}{'' if asked['centroids'] is None else ', centroids ' + str(asked['centroids'])}; {asked['seconds']:g} s, seed {asked['seed']}. "
+        f"{asked['precision']}{centroids}; {asked['seconds']:g} s, seed {asked['seed']}. "
         f"{machine['cores']} cores {machine['machine']}, Python {machine['python']}, load average {before:.1f} at the "
         f"start and {after:.1f} at the end.",
         "",

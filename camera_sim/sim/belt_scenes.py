@@ -70,8 +70,8 @@ def random_belt_views(
     """`frames` views of belt `number` of `seed`, while its middle passes; a belt is the same whenever drawn.
 
     `hard_negatives`: every other body is a clod or a stone of a tuber's size, small, knobby and bumpy tubers are
-    frequent, views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in ten of
-    `exact`.
+    frequent, views are about as far apart as the segmenter's looks, half of the belts are of the world `harsh`, one in
+    ten of `exact`.
     """
     rng = np.random.default_rng([seed, 40, number])
     drawn = hard_negative_settings if hard_negatives else _settings

@@ -54,8 +54,7 @@ def markdown(measured: dict[str, Any], *, title: str) -> str:
     lines = [
         f"# {title}",
         "",
-        f"Weights `{measured['model']}`; {first['views']:.0f} views of {first['tubers']:.0f} tubers. "
-        f"{compared}{other}",
+        f"Weights `{measured['model']}`; {first['views']:.0f} views of {first['tubers']:.0f} tubers. {compared}{other}",
         "",
         "| method | MAE g | RMSE g | bias g | R2 | MAE g per tuber | RMSE g per tuber | bias of a 300-tuber load % |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",

@@ -111,7 +111,8 @@ def train_classifier(
     batches = _Batches(samples, recipe)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, recipe.rate, total_steps=len(batches), pct_start=0.15)
     begun = time.process_time()
-    halves = torch.ops.mkldnn._is_mkldnn_bf16_supported()  # a processor without bfloat16 takes thirty times as long by it
+    # Where the processor has no bfloat16, products of it take thirty times as long.
+    halves = torch.ops.mkldnn._is_mkldnn_bf16_supported()
     # Patches are drawn beside the training: they cost half as much as a step.
     for step, (patches, truth) in enumerate(DataLoader(batches, batch_size=None, num_workers=1, prefetch_factor=8)):
         optimiser.zero_grad(set_to_none=True)

@@ -228,10 +228,12 @@ def test_no_tuber_counts_in_two_tickets_of_a_kind(one: Part, other: Part, same: 
 def test_parts_by_numbers_and_by_places_are_not_mixed() -> None:
     """Nothing tells whether they hold the same tubers, and such a bucket counted twice in silence."""
     numbers, places = Part(first=1, last=12), Part(from_x_m=-2.4)
-    assert numbers.overlaps(places) is None and places.overlaps(numbers) is None
+    assert numbers.overlaps(places) is None
+    assert places.overlaps(numbers) is None
     first, second = (replace(ticket(0.95), kind="bucket", part=part.name) for part in (numbers, places))
     for again in (False, True):
         with pytest.raises(InputError, match=r"may hold the same tubers.*both by numbers or both by places"):
             with_ticket((first,), second, again=again)
     both = Part(first=1, last=12, from_x_m=-2.4)
-    assert both.overlaps(numbers) and both.overlaps(places)
+    assert both.overlaps(numbers)
+    assert both.overlaps(places)

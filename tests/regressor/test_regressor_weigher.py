@@ -103,9 +103,7 @@ def test_faster_forms_cost_little_and_say_so(weigher: Weigher) -> None:
     assert weigher.in_form(weigher.form) is weigher
 
 
-def test_the_fewest_centroids_are_taken_that_cost_little(
-    weigher: Weigher, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_fewest_centroids_are_taken_that_cost_little(weigher: Weigher, monkeypatch: pytest.MonkeyPatch) -> None:
     assert fastest(weigher).centroids == 16
     assert fastest(weigher, centroids=64).centroids == 64
     cloud = prepare_view(ellipsoid_view(AXES))

@@ -85,7 +85,9 @@ def _rest(name: str, processes: int, belt: Mapping[str, float]) -> str:
             "\n[belt]\n",
             _aside("surface", "rods", "a web; then rod_pitch_mm and rod_diameter_mm too"),
             *(
-                _row(key, belt[key], f"{remark}, as the recording states") if key in belt else _aside(key, typical, remark)
+                _row(key, belt[key], f"{remark}; the recording states it")
+                if key in belt
+                else _aside(key, typical, remark)
                 for key, typical, remark in _RESTING
             ),
             "\n[segmenter]\n",
