@@ -17,7 +17,7 @@ from conveyor.errors import InputError
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
 from regressor.studies.alone import Scale
-from regressor.studies.baselines import FOLDS, cross_validated, fit_linear, fit_product, oriented_box_m
+from regressor.studies.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.studies.metrics import scores
 from regressor.training.labelled import UNKNOWN, LabelledView, Resting, read_labelled
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
@@ -159,7 +159,7 @@ def _collect(
         NETWORK: alone_g,
         VOLUME_RULE: np.array([answer.volume_g for answer in answers]),
     }
-    if len(np.unique(tuber)) >= FOLDS:  # each rule is fitted without the tubers that it is judged by
+    if len(np.unique(tuber)) > 1:  # each rule is fitted without the tubers that it is judged by
         predicted |= {
             VISIBLE_VOLUME: cross_validated(fit_linear, surface[:, :1], weight_g, tuber),
             PRODUCT: cross_validated(fit_product, surface[:, 2:5], weight_g, tuber),

@@ -79,8 +79,10 @@ def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pyt
     assert printed(capsys)["ticket"]["part"] == "tubers 5 to 24"
     places = [tuber.place_x_m for tuber in some]
     by_place = PartOptions(from_x=max(places), to_x=min(places))
-    calibrate_bucket(folder, kg=kg, weighed=by_place, options=options, json=True)
-    assert printed(capsys)["ticket"]["tubers"] >= 20  # a second ticket of the same run, of another part
+    with pytest.raises(InputError, match="may hold the same tubers"):  # as they do
+        calibrate_bucket(folder, kg=kg, weighed=by_place, options=options)
+    calibrate_bucket(folder, kg=kg, weighed=by_place, options=TicketOptions(tmp_path / "by-place.json"), json=True)
+    assert printed(capsys)["ticket"]["tubers"] >= 20
     with pytest.raises(InputError, match=r"held 40 tubers, .* counted 20"):
         calibrate_bucket(folder, kg=kg, count=40, weighed=some_ids, options=options)
     with pytest.raises(InputError, match="none of them among tubers 900 to the last"):

@@ -183,10 +183,10 @@ def test_a_loss_that_is_no_number_ends_the_training(data: CloudSet) -> None:
     assert training.progress.step == 0
 
 
-def test_few_tubers_are_evaluated_without_baselines(tmp_path: Path) -> None:
+def test_one_tuber_is_evaluated_without_baselines(tmp_path: Path) -> None:
     """Baselines fitted on no tuber wrote NaN into metrics.json, which no other program reads."""
-    write_pack(tmp_path / "few", tubers=2, views=2, seed=3)
-    measured = write_report(evaluate(tmp_path / "few", Weigher.load()), tmp_path / "out", title="Few")
+    write_pack(tmp_path / "one", tubers=1, views=2, seed=3)
+    measured = write_report(evaluate(tmp_path / "one", Weigher.load()), tmp_path / "out", title="One")
     assert LINEAR_BOX not in measured["methods"]
     told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
     assert json.loads(told, parse_constant=pytest.fail) == measured
