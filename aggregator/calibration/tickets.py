@@ -145,23 +145,24 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     """`tickets` with one more; no tuber is in two tickets of a kind, else what a scale said of it counts twice.
 
     Raises:
-        InputError: some of its tubers have one already and `again`, which replaces it, is not given; or one part goes
-            by numbers, the other by places, and whether they overlap cannot be told.
+        InputError: some of its tubers have one already, or may (one part goes by numbers, the other by places), and
+            `again`, which replaces it, is not given.
     """
-    for known in tickets:
-        if _overlap(known, ticket) is None:
-            raise InputError(
-                f"{ticket.name} and the ticket {known.name} may hold the same tubers, which would count twice: name "
-                "both by numbers or both by places (the run's tubers.csv has the two side by side)"
-            )
-    of_same = [known for known in tickets if same_tubers(known, ticket)]
+    of_same = [known for known in tickets if _overlap(known, ticket) is not False]
     if of_same and not again:
         found = of_same[0]
         if found.key == ticket.key:
             raise InputError(f"{ticket.name} has a ticket already; give --again to replace it")
+        it = "it" if len(of_same) == 1 else "them"
+        if _overlap(found, ticket) is None:
+            raise InputError(
+                f"{ticket.name} and the ticket {found.name} may hold the same tubers, which would count twice: name "
+                "both by numbers or both by places (the run's tubers.csv has the two side by side), or give --again to "
+                f"replace {it}"
+            )
         raise InputError(
             f"{ticket.name} and the ticket {found.name} hold the same tubers, which would count twice; name the part "
-            f"that none was weighed of before, or give --again to replace {'it' if len(of_same) == 1 else 'them'}"
+            f"that none was weighed of before, or give --again to replace {it}"
         )
     return (*(known for known in tickets if known not in of_same), ticket)
 
