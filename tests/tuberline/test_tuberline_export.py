@@ -299,9 +299,9 @@ def test_an_export_never_replaces_what_the_run_keeps(
     assert "exported-tubers.csv" in capsys.readouterr().out
     assert (folder / "tubers.csv").read_text(encoding="utf-8") == "the run's own\n"
     ledger = (folder / "ledger.db").read_bytes()
-    for name in ("tubers.csv", "ledger.db"):
+    for form, name in (("csv", "tubers.csv"), ("csv", "ledger.db"), ("html", "ledger.db")):
         with pytest.raises(InputError, match="is the run's own file"):
-            export([folder], format="csv", out=folder / name)
+            export([folder], format=form, out=folder / name)  # type: ignore[arg-type]
     assert (folder / "ledger.db").read_bytes() == ledger
 
 

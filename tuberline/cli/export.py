@@ -67,8 +67,6 @@ def export(
     contract
         Of the report: a buyer's classes of size (TOML); default: that of the line's config.
     """
-    from aggregator.ledger.files import RESULT_FILES
-    from aggregator.ledger.reader import ledger_file
     from tuberline.cli.progress import ledger_bar
     from tuberline.export.tubers import read_all
     from tuberline.export.write import ENDINGS, NEED_PLACES, REPORTS, Format
@@ -90,28 +88,40 @@ def export(
             no_map = str(error)  # positions were found, a map was not asked for
             if form not in REPORTS:  # which says why itself
                 sys.stderr.write(f"tubers without their places: {error}\n")
-    folder = ledger_file(runs[0]).parent
+    name = "report" if form in REPORTS else "taskdata" if form is Format.ISOXML else what
+    target = _target(runs, f"{name}.{ENDINGS.get(form, form.value)}", out)
     if form in REPORTS:
         from tuberline.export.report.make import write_report
 
-        target = out or folder / f"report.{form.value}"
         pdf = form is Format.PDF
         with ledger_bar("report"):
             loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
         sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
         return
-    name = "taskdata" if form is Format.ISOXML else what
-    target = out or folder / f"{name}.{ENDINGS.get(form, form.value)}"
-    own = {(ledger_file(run).parent / kept).resolve() for run in runs for kept in RESULT_FILES}
-    if target.resolve() in own | {ledger_file(run).resolve() for run in runs}:
-        if out is not None:
-            raise InputError(f"--out {out} is the run's own file, which the export would replace: give another name")
-        target = folder / f"exported-{target.name}"
     with ledger_bar(form.value):
         rows = write(runs, target, form=form, what=what, field=field, tubers=tubers)
     noun = "record" if form is Format.ISOXML else "row"
     written = f"{rows} {noun}{'s' * (rows != 1)}"
     sys.stdout.write(f"{written}{'' if form is Format.ISOXML else f' of {what}'} in {target}\n")
+
+
+def _target(runs: list[Path], name: str, out: Path | None) -> Path:
+    """The file to write, which is none that a run keeps; without `out` beside the first ledger.
+
+    Raises:
+        InputError: `out` is a file that a run keeps.
+    """
+    from aggregator.ledger.files import RESULT_FILES
+    from aggregator.ledger.reader import ledger_file
+
+    ledgers = [ledger_file(run) for run in runs]
+    own = {(ledger.parent / kept).resolve() for ledger in ledgers for kept in (ledger.name, *RESULT_FILES)}
+    target = out or ledgers[0].parent / name
+    if target.resolve() not in own:
+        return target
+    if out is not None:
+        raise InputError(f"--out {out} is the run's own file, which the export would replace: give another name")
+    return target.with_name(f"exported-{name}")
 
 
 def _field(
