@@ -83,7 +83,7 @@ def run_line(recording: Path, weigher: Weigher, *, belt_follow_mm: float | None 
     names = camera_names(recording)
     cameras = {name: {"path": str(recording), "ignore_masks": True} for name in names}
     segmenter = {} if belt_follow_mm is None else {"belt_follow_mm": belt_follow_mm}
-    belt = stated_belt(recording, list(names), None, None)
+    belt = stated_belt(open_source(recording, camera=name).description for name in names)
     config = parse_config({"cameras": cameras, "segmenter": segmenter, "belt": belt}, where="of the benchmark")
     warm_up(config.segmenter.pixel_mm)
     line = Aggregation(

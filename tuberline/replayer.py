@@ -6,7 +6,7 @@ import hashlib
 import json
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
 if TYPE_CHECKING:
+    from conveyor.formats.source import CameraDescription
     from tuberline.cli.replay_table import Show
 
 QUIET_LIMIT_S = 90.0
@@ -66,13 +67,16 @@ def replay_recording(
         InputError: recording or weights unusable, or `out` already holds a run.
         TuberlineError: a node gave up; the text carries its last words.
     """
+    from conveyor.formats import open_source
+
     if regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
     cameras = recording_cameras(recording)
     _refuse_early(weights, contract)
     prepare_out(out)
     take_positions(recording, out)
-    belt = stated_belt(recording, cameras, resting_offset_mm, resting_sd_mm)
+    told = (open_source(recording, camera=name).description for name in cameras)
+    belt = stated_belt(told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     if fast:
         sections |= {name: {**section, **sections.get(name, {})} for name, section in FAST.items()}
@@ -232,12 +236,11 @@ def take_positions(recording: Path, out: Path) -> None:
             part.write_bytes(positions)
 
 
-def stated_belt(recording: Path, cameras: list[str], offset_mm: float | None, sd_mm: float | None) -> dict[str, float]:
-    """Section `belt` of a replay: the resting level as given, else as the recording's cameras state it, in the mean."""
-    from conveyor.formats import open_source
-
-    told = [open_source(recording, camera=name).description for name in cameras]
-    stated = [(d.resting_offset_mm, d.resting_sd_mm) for d in told if d.resting_offset_mm is not None]
+def stated_belt(
+    cameras: Iterable[CameraDescription], *, offset_mm: float | None = None, sd_mm: float | None = None
+) -> dict[str, float]:
+    """Section `belt` of a line: the resting level as given, else as a recording's cameras state it, in the mean."""
+    stated = [(d.resting_offset_mm, d.resting_sd_mm) for d in cameras if d.resting_offset_mm is not None]
     if offset_mm is None and stated:
         offset_mm = sum(offset for offset, _ in stated) / len(stated)
         known = [sd for _, sd in stated if sd is not None]

@@ -148,13 +148,13 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
         InputError: some of its tubers have one already, or may (one part goes by numbers, the other by places), and
             `again`, which replaces it, is not given.
     """
-    of_same = [known for known in tickets if _overlap(known, ticket) is not False]
+    of_same = [known for known in tickets if same_tubers(known, ticket) is not False]
     if of_same and not again:
         found = of_same[0]
         if found.key == ticket.key:
             raise InputError(f"{ticket.name} has a ticket already; give --again to replace it")
         it = "it" if len(of_same) == 1 else "them"
-        if _overlap(found, ticket) is None:
+        if same_tubers(found, ticket) is None:
             raise InputError(
                 f"{ticket.name} and the ticket {found.name} may hold the same tubers, which would count twice: name "
                 "both by numbers or both by places (the run's tubers.csv has the two side by side), or give --again to "
@@ -167,13 +167,10 @@ def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tu
     return (*(known for known in tickets if known not in of_same), ticket)
 
 
-def same_tubers(one: Ticket, other: Ticket) -> bool:
-    """Of a kind and a run, and the same or overlapping parts of it; a whole run holds all of its loads."""
-    return _overlap(one, other) is True
-
-
-def _overlap(one: Ticket, other: Ticket) -> bool | None:
-    """As `same_tubers`; None where it cannot be told."""
+def same_tubers(one: Ticket, other: Ticket) -> bool | None:
+    """Of a kind and a run, and the same or overlapping parts of it; a whole run holds all of its loads. None where it
+    cannot be told.
+    """
     if one.key == other.key:
         return True
     if (one.kind, one.run) != (other.kind, other.run):

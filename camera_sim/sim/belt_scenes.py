@@ -35,9 +35,9 @@ RESTLESS = 0.4
 HARSH_SHARE, EXACT_SHARE = 0.5, 0.1
 """Shares of belts of hard negatives whose camera, surface, resting level, cultivar and soil are those of `harsh`, and
 whose camera only rounds while half of their tubers have shapes of no cultivar, as those of other simulators."""
-HARD_SHARE, SMALL_ML, KNOBBY = 0.5, 90.0, 0.25
-"""Share of tubers that are hard to tell from clods: half of them are drawn until one is smaller than this, or has
-stronger second growth than this; the others are bumpy."""
+HARD_SHARE, BUMPY_SHARE, SMALL_ML, KNOBBY = 0.5, 0.5, 90.0, 0.25
+"""Share of tubers that are hard to tell from clods, and of these that are bumpy; the others are drawn until one is
+smaller than this, or has stronger second growth than this."""
 BUMPY_RMS, BUMPY_FINEST, BUMPY_FALL = (0.03, 0.08), (6.0, 13.0), (0.5, 1.5)
 """Relief of bumpy tubers, up to four times that of ordinary ones: broad, as tubers that stopped and went on growing
 have it."""
@@ -163,7 +163,7 @@ def _often_hard(rng: Generator) -> Tuber:
 def _hard(rng: Generator) -> Tuber:
     """A tuber that is bumpy, small or has second growth."""
     recipe = draw_recipe(rng)
-    if rng.random() < 0.5:
+    if rng.random() < BUMPY_SHARE:
         bumps = Relief(rng.uniform(*BUMPY_RMS), finest=rng.uniform(*BUMPY_FINEST), fall=rng.uniform(*BUMPY_FALL))
         return grow(replace(recipe, relief=bumps), rng, level=3)
     while recipe.volume_ml > SMALL_ML and recipe.knobs < KNOBBY:

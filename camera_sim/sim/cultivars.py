@@ -55,8 +55,8 @@ class Relief:
     off with finer ones."""
 
     rms: float
-    finest: float = 13.0
-    fall: float = 0.5
+    finest: float
+    fall: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from camera_sim.sim.cultivars import ODD_STOCK, Recipe, Relief, Stock, draw_recipe
+from camera_sim.sim.cultivars import ODD_STOCK, Recipe, Stock, draw_recipe
 from camera_sim.sim.mesh_size import square_mesh_m
 from camera_sim.sim.meshes import Faces, Vertices, icosphere, volume
 
@@ -131,9 +131,12 @@ def smooth_relief(
 
 
 def _draw_form(recipe: Recipe, rng: Generator, directions: Vertices) -> _Form:
-    rms = 0.022 * float(np.exp(0.35 * rng.standard_normal()))
-    bumps = recipe.relief or Relief(min(rms, 0.06))
-    relief = smooth_relief(rng, directions, rms=bumps.rms, finest=bumps.finest, fall=bumps.fall)
+    rms, bumps = 0.022 * float(np.exp(0.35 * rng.standard_normal())), recipe.relief
+    relief = (
+        smooth_relief(rng, directions, rms=min(rms, 0.06))
+        if bumps is None
+        else smooth_relief(rng, directions, rms=bumps.rms, finest=bumps.finest, fall=bumps.fall)
+    )
     lobes = _second_growth(rng, directions, recipe.knobs) if recipe.knobs > 0 else np.zeros(len(directions))
     return _Form(
         relief=relief,

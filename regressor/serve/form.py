@@ -61,7 +61,7 @@ def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
         return bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - exact)) <= MOST_OFF_G)
 
     if centroids is None:
-        plain = next(form for form in (Form(centroids=count) for count in FEWEST) if form == EXACT or near(form))
+        plain = next(form for form in (Form(centroids=count) for count in FEWEST) if near(form))
     else:
         plain = Form(centroids=centroids)
     if not multiplies_bfloat16():

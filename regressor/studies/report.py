@@ -124,8 +124,9 @@ def write_plots(result: Evaluation, out: Path) -> list[Path]:
     figure, (scatter, cumulative, over) = plt.subplots(1, 3, figsize=(15, 4.6), constrained_layout=True)
     top = float(truth.max()) * 1.05
     colours = {name: f"C{i}" for i, name in enumerate(result.predicted)}
-    for name in (name for name in (LINEAR_BOX, SHIPPED) if name in result.predicted):
-        scatter.plot(truth, result.predicted[name], ".", color=colours[name], markersize=3, alpha=0.5, label=name)
+    for name in (LINEAR_BOX, SHIPPED):
+        if name in result.predicted:
+            scatter.plot(truth, result.predicted[name], ".", color=colours[name], markersize=3, alpha=0.5, label=name)
     scatter.plot([0, top], [0, top], "k-", linewidth=0.8)
     scatter.set(xlabel="weight on the scale [g]", ylabel="estimated [g]", xlim=(0, top), ylim=(0, top))
     for name, values in result.predicted.items():

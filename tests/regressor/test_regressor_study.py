@@ -15,13 +15,13 @@ from conveyor.errors import InputError
 from regressor.studies import drift as drifting
 from regressor.studies.ablate import RULES
 from regressor.studies.drift import SHIFTS, drift, write_drift
-from regressor.studies.evaluate import NETWORK, SHIPPED, evaluate
+from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, evaluate
 from regressor.studies.page import evaluation_page
 from regressor.studies.report import write_report
 from regressor.studies.search import search
 from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
-from regressor.training.recipe import TrainSettings
+from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.split import stratified_split, write_splits
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
@@ -159,3 +159,19 @@ def test_another_crop_in_the_same_layout(tmp_path: Path) -> None:
     (tmp_path / "ground_truth.csv").write_text("\n".join(row.rpartition(",")[0] for row in rows), encoding="utf-8")
     with pytest.raises(InputError, match="column belt_distance_m"):
         load_cloudset(tmp_path)
+
+
+def test_one_tuber_is_evaluated_without_baselines(tmp_path: Path) -> None:
+    """Baselines fitted on no tuber wrote NaN into metrics.json, which no other program reads."""
+    write_pack(tmp_path / "one", tubers=1, views=2, seed=3)
+    measured = write_report(evaluate(tmp_path / "one", Weigher.load()), tmp_path / "out", title="One")
+    assert LINEAR_BOX not in measured["methods"]
+    told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
+    assert json.loads(told, parse_constant=pytest.fail) == measured
+    assert "Baselines are left out" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("option", "value"), [("batch", 0), ("minutes", 0.0), ("epochs", -1.0), ("lr", np.nan)])
+def test_a_recipe_without_any_training_is_refused(option: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"--{option} is .*must be above 0"):
+        recipe_named("tuberline", shear=None, **{option: value})

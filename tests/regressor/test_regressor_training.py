@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,12 @@ from regressor.network.reduced import Resolution, reduced_forward
 from regressor.network.sampling import farthest_points
 from regressor.studies.ablate import RULES, ablate, read_table
 from regressor.studies.evaluate import LINEAR_BOX, evaluate
-from regressor.studies.report import markdown, summary, write_report
+from regressor.studies.report import markdown, summary
 from regressor.training.augment import Augmentation, augmented_batch
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.loop import load_state, save_state
-from regressor.training.recipe import TrainSettings, recipe_named
+from regressor.training.recipe import TrainSettings
 from regressor.training.run import RunOptions, clean_views, load_sets, train
 from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
@@ -181,22 +180,6 @@ def test_a_loss_that_is_no_number_ends_the_training(data: CloudSet) -> None:
     with pytest.raises(TuberlineError, match=r"loss of step 1 is no number: a smaller --lr \(it was 0.001\)"):
         training.step()
     assert training.progress.step == 0
-
-
-def test_one_tuber_is_evaluated_without_baselines(tmp_path: Path) -> None:
-    """Baselines fitted on no tuber wrote NaN into metrics.json, which no other program reads."""
-    write_pack(tmp_path / "one", tubers=1, views=2, seed=3)
-    measured = write_report(evaluate(tmp_path / "one", Weigher.load()), tmp_path / "out", title="One")
-    assert LINEAR_BOX not in measured["methods"]
-    told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
-    assert json.loads(told, parse_constant=pytest.fail) == measured
-    assert "Baselines are left out" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(("option", "value"), [("batch", 0), ("minutes", 0.0), ("epochs", -1.0), ("lr", np.nan)])
-def test_a_recipe_without_any_training_is_refused(option: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"--{option} is .*must be above 0"):
-        recipe_named("tuberline", shear=None, **{option: value})
 
 
 def test_a_validation_changes_no_step(data: CloudSet) -> None:

@@ -67,7 +67,7 @@ def found_recording(path: Path) -> Found:
     names = ", ".join(camera.name for camera in recording.cameras)
     known = all(c.belt_distance_m is not None or c.belt_from_camera is not None for c in recording.cameras)
     words = f"recording {path}: {frames} frame{'s' * (frames != 1)} of {'cameras' if many else 'camera'} {names}"
-    belt = stated_belt(path, [camera.name for camera in recording.cameras], None, None)
+    belt = stated_belt(recording.cameras)
     return Found(words, cameras, distance_known=known, belt=belt)
 
 

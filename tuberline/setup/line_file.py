@@ -37,7 +37,7 @@ def line_file(
     file: Path,
     distance_known: bool,
     processes: int,
-    belt: Mapping[str, float] | None = None,
+    belt: Mapping[str, float],
 ) -> str:
     """The text of the line's file at `file`.
 
@@ -49,7 +49,7 @@ def line_file(
     parts = [_head(name, file)]
     for camera, settings in cameras.items():
         parts.append(_camera(camera, settings, file.resolve().parent, distance_known=distance_known))
-    parts.append(_rest(name, processes, belt or {}))
+    parts.append(_rest(name, processes, belt))
     return "".join(parts)
 
 
