@@ -34,11 +34,12 @@ def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], re
             _note(labels[i, first : min(first + reach + 1, columns)], touching[:, 2])
             _note(labels[i, max(last - reach, 0) : last + 1], touching[:, 3])
     # Column by column, but read row by row, as the cells lie in the memory.
-    first_of, last_of = np.full(columns, rows, np.int64), np.full(columns, -1, np.int64)
+    first_of, last_of = np.full(columns, rows, np.int32), np.full(columns, -1, np.int32)
     for i in range(rows):
-        for j in range(columns):
-            first_of[j] = min(first_of[j], i if seen[i, j] else rows)
-            last_of[j] = i if seen[i, j] else last_of[j]
+        here, row = seen[i], np.int32(i)
+        for j in range(columns):  # without a branch, so that the compiler takes several cells at once
+            first_of[j] = row if (here[j] != 0) & (last_of[j] < 0) else first_of[j]
+            last_of[j] = row if here[j] != 0 else last_of[j]
     for j in range(columns):
         first, last = first_of[j], last_of[j]
         if last >= 0:

@@ -8,11 +8,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from segmenter.frame.marks import marked, row_of_marks
+
 LEVEL_MM = 0.25
 """Millimetres of relief per level of the counting sort: finer than any dynamics that matter."""
 PER_MM = np.float32(1 / LEVEL_MM)
 MOST_LEVELS = 65535
 """16 m of relief: what is higher is flooded as if it were as high."""
+MOST_STEPS = np.float32(MOST_LEVELS - 1)
 BACKGROUND = np.float32(-1)
 """Its relief; its level is 0."""
 
@@ -45,71 +48,80 @@ def flood(
     Returns:
         ((h, w) int32 labels 1..n, 0 elsewhere; n)
     """
-    relief, levels = _rimmed(relief_mm, foreground)
+    relief = _rimmed(relief_mm, foreground)
     width = relief_mm.shape[1] + 2
-    basins, peaks = _basins(relief, levels, width)
+    basins, peaks = _basins(relief, width)
     parents = np.arange(len(peaks)).astype(np.int32)
-    for cell in _falling(*_between(basins, levels, width)):
-        _meet(cell, basins, levels, relief, width, peaks, parents, least_mm, share)
-    return _named(basins, levels, peaks, parents, relief_mm.shape)
+    for cell in _falling(_between(basins, relief, width), relief):
+        _meet(cell, basins, relief, width, peaks, parents, least_mm, share)
+    return _named(basins, relief[peaks], peaks, parents, relief_mm.shape)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _rimmed(relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """((h + 2) * (w + 2),) relief and its levels with a rim of background, so that no neighbour needs a check."""
+def _rimmed(relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """((h + 2) * (w + 2),) the relief with a rim of background, so that no neighbour needs a check."""
     rows, columns = relief_mm.shape
     width = columns + 2
-    relief, levels = np.full((rows + 2) * width, BACKGROUND), np.zeros((rows + 2) * width, np.uint16)
+    relief = np.empty((rows + 2) * width, np.float32)
+    relief[: width + 1] = BACKGROUND
+    relief[len(relief) - width - 1 :] = BACKGROUND
     for i in range(rows):
         first = (i + 1) * width + 1
-        own, of_level = relief[first : first + columns], levels[first : first + columns]
+        own, given, wanted = relief[first : first + columns], relief_mm[i], foreground[i]
         for j in range(columns):  # without a branch, so that the compiler takes several cells at once
-            steps = min(max(relief_mm[i, j] * PER_MM, np.float32(0)), np.float32(MOST_LEVELS - 1))
-            own[j] = relief_mm[i, j] if foreground[i, j] else BACKGROUND
-            of_level[j] = np.uint16(np.int32(steps) + 1) if foreground[i, j] else np.uint16(0)
-    return relief, levels
+            own[j] = given[j] if wanted[j] else BACKGROUND
+        relief[first + columns] = relief[first + columns + 1] = BACKGROUND
+    return relief
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _around(width: int) -> tuple[Any, Any]:
-    """Steps to the four neighbours before a cell and the four after it, unsigned: a step back goes around the end of
-    the numbers, and no index needs a check for what a negative one means.
-    """
-    before = np.uintp(-width - 1), np.uintp(-width), np.uintp(-width + 1), np.uintp(-1)
-    after = np.uintp(1), np.uintp(width - 1), np.uintp(width), np.uintp(width + 1)
-    return before, after
+def _level(relief_mm: Any) -> Any:
+    """Its level, 0 for the background, at most `MOST_LEVELS`."""
+    return np.int32(min(relief_mm * PER_MM, MOST_STEPS)) + 1 if relief_mm >= 0 else 0
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _basins(
-    relief: NDArray[np.float32], levels: NDArray[np.uint16], width: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _around(width: int) -> Any:
+    """Steps to the eight neighbours of a cell: four that come before it and four after."""
+    return -width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _neighbours(cells: NDArray[Any], first: int, width: int) -> Any:
+    """The eight neighbours of a row's cells, the first of which is `first`, as eight views: four before, four after."""
+    columns, above, below = width - 2, first - width, first + width
+    return (
+        cells[above - 1 : above - 1 + columns],
+        cells[above : above + columns],
+        cells[above + 1 : above + 1 + columns],
+        cells[first - 1 : first - 1 + columns],
+        cells[first + 1 : first + 1 + columns],
+        cells[below - 1 : below - 1 + columns],
+        cells[below : below + columns],
+        cells[below + 1 : below + 1 + columns],
+    )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _basins(relief: NDArray[np.float32], width: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Before anything is merged: (cells,) -1 - the row of the peak that each leads up to, 0 in the background; (peaks,)
     their cells. Cells of one level come in the order of their rows and columns.
     """
-    basins = np.zeros(len(levels), np.int32)
-    peaks = np.empty(len(levels), np.int32)
+    basins = np.zeros(len(relief), np.int32)
+    peaks = np.empty(len(relief), np.int32)
     found = 0
-    before, after = _around(width)
-    for cell in range(np.uintp(len(levels))):
-        level = levels[cell]
-        if level == 0:
-            continue
-        highest, up = BACKGROUND, np.uintp(0)
-        for step in before + after:
-            if relief[cell + step] > highest:
-                highest, up = relief[cell + step], cell + step
-        if levels[up] <= level:  # it may come later: of this level only those before are asked
-            highest, up = BACKGROUND, np.uintp(0)
-            for step in before:
-                if levels[cell + step] == level and relief[cell + step] > highest:
-                    highest, up = relief[cell + step], cell + step
-        basins[cell] = up
-        if up == 0:
-            peaks[found] = cell
-            found += 1
-            basins[cell] = -found
-    for cell in range(len(levels)):
+    marks, room = row_of_marks(width - 2)
+    steps = np.array(_around(width), np.int32)
+    for first in range(width + 1, len(relief) - width, width):
+        _point_up(relief, basins, first, width, steps, marks)
+        for j in marked(marks, room):
+            cell = first + j
+            basins[cell] = _same_level_before(relief, cell, width)
+            if basins[cell] == 0:
+                peaks[found] = cell
+                found += 1
+                basins[cell] = -found
+    for cell in range(len(relief)):
         if basins[cell] > 0:
             top = basins[basins[cell]]
             while top > 0:
@@ -121,37 +133,108 @@ def _basins(
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _between(
-    basins: NDArray[np.int32], levels: NDArray[np.uint16], width: int
-) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
-    """(n,) cells with a neighbour that comes before them and leads up to another peak than they do; their levels."""
-    cells = np.empty(len(levels), np.int32)
-    n = 0
-    before, after = _around(width)
-    for cell in range(np.uintp(len(levels))):
-        basin, level = basins[cell], levels[cell]
-        if level == 0:
-            continue
-        met = False
-        for step in before:
-            met = met or (basins[cell + step] != basin and levels[cell + step] >= level)
-        for step in after:
-            met = met or (basins[cell + step] != basin and levels[cell + step] > level)
-        if met:
-            cells[n] = cell
-            n += 1
-    return cells[:n], levels[cells[:n]]
+def _point_up(
+    relief: NDArray[np.float32],
+    basins: NDArray[np.int32],
+    first: int,
+    width: int,
+    steps: NDArray[np.int32],
+    marks: NDArray[np.uint8],
+) -> None:
+    """Write for each cell of a row its highest neighbour, the first of equals, and mark the cells for which it is of no
+    higher level: it may come later than they do.
+
+    Args:
+        first: the row's first cell.
+        steps: (8,) `_around`.
+        marks: (w,) uint8, written.
+    """
+    a, b, c, d, e, f, g, h = _neighbours(relief, first, width)
+    own_mm, own = relief[first : first + width - 2], basins[first : first + width - 2]
+    # From an array, so that the compiler keeps them as short as heights are and takes as many of them at once.
+    to_a, to_b, to_c, to_d, to_e, to_f, to_g, to_h = (
+        steps[0], steps[1], steps[2], steps[3], steps[4], steps[5], steps[6], steps[7],
+    )  # fmt: skip
+    for j in range(width - 2):  # without a branch
+        up, top = to_a, a[j]
+        up, top = (to_b, b[j]) if b[j] > top else (up, top)
+        up, top = (to_c, c[j]) if c[j] > top else (up, top)
+        up, top = (to_d, d[j]) if d[j] > top else (up, top)
+        up, top = (to_e, e[j]) if e[j] > top else (up, top)
+        up, top = (to_f, f[j]) if f[j] > top else (up, top)
+        up, top = (to_g, g[j]) if g[j] > top else (up, top)
+        up, top = (to_h, h[j]) if h[j] > top else (up, top)
+        labelled = own_mm[j] >= 0
+        next_level = np.float32(np.int32(min(own_mm[j] * PER_MM, MOST_STEPS))) + np.float32(1)
+        higher = min(top * PER_MM, MOST_STEPS) >= next_level
+        own[j] = np.int32(first + j + up) if labelled & higher else np.int32(0)
+        marks[j] = labelled & (not higher)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
-def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16]) -> NDArray[np.int32]:
+def _same_level_before(relief: NDArray[np.float32], cell: int, width: int) -> Any:
+    """The highest of the neighbours before a cell that are of its level; 0 where none is."""
+    level = _level(relief[cell])
+    highest, up = BACKGROUND, 0
+    for near in (cell - width - 1, cell - width, cell - width + 1, cell - 1):
+        if relief[near] > highest and _level(relief[near]) == level:
+            highest, up = relief[near], near
+    return up
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _between(basins: NDArray[np.int32], relief: NDArray[np.float32], width: int) -> NDArray[np.int32]:
+    """(n,) cells with a neighbour that comes before them and leads up to another peak than they do."""
+    cells = np.empty(len(relief), np.int32)
+    n = 0
+    marks, room = row_of_marks(width - 2)
+    for first in range(width + 1, len(relief) - width, width):
+        _mark_borders(basins, first, width, marks)
+        for j in marked(marks, room):
+            cell = first + j
+            met = False
+            for step in _around(width):
+                met = met or (basins[cell + step] != basins[cell] and _comes_before(relief, cell, step))
+            if met:
+                cells[n] = cell
+                n += 1
+    return cells[:n]
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _comes_before(relief: NDArray[np.float32], cell: int, step: int) -> Any:
+    """Whether the neighbour of a cell that is a step away is flooded before it."""
+    return _level(relief[cell + step]) >= _level(relief[cell]) + (step > 0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _mark_borders(basins: NDArray[np.int32], first: int, width: int, marks: NDArray[np.uint8]) -> None:
+    """Mark the cells of a row that have a neighbour in another basin; the background is none."""
+    a, b, c, d, e, f, g, h = _neighbours(basins, first, width)
+    own = basins[first : first + width - 2]
+    for j in range(width - 2):  # without a branch, so that the compiler takes several cells at once
+        k = own[j]
+        before = _differs(a[j], k) | _differs(b[j], k) | _differs(c[j], k) | _differs(d[j], k)
+        after = _differs(e[j], k) | _differs(f[j], k) | _differs(g[j], k) | _differs(h[j], k)
+        marks[j] = (k != 0) & (before | after)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _differs(near: Any, own: Any) -> Any:
+    return (near != own) & (near != 0)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _falling(cells: NDArray[np.int32], relief: NDArray[np.float32]) -> NDArray[np.int32]:
     """The cells, highest level first, in their order within a level: a counting sort."""
+    levels = np.empty(len(cells), np.int64)
     highest = 0
-    for level in levels:
-        highest = max(highest, level)
+    for n in range(len(cells)):
+        levels[n] = _level(relief[cells[n]])
+        highest = max(highest, levels[n])
     counts = np.zeros(highest + 1, np.int64)
-    for level in levels:
-        counts[level] += 1
+    for n in range(len(cells)):
+        counts[levels[n]] += 1
     before = 0
     for level in range(highest, -1, -1):
         before, counts[level] = before + counts[level], before
@@ -166,7 +249,6 @@ def _falling(cells: NDArray[np.int32], levels: NDArray[np.uint16]) -> NDArray[np
 def _meet(
     cell: int,
     basins: NDArray[np.int32],
-    levels: NDArray[np.uint16],
     relief: NDArray[np.float32],
     width: int,
     peaks: NDArray[np.int32],
@@ -180,10 +262,9 @@ def _meet(
         parents: union-find forest over the peaks; a root is the highest peak of its basin.
     """
     root = _find(parents, -1 - basins[cell])
-    for step in (-width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1):
-        near = cell + step
-        if levels[near] >= levels[cell] + (step > 0):
-            other = _find(parents, -1 - basins[near])
+    for step in _around(width):
+        if _comes_before(relief, cell, step):
+            other = _find(parents, -1 - basins[cell + step])
             if other != root:
                 low, high = (other, root) if relief[peaks[other]] < relief[peaks[root]] else (root, other)
                 top = relief[peaks[low]]
@@ -196,7 +277,7 @@ def _meet(
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def _named(
     basins: NDArray[np.int32],
-    levels: NDArray[np.uint16],
+    peaks_mm: NDArray[np.float32],
     peaks: NDArray[np.int32],
     parents: NDArray[np.int32],
     shape: tuple[int, int],
@@ -204,7 +285,7 @@ def _named(
     """Number the basins 1..n, highest peak first, without the rim."""
     falling = np.empty(len(peaks), np.int64)
     for k in range(len(peaks)):
-        falling[k] = -np.int64(levels[peaks[k]]) * len(levels) + peaks[k]
+        falling[k] = -np.int64(_level(peaks_mm[k])) * len(basins) + peaks[k]
     names = np.zeros(len(peaks) + 1, np.int32)
     n = 0
     for k in np.argsort(falling):
@@ -217,59 +298,75 @@ def _named(
     labels = np.empty(shape, np.int32)
     rows, columns = shape
     for i in range(rows):
+        first = (i + 1) * (columns + 2) + 1
+        own, basin = labels[i], basins[first : first + columns]
         for j in range(columns):
-            labels[i, j] = names[-basins[(i + 1) * (columns + 2) + j + 1]]
+            own[j] = names[np.uint32(-basin[j])]
     return labels, n
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: float, steps: int) -> None:
-    """Grow all labels ring by ring, in place, into unlabelled cells higher than `floor_mm`, at most `steps` cells."""
-    rows, columns = labels.shape
-    front = np.empty(rows * columns, np.int32)
-    fresh = np.empty(rows * columns, np.int32)
-    size = 0
-    for i in range(rows):
-        above, below = max(i - 1, 0), min(i + 1, rows - 1)  # a cell at the border is its own neighbour: it is labelled
-        for j in range(columns):
-            if labels[i, j] > 0:
-                before, after = max(j - 1, 0), min(j + 1, columns - 1)
-                if (
-                    (labels[above, j] == 0 and height_mm[above, j] > floor_mm)
-                    or (labels[below, j] == 0 and height_mm[below, j] > floor_mm)
-                    or (labels[i, before] == 0 and height_mm[i, before] > floor_mm)
-                    or (labels[i, after] == 0 and height_mm[i, after] > floor_mm)
-                ):
-                    front[size] = i * columns + j
-                    size += 1
-    flat, height = labels.reshape(-1), height_mm.reshape(-1)
-    around = np.array([-columns - 1, -columns, -columns + 1, -1, 1, columns - 1, columns, columns + 1])
+    """Grow all labels ring by ring, in place, into unlabelled cells higher than `floor_mm`, at most `steps` cells.
+
+    The first ring grows around corners, the second does not, and so on.
+    """
+    columns = labels.shape[1]
+    flat, bare = labels.reshape(-1), _bare(labels, height_mm, np.float32(floor_mm))
+    front, rimmed, size = _beside_bare(labels, bare)
+    fresh, fresh_rimmed = np.empty_like(front), np.empty_like(front)
+    around, around_rimmed = np.array(_around(columns)), np.array(_around(columns + 2))
+    straight, all_ways = np.array([1, 3, 4, 6]), np.arange(8)
     for step in range(steps):
         grown = 0
+        ways = all_ways if step % 2 == 0 else straight
         for index in range(size):
-            cell = front[index]
-            j = cell % columns
-            inside = columns <= cell < (rows - 1) * columns and 0 < j < columns - 1
-            for n in range(8):
-                if step % 2 == 1 and n in (0, 2, 5, 7):
-                    continue
-                near = cell + around[n]
-                if not inside and not (0 <= near < rows * columns and abs(near % columns - j) <= 1):
-                    continue
-                if flat[near] == 0 and height[near] > floor_mm:
-                    flat[near] = flat[cell]
-                    fresh[grown] = near
+            for way in ways:
+                near = rimmed[index] + around_rimmed[way]
+                if bare[near]:
+                    bare[near] = 0
+                    fresh[grown], fresh_rimmed[grown] = front[index] + around[way], near
+                    flat[fresh[grown]] = flat[front[index]]
                     grown += 1
-        if grown == 0:
-            return
-        front, fresh = fresh, front
-        size = grown
+        front, fresh, rimmed, fresh_rimmed, size = fresh, front, fresh_rimmed, rimmed, grown
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _bare(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: Any) -> NDArray[np.uint8]:
+    """((h + 2) * (w + 2),) 1 where a cell has no label and is higher than `floor_mm`; with a rim of 0."""
+    rows, columns = labels.shape
+    bare = np.zeros((rows + 2) * (columns + 2), np.uint8)
+    for i in range(rows):
+        first = (i + 1) * (columns + 2) + 1
+        own, label, high = bare[first : first + columns], labels[i], height_mm[i]
+        for j in range(columns):  # without a branch, so that the compiler takes several cells at once
+            own[j] = (label[j] == 0) & (high[j] > floor_mm)
+    return bare
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _beside_bare(labels: NDArray[np.int32], bare: NDArray[np.uint8]) -> Any:
+    """(cells,) labelled cells beside a bare one, as (n,) numbers without and with a rim; n."""
+    rows, columns = labels.shape
+    cells, rimmed = np.empty(rows * columns, np.int32), np.empty(rows * columns, np.int32)
+    marks, room = row_of_marks(columns)
+    size = 0
+    for i in range(rows):
+        first = (i + 1) * (columns + 2) + 1
+        _a, above, _c, before, after, _f, below, _h = _neighbours(bare, first, columns + 2)
+        label = labels[i]
+        for j in range(columns):  # without a branch, so that the compiler takes several cells at once
+            marks[j] = (label[j] > 0) & ((above[j] | below[j] | before[j] | after[j]) != 0)
+        for j in marked(marks, room):
+            cells[size], rimmed[size] = i * columns + j, first + j
+            size += 1
+    return cells, rimmed, size
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
 def relabel(labels: NDArray[np.int32], names: NDArray[np.int32]) -> None:
-    """Rename labels in place: label k becomes `names[k]`."""
+    """Rename labels in place: label k becomes `names[k]`; `names[0]` is 0."""
     for i in range(labels.shape[0]):
+        own = labels[i]
         for j in range(labels.shape[1]):
-            if labels[i, j] > 0:
-                labels[i, j] = names[labels[i, j]]
+            own[j] = names[np.uint32(own[j])]

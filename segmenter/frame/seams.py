@@ -17,11 +17,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from segmenter.frame.flood import relabel
+from segmenter.frame.marks import marked, row_of_marks
 
 MOST_INSTANCES = 600
 END_ROWS = 2
-WORD = 8
-"""So many marks of one byte are looked at as one word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,39 +154,30 @@ def _seams(labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]) ->
     outline = np.zeros(n + 1)
     top = np.zeros(n + 1)
     at_end = np.zeros(n + 1, np.bool_)
-    padded = -(-columns // WORD) * WORD
-    beside, under = np.zeros(padded, np.uint8), np.zeros(padded, np.uint8)
-    words_beside, words_under = beside.view(np.uint64), under.view(np.uint64)
+    beside, beside_room = row_of_marks(columns)
+    under, under_room = row_of_marks(columns)
     for i in range(rows):
         end = i < END_ROWS or i >= rows - END_ROWS
         own, own_mm, below = labels[i], height_mm[i], labels[min(i + 1, rows - 1)]
-        # Without a branch, so that the compiler takes many cells at once; then eight of them are looked at together.
-        for j in range(columns - 1):
+        for j in range(columns - 1):  # without a branch, so that the compiler takes many cells at once
             beside[j] = own[j] != own[j + 1]
         beside[columns - 1] = 1
         for j in range(columns):
             under[j] = own[j] != below[j]
         first = 0
         # Runs of one label along a row: their cells and their highest point are booked once each.
-        for n in range(len(words_beside)):
-            if words_beside[n] == 0:
-                continue
-            for j in range(n * WORD, min(n * WORD + WORD, columns)):
-                if beside[j]:
-                    a = own[j]
-                    if a > 0:
-                        highest = np.float32(0.0)
-                        for x in range(first, j + 1):
-                            highest = max(highest, own_mm[x])
-                        cells[a] += j + 1 - first
-                        top[a] = max(top[a], highest)
-                        at_end[a] |= end
-                    first = j + 1
-                    if j + 1 < columns:
-                        _add_seam(labels, height_mm, i, j, 0, 1, length, height, jump, outline)
-        for n in range(len(words_under)):
-            if words_under[n] != 0:
-                for j in range(n * WORD, min(n * WORD + WORD, columns)):
-                    if under[j]:
-                        _add_seam(labels, height_mm, i, j, 1, 0, length, height, jump, outline)
+        for last in marked(beside, beside_room):
+            a = own[last]
+            if a > 0:
+                highest = np.float32(0.0)
+                for j in range(first, last + 1):
+                    highest = max(highest, own_mm[j])
+                cells[a] += last + 1 - first
+                top[a] = max(top[a], highest)
+                at_end[a] |= end
+            first = last + 1
+            if first < columns:
+                _add_seam(labels, height_mm, i, last, 0, 1, length, height, jump, outline)
+        for j in marked(under, under_room):
+            _add_seam(labels, height_mm, i, j, 1, 0, length, height, jump, outline)
     return _Seams(length, height, jump, cells, outline, top, at_end)

@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from segmenter.frame.marks import marked, row_of_marks
+
 InstanceSums = np.dtype(
     [
         ("cells", np.int64),
@@ -83,54 +85,80 @@ def _add_cells(
 ) -> None:
     rows, columns = labels.shape
     half = (stride - 1) / 2.0
+    marks, room = row_of_marks(columns)
+    areas_mm2 = np.empty(columns)
     for i in range(rows):
-        j = 0
+        own, high = labels[i], height_mm[i]
+        _mark_ends(own, marks)
+        down = b * (i * stride + half)
+        first = 0
         # Runs of one label along a row: its row of the table is read and written once for each of them.
-        while j < columns:
-            k = labels[i, j]
-            first = j
-            if k == 0:
-                while j < columns and labels[i, j] == 0:
-                    j += 1
-                continue
-            s = sums[k]
-            area_mm2, volume_mm3, peak_mm = s.area_mm2, s.volume_mm3, s.peak_mm
-            touching, outline = 0, 0
-            while j < columns and labels[i, j] == k:
-                h = height_mm[i, j]
-                # Depth at which the cell's ray has this height, and the belt area that the cell covers there.
-                slope = a * (j * stride + half) + b * (i * stride + half) + c
-                z = (h - t) / slope
-                area = area_factor * z * z / abs(slope * 1e-3)
-                area_mm2 += area
-                volume_mm3 += area * h
-                peak_mm = max(peak_mm, h)
-                histogram[k, min(STEPS - 1, int(h / STEP_MM))] += 1
-                above = labels[i - 1, j] if i > 0 else k
-                below = labels[i + 1, j] if i + 1 < rows else k
-                before = labels[i, j - 1] if j > 0 else k
-                after = labels[i, j + 1] if j + 1 < columns else k
-                if above != k or below != k or before != k or after != k:
-                    outline += 1
-                    touching += (
-                        (above != k and above > 0)
-                        or (below != k and below > 0)
-                        or (before != k and before > 0)
-                        or (after != k and after > 0)
-                    )
-                j += 1
-            cells = j - first
-            s.cells += cells
-            s.columns += cells * (first + j - 1) // 2
-            s.rows += cells * i
-            s.area_mm2, s.volume_mm3, s.peak_mm = area_mm2, volume_mm3, peak_mm
-            s.top += cells if i < margin else 0
-            s.bottom += cells if i >= rows - margin else 0
-            s.left += max(0, min(j, margin) - first)
-            s.right += max(0, j - max(first, columns - margin))
-            s.first_row = min(s.first_row, i)
-            s.last_row = max(s.last_row, i)
-            s.first_column = min(s.first_column, first)
-            s.last_column = max(s.last_column, j - 1)
-            s.touching += touching
-            s.outline += outline
+        for last in marked(marks, room):
+            k = own[last]
+            if k > 0:
+                s = sums[k]
+                for j in range(first, last + 1):  # without a branch, so that the compiler takes several cells at once
+                    # Depth at which the cell's ray has this height, and the belt area that the cell covers there.
+                    slope = a * (j * stride + half) + down + c
+                    z = (high[j] - t) / slope
+                    areas_mm2[j] = area_factor * z * z / abs(slope * 1e-3)
+                area_mm2, volume_mm3, peak_mm = s.area_mm2, s.volume_mm3, s.peak_mm
+                for j in range(first, last + 1):
+                    h = high[j]
+                    area_mm2 += areas_mm2[j]
+                    volume_mm3 += areas_mm2[j] * h
+                    peak_mm = max(peak_mm, h)
+                    histogram[k, min(STEPS - 1, int(h / STEP_MM))] += 1
+                s.area_mm2, s.volume_mm3, s.peak_mm = area_mm2, volume_mm3, peak_mm
+                cells = last + 1 - first
+                s.cells += cells
+                s.columns += cells * (first + last) // 2
+                s.rows += cells * i
+                s.top += cells if i < margin else 0
+                s.bottom += cells if i >= rows - margin else 0
+                s.left += max(0, min(last + 1, margin) - first)
+                s.right += max(0, last + 1 - max(first, columns - margin))
+                s.first_row = min(s.first_row, i)
+                s.last_row = max(s.last_row, i)
+                s.first_column = min(s.first_column, first)
+                s.last_column = max(s.last_column, last)
+            first = last + 1
+        above, below = labels[max(i - 1, 0)], labels[min(i + 1, rows - 1)]  # at the border a cell is its own neighbour
+        _mark_outline(own, above, below, marks)
+        for j in marked(marks, room):
+            k = own[j]
+            before, after = own[max(j - 1, 0)], own[min(j + 1, columns - 1)]
+            sums[k].outline += 1
+            sums[k].touching += (
+                (above[j] != k and above[j] > 0)
+                or (below[j] != k and below[j] > 0)
+                or (before != k and before > 0)
+                or (after != k and after > 0)
+            )
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _mark_ends(own: NDArray[np.int32], marks: NDArray[np.uint8]) -> None:
+    """Mark the last cell of each run of one label along a row."""
+    last = len(own) - 1
+    for j in range(last):
+        marks[j] = own[j] != own[j + 1]
+    marks[last] = 1
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def _mark_outline(
+    own: NDArray[np.int32], above: NDArray[np.int32], below: NDArray[np.int32], marks: NDArray[np.uint8]
+) -> None:
+    """Mark the labelled cells of a row with a neighbour of another label, or of none."""
+    last = len(own) - 1
+    for j in (0, last):
+        k = own[j]
+        beside = own[min(j + 1, last)] != k or own[max(j - 1, 0)] != k
+        marks[j] = k > 0 and (above[j] != k or below[j] != k or beside)
+    before, here, after = own[:-2], own[1:-1], own[2:]
+    inner, inner_above, inner_below = marks[1:], above[1:], below[1:]
+    for j in range(last - 1):  # without a branch, so that the compiler takes several cells at once
+        k = here[j]
+        differs = (inner_above[j] != k) | (inner_below[j] != k) | (before[j] != k) | (after[j] != k)
+        inner[j] = (k > 0) & differs

@@ -1,0 +1,32 @@
+"""Marks along a row of cells, and where they are: kernels set them without a branch, several cells at once, and then
+look at the few marked cells one by one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+WORD = 8
+"""So many marks of one byte are looked at as one word."""
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def row_of_marks(columns: int) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """((n,) uint8 marks of a row of cells, none set, n a whole number of words; (n,) int32 room for their places)."""
+    padded = -(-columns // WORD) * WORD
+    return np.zeros(padded, np.uint8), np.empty(padded, np.int32)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+def marked(marks: NDArray[np.uint8], room: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Places of the marks that are set, rising, in `room`. What lies behind the row's last cell must be 0."""
+    words = marks.view(np.uint64)
+    count = 0
+    for n in range(len(words)):
+        if words[n] != 0:
+            for j in range(n * WORD, n * WORD + WORD):
+                room[count] = j
+                count += marks[j] != 0
+    return room[:count]
