@@ -215,7 +215,8 @@ class RegressorConfig(Section):
     )
     precision: Literal["auto", "fastest", "float32", "bfloat16"] = Field(
         "auto",
-        description="auto: exact in a replay, else fastest: of the forms within 0.1 g on this machine; flagged",
+        description="float32: exact with all centroids; auto: with the fewest that are within 0.1 g of it, on a live "
+        "line bfloat16, too, if it pays; fastest: so in a replay, too; flagged",
     )
     centroids: Literal[16, 32, 64] | None = Field(
         None, description="of the 128 second-stage ones: the network takes a quarter of its time with 16, flagged"

@@ -1,15 +1,16 @@
-"""Which form of the network a worker computes: the exact one for a replay, the fastest good one for a live line.
+"""Which form of the network a worker computes.
 
-A live line weighs what it has time for, and a view that is weighed in a third of the time is worth more than a tenth
-of a gram. Fewer second-stage centroids save time on every processor. Products of bfloat16 cost more exactness, so they
-are taken only where the processor has instructions that make them pay; that is tried at the start. Every weight is
-flagged with the form it was computed in.
+All of a tuber's centroids have the same neighbours, so most of the second stage's can be left out for a hundredth of a
+gram and a quarter of the time: a replay does that, and a live line, too. A live line weighs what it has time for, so it
+also takes products of bfloat16 where the processor has instructions that make them pay; they cost more exactness, and
+which machine takes them is tried at the start. A replay never does: on every machine of a kind it gives the same bytes.
+Every weight is flagged with the form it was computed in.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -33,7 +34,7 @@ SIZES_M = ((0.030, 0.024, 0.020), (0.040, 0.030, 0.026), (0.055, 0.036, 0.030), 
 
 
 def form_of(config: LineConfig, weigher: Weigher) -> Form:
-    """The form that `config` asks for; `precision = "auto"` is the exact one unless some camera is live.
+    """The form that `config` asks for; `precision = "auto"` is `fewest` unless some camera is live, then `fastest`.
 
     Args:
         weigher: the weights that will be used; without a network there is nothing to choose.
@@ -42,33 +43,41 @@ def form_of(config: LineConfig, weigher: Weigher) -> Form:
     if asked.precision in ("float32", "bfloat16"):
         return Form(asked.precision, asked.centroids)
     if asked.precision == "auto" and not config.live:
-        return Form(centroids=asked.centroids)
+        return fewest(weigher, centroids=asked.centroids)
     return fastest(weigher, centroids=asked.centroids)
 
 
-def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
-    """The form with the fewest centroids that is at most `MOST_OFF_G` off the exact one, in bfloat16 where that pays.
-
-    Forms in bfloat16 are left out where this processor does not multiply it: they are some thirty times as slow.
+def fewest(weigher: Weigher, *, centroids: int | None = None) -> Form:
+    """The form in float32 with the fewest centroids that is at most `MOST_OFF_G` off the exact one.
 
     Args:
         centroids: take so many, whatever they cost.
     """
-    clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
-    exact = _grams(weigher.in_form(EXACT), clouds)
+    if centroids is not None:
+        return Form(centroids=centroids)
+    near = _nearness(weigher)
+    return next(form for form in (Form(centroids=count) for count in FEWEST) if near(form))
 
-    def near(form: Form) -> bool:
-        return bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - exact)) <= MOST_OFF_G)
 
-    if centroids is None:
-        plain = next(form for form in (Form(centroids=count) for count in FEWEST) if near(form))
-    else:
-        plain = Form(centroids=centroids)
+def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
+    """The form of `fewest`, in bfloat16 where that pays and is at most `MOST_OFF_G` off the exact one.
+
+    It is not tried where this processor does not multiply bfloat16: it is some thirty times as slow there.
+    """
+    plain = fewest(weigher, centroids=centroids)
     if not multiplies_bfloat16():
         return plain
     rounded = Form("bfloat16", plain.centroids)
-    took_s, plain_s = (_seconds(weigher.in_form(form), clouds[0]) for form in (rounded, plain))
-    return rounded if took_s < WORTH * plain_s and near(rounded) else plain
+    cloud = prepare_view(made_up_view(*SIZES_M[0]))
+    took_s, plain_s = (_seconds(weigher.in_form(form), cloud) for form in (rounded, plain))
+    return rounded if took_s < WORTH * plain_s and _nearness(weigher)(rounded) else plain
+
+
+def _nearness(weigher: Weigher) -> Callable[[Form], bool]:
+    """Whether a form is at most `MOST_OFF_G` off the exact one."""
+    clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
+    exact = _grams(weigher.in_form(EXACT), clouds)
+    return lambda form: bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - exact)) <= MOST_OFF_G)
 
 
 def made_up_view(along_m: float, across_m: float, up_m: float) -> View:

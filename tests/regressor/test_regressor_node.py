@@ -21,6 +21,7 @@ from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Counters, Weight
 from conveyor.node import Node
+from regressor.serve.form import form_of
 from regressor.serve.node import run_regressor
 from regressor.weigh.weigher import Weigher, weigh_view
 from tests.conftest import wait_until
@@ -60,7 +61,9 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
     for sent in (view, empty, low, view):
         work.put(sent)
     got = [answers.get(20.0) for _ in range(4)]
-    expected = [weigh_view(Weigher.load(), sent, regressor="r1") for sent in (view, empty, low, view)]
+    weigher = Weigher.load()
+    weigher = weigher.in_form(form_of(node.config, weigher))
+    expected = [weigh_view(weigher, sent, regressor="r1") for sent in (view, empty, low, view)]
     assert got == expected
 
     def counted() -> bool:

@@ -13,12 +13,13 @@ import pytest
 import torch
 
 from conveyor.camera_range import camera_range
+from conveyor.config import CameraConfig, LineConfig, RegressorConfig
 from conveyor.geometry import straight_down_belt_from_camera
 from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
 from regressor.network.grouping import GatheredGroups, group_prefix
-from regressor.serve.form import fastest
+from regressor.serve.form import fastest, fewest, form_of
 from regressor.studies.evaluate import load_bias
 from regressor.training.calibration import fused_share
 from regressor.weigh.interval import IntervalRule, calibrate
@@ -104,6 +105,7 @@ def test_faster_forms_cost_little_and_say_so(weigher: Weigher) -> None:
 
 
 def test_the_fewest_centroids_are_taken_that_cost_little(weigher: Weigher, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert fewest(weigher) == Form(centroids=16)
     assert fastest(weigher).centroids == 16
     assert fastest(weigher, centroids=64).centroids == 64
     cloud = prepare_view(ellipsoid_view(AXES))
@@ -111,7 +113,20 @@ def test_the_fewest_centroids_are_taken_that_cost_little(weigher: Weigher, monke
     assert answer.flags == ("centroids_16",)
     assert answer.weight_g == pytest.approx(weigher.weigh(cloud).weight_g, abs=0.2)
     monkeypatch.setattr("regressor.serve.form.MOST_OFF_G", 0.0)
-    assert fastest(weigher) == Form()
+    assert fastest(weigher) == fewest(weigher) == Form()
+
+
+def test_a_replay_weighs_alike_on_every_machine(weigher: Weigher, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where bfloat16 pays a live line takes it; a replay, whose ledger is compared, does not."""
+    monkeypatch.setattr("regressor.serve.form.multiplies_bfloat16", lambda: True)
+    monkeypatch.setattr("regressor.serve.form.WORTH", float("inf"))
+    monkeypatch.setattr("regressor.serve.form.MOST_OFF_G", 10.0)
+    replayed = LineConfig(cameras={"front": CameraConfig()})
+    live = LineConfig(cameras={"front": CameraConfig(waits=False)})
+    assert form_of(replayed, weigher) == Form(centroids=16)
+    assert form_of(live, weigher) == Form("bfloat16", 16)
+    exact = replayed.model_copy(update={"regressor": RegressorConfig(precision="float32")})
+    assert form_of(exact, weigher) == Form()
 
 
 def test_a_cloud_whose_centroids_see_different_points_keeps_all_of_them(weigher: Weigher) -> None:
