@@ -49,18 +49,25 @@ class GatheredGroups:
     neighbours2: NDArray[np.int64]
 
 
-def group_prefix(cloud: NDArray[np.float32], *, points: int = CLOUD_POINTS) -> SharedGroups | GatheredGroups:
+def group_prefix(
+    cloud: NDArray[np.float32], *, points: int = CLOUD_POINTS, centroids: int | None = None
+) -> SharedGroups | GatheredGroups:
     """Groups of `cloud` sampled from its first point on, every stage a prefix of the one before.
 
     Args:
         cloud: (N, 3) float32, centred, metres, any order.
         points: how many the network is given of a larger cloud.
+        centroids: of stage two that will be read, where all have the same neighbours: the others are copies of them,
+            so that no more is sampled than that. None is all.
     """
     used = min(len(cloud), points)
     count1, count2 = stage_counts(used)
+    free = radius_is_free_of(cloud)
+    if free and centroids is not None:
+        count2 = min(count2, centroids)
     first = cloud[farthest_points(cloud, min(used, max(NEIGHBOURS, count2)))]
     groups = _padded(first[:NEIGHBOURS], first[: min(NEIGHBOURS, count1)], first[:count2])
-    if radius_is_free(groups, cloud):
+    if free or _all_within_radii(groups):
         return groups
     ordered = cloud[farthest_points(cloud, used)]
     return gather_groups(ordered, np.arange(count1))
@@ -122,8 +129,10 @@ def _repeat(points: NDArray[np.float32], count: int) -> NDArray[np.float32]:
 
 def radius_is_free(groups: SharedGroups, cloud: NDArray[np.float32]) -> bool:
     """Whether every pair of both stages lies inside its radius: the box first, the distances where it does not tell."""
-    if radius_is_free_of(cloud):
-        return True
+    return radius_is_free_of(cloud) or _all_within_radii(groups)
+
+
+def _all_within_radii(groups: SharedGroups) -> bool:
     return _all_within(groups.centroids1, groups.neighbours, RADIUS_1_M) and _all_within(
         groups.centroids2, groups.centroids1, RADIUS_2_M
     )

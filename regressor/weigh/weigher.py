@@ -83,7 +83,7 @@ class Weigher:
         self._interval = sidecar.interval_rule
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
         self._blend = sidecar.blend_rule
-        self._group = _grouping(sidecar)
+        self._group = _grouping(sidecar, form)
 
     @classmethod
     def load(cls, path: Path | None = None, form: Form = EXACT, *, any_target: bool = False) -> Weigher:
@@ -231,10 +231,10 @@ def _terms(
     return np.asarray(terms[0], np.float64)
 
 
-def _grouping(sidecar: Sidecar) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
+def _grouping(sidecar: Sidecar, form: Form) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:
     points, start = sidecar.input.points, sidecar.start
     if start.kind == "prefix":
-        return lambda cloud: group_prefix(cloud, points=points)
+        return lambda cloud: group_prefix(cloud, points=points, centroids=form.centroids)
     return lambda cloud: group_random(cloud, seed=start.seed, points=points)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from regressor.network.checkpoint import load_checkpoint
 from regressor.network.edges import live_units
-from regressor.network.fast import FastPointRaft
+from regressor.network.fast import FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, group_given, group_prefix
 from regressor.network.pointraft import PointRaft
 from regressor.network.sampling import farthest_points, first_in_range
@@ -125,6 +125,17 @@ def test_prefix_form_equals_the_readable_form_on_sampled_clouds(
     groups = group_prefix(centred)
     assert isinstance(groups, GatheredGroups) == (name in WIDE)
     assert FastPointRaft(model).weigh(groups, _height(clouds, name)) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("centroids", [16, 64])
+@pytest.mark.parametrize("name", NAMES)
+def test_centroids_that_are_not_read_need_no_sampling(
+    clouds: dict[str, NDArray[np.generic]], model: PointRaft, name: str, centroids: int
+) -> None:
+    network, centred = FastPointRaft(model, Form(centroids=centroids)), clouds[f"{name}/centred"]
+    short, full = group_prefix(centred, centroids=centroids), group_prefix(centred)
+    assert type(short) is type(full)
+    assert network.weigh(short, _height(clouds, name)) == network.weigh(full, _height(clouds, name))
 
 
 def test_a_training_step_in_float64(shared: Path, clouds: dict[str, NDArray[np.generic]]) -> None:
