@@ -53,7 +53,13 @@ def search(
         while training.share < 1.0:
             training.step()
             on_step(trial.number, training)
-        predicted = predict(training.finished_model(), validation, highest_m=tried.max_height_m, resolution=tried.full)
+        predicted = predict(
+            training.finished_model(),
+            validation,
+            highest_m=tried.max_height_m,
+            points=tried.points,
+            resolution=tried.full,
+        )
         return float(np.abs(predicted - validation.weight_g).mean())
 
     storage.parent.mkdir(parents=True, exist_ok=True)

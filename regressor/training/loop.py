@@ -65,6 +65,7 @@ def _validate(
         model,
         training.validation,
         highest_m=training.settings.max_height_m,
+        points=training.settings.points,
         resolution=training.settings.full,
         compute=None if final else training.compute,
     )

@@ -124,7 +124,7 @@ def test_turns_and_flips_keep_distances_and_height() -> None:
         points, np.full(3, 0.09), np.full(3, 9.0), rng, settings, highest_m=0.08, resample=False
     )
     distance = np.linalg.norm(points[:, 1:128] - points[:, :1], axis=2)
-    assert np.linalg.norm(moved[:, 1:] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
+    assert np.linalg.norm(moved[:, 1:128] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
     assert height == pytest.approx([0.08] * 3)
     assert weight == pytest.approx([9.0] * 3)
 
