@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 
 from conveyor import depth_noise
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.formats import ply
 from conveyor.formats.packs import views as packed
 from conveyor.formats.plain import pinhole
@@ -188,8 +191,8 @@ def _load_pack(
 ) -> CloudSet:
     key = _fingerprint(folder, split, keep, asked)
     file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
-    if file is not None and file.is_file():
-        return _read_cache(file)
+    if file is not None and (stored := _read_cache(file)) is not None:
+        return stored
     data = _prepare_all(read_labelled(folder, split=split), folder, keep, asked, progress)
     if file is not None:
         _write_cache(file, data)
@@ -264,15 +267,18 @@ def _first_points(points: NDArray[np.float32], keep: int) -> NDArray[np.float32]
 
 
 def _write_cache(file: Path, data: CloudSet) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
+    """Whole, or not at all: trainings that share a cache may write the same file at the same time."""
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "refused"}
-    partial = file.with_suffix(".partial.npz")
-    np.savez(partial, refused=json.dumps(data.refused), **arrays)
-    partial.replace(file)
+    with whole_output(file) as partial:
+        np.savez(partial, refused=json.dumps(data.refused), **arrays)
 
 
-def _read_cache(file: Path) -> CloudSet:
-    with np.load(file, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in stored.files}
-    arrays["refused"] = json.loads(str(arrays["refused"]))
-    return CloudSet(**arrays)
+def _read_cache(file: Path) -> CloudSet | None:
+    """What is stored there; None where nothing is, or nothing that can be read: it is prepared again then."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        arrays["refused"] = json.loads(str(arrays["refused"]))
+        return CloudSet(**arrays)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,3 +161,25 @@ def test_a_cloud_that_no_radius_binds_keeps_the_shared_form() -> None:
     assert isinstance(kept, SharedGroups)
     for name in ("neighbours", "centroids1", "centroids2"):
         assert np.array_equal(getattr(whole, name), getattr(kept, name))
+
+
+def test_trainings_that_share_a_cache_do_not_break_it(tmp_path: Path) -> None:
+    """All wrote one file under one partial name: the second one to finish found it gone, or read half of another's."""
+    write_pack(tmp_path / "pack", tubers=3, views=1, seed=5)
+    data = load_cloudset(tmp_path / "pack", cache=tmp_path / "cache")
+    (file,) = (tmp_path / "cache").iterdir()
+    with ThreadPoolExecutor(4) as pool:
+        for _ in pool.map(lambda _: cloudset._write_cache(file, data), range(40)):
+            assert np.array_equal(load_cloudset(tmp_path / "pack", cache=tmp_path / "cache").points, data.points)
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == [file.name]
+
+
+def test_a_broken_cache_is_made_again(tmp_path: Path) -> None:
+    """One that was cut short by a power cut ended each training with a traceback, until someone deleted it."""
+    write_pack(tmp_path / "pack", tubers=3, views=1, seed=5)
+    data = load_cloudset(tmp_path / "pack", cache=tmp_path / "cache")
+    (file,) = (tmp_path / "cache").iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    assert np.array_equal(load_cloudset(tmp_path / "pack", cache=tmp_path / "cache").points, data.points)
+    assert file.stat().st_size == len(whole)
