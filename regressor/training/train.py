@@ -43,6 +43,7 @@ class Progress:
     seconds: float = 0.0
     loss: float = float("nan")
     best_mae_g: float = float("inf")
+    best_loss: float = float("inf")
     frozen: bool = False
 
 
@@ -72,6 +73,11 @@ class Training:
         if self.settings.minutes is not None:
             return min(1.0, self.progress.seconds / (60 * self.settings.minutes))
         return min(1.0, self.progress.step / max(1, self.total_steps))
+
+    @property
+    def epoch(self) -> float:
+        """Passes over the training set so far."""
+        return self.progress.step * self.settings.batch / len(self.data)
 
     @property
     def total_steps(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import csv
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
 from regressor.training.recipe import TrainSettings
+from regressor.training.run import RunOptions, train
 from regressor.training.train import SWIFT, Training, predict
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
@@ -183,3 +185,32 @@ def test_a_broken_cache_is_made_again(tmp_path: Path) -> None:
     file.write_bytes(whole[: len(whole) // 2])
     assert np.array_equal(load_cloudset(tmp_path / "pack", cache=tmp_path / "cache").points, data.points)
     assert file.stat().st_size == len(whole)
+
+
+def test_the_paper_s_recipe_keeps_its_best_epoch(tmp_path: Path) -> None:
+    """It wrote the last epoch; the authors' code keeps the one with the least validation loss."""
+    write_pack(tmp_path / "train", tubers=16, views=1, seed=1)
+    write_pack(tmp_path / "val", tubers=8, views=1, seed=2)
+    out = tmp_path / "out"
+    settings = replace(TrainSettings.paper(), epochs=4.0, batch=8, lr=0.02)
+    options = RunOptions(tmp_path / "train", tmp_path / "val", out, "x", False, 9.0, 9.0, 20, "tuberline train")
+    told: list[int] = []
+    sidecar = train(
+        options,
+        settings,
+        on_prepared=lambda what, done: None,
+        on_step=lambda training: None,
+        on_validated=lambda training, metrics: told.append(training.progress.step),
+    )
+    assert told == [2, 4, 6, 8]
+    with (out / "log.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    best = min(rows, key=lambda row: float(row["val_loss"]))
+    assert sidecar.training["steps"] == int(best["step"])
+    model, kept = load_checkpoint(out / "weights.safetensors")
+    assert kept == sidecar
+    found_g = predict(model, load_cloudset(tmp_path / "val"), highest_m=kept.input.max_height_m)
+    assert float(np.abs(found_g - load_cloudset(tmp_path / "val").weight_g).mean()) == pytest.approx(
+        float(best["val_mae_g"]), rel=1e-3
+    )
+    assert (out / "latest.safetensors").is_file()
