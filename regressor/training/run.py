@@ -18,6 +18,7 @@ from regressor.network.checkpoint import InputSpec, Range, Sidecar, read_checkpo
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
 from regressor.studies.metrics import scores
+from regressor.training.begun import digest_of
 from regressor.training.calibration import calibration
 from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
 from regressor.training.labelled import part_of
@@ -203,6 +204,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         training={
             "command": options.command,
             "views": len(data),
+            "data": digest_of(data),
             "tubers": len(np.unique(data.tuber)),
             "refused_views": data.refused,
             "hours": round(progress.seconds / 3600, 3),

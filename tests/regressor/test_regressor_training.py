@@ -391,5 +391,13 @@ def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) ->
     count = len(steps)
     assert run() == table
     assert len(steps) == count
+    # Finished variants stood in the table of other options, under the words of these.
+    longer = replace(settings, epochs=0.4)
+    with pytest.raises(InputError, match=r"no-height.weights.safetensors was trained otherwise: epochs 0.2, now 0.4\."):
+        ablate(("no-height",), longer, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)
+    others = replace(options, data=packs / "val", validation=packs / "train")
+    with pytest.raises(InputError, match=r"trained otherwise: other training views\. A table compares"):
+        ablate(("no-height",), settings, others, test=packs / "val", max_views=4, on_step=lambda name, _: None)
+    assert len(steps) == count
     with pytest.raises(InputError, match="known: full, no-height"):
         ablate(("no-hight",), settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)
