@@ -25,6 +25,7 @@ from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.split import stratified_split, write_splits
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
+from tests.regressor.twin_folder import write_parts, write_twin
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +133,30 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     assert text.strip() in page
     with pytest.raises(InputError, match=r"speed.md cannot be read"):
         evaluation_page(folder, folder, ablation=None, drift=None, speed=tmp_path, image=None)
+
+
+def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
+    """It weighed all of a folder with a splits.csv, the tubers of its training too."""
+    labels = write_twin(tmp_path, tubers=14)
+    write_parts(tmp_path, {"train": labels[:3], "val": labels[3:4], "test": labels[4:]})
+    seen: set[int | None] = set()
+    measured = drift(
+        tmp_path, {"again": tmp_path}, Weigher.load(), max_views=None, on_work=lambda words, done, of: seen.add(of)
+    )
+    assert measured["shifts"]["as it is"]["methods"][SHIPPED]["views"] == 10
+    assert measured["shifts"]["again"]["methods"][SHIPPED]["views"] == 10
+    assert seen == {10 * (len(SHIFTS) + 1)}
+    write_parts(tmp_path, {"train": labels[:5], "test": labels[5:]})
+    with pytest.raises(InputError, match=r"fewer than 10 tubers: nothing can be said"):
+        drift(tmp_path, {}, Weigher.load(), max_views=None)
+
+
+def test_noise_is_added_to_images_alone(pack: Path, rng: np.random.Generator) -> None:
+    """One shift that a set of clouds cannot take ended the command, after five others were weighed."""
+    view = next(read_labelled(pack))
+    cloud = replace(view, depth=None, cloud=np.zeros((40, 3)))
+    assert SHIFTS["noise x2"](cloud, rng) is None
+    assert SHIFTS["belt 3 mm nearer than believed"](cloud, rng) is not None
 
 
 def test_another_crop_in_the_same_layout(tmp_path: Path) -> None:
