@@ -154,6 +154,18 @@ def test_the_general_form_equals_the_readable_network_in_training() -> None:
         assert torch.allclose(before.double(), after.double(), rtol=1e-9), name
 
 
+def test_the_readable_network_runs_where_its_tensors_are() -> None:
+    """Sampling asked a GPU's tensor for its NumPy array, which it does not have."""
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA GPU here: the readable network was NOT run on one")
+    model = load_checkpoint()[0]
+    cloud, height_m = torch.randn(300, 3) * 0.02, torch.tensor([0.05])
+    with torch.inference_mode():
+        here = float(model([cloud], height_m))
+        there = float(model.to("cuda")([cloud.to("cuda")], height_m.to("cuda")))
+    assert there == pytest.approx(here, rel=1e-4)
+
+
 def test_a_cloud_that_no_radius_binds_keeps_the_shared_form() -> None:
     rng = np.random.default_rng(1)
     cloud = (rng.normal(size=(2000, 3)) * 0.02).astype(np.float32)
