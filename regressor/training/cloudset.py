@@ -33,12 +33,15 @@ from conveyor.formats.potatotwin.layout import SPLITS
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
-from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
+from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled, tubers_without_views
 from regressor.weigh import outline, pixel_grid, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
+from regressor.weigh.surface import NAMES
 from regressor.weigh.view_features import view_features
 
 KEEP = 384
+GRAMS_PER_ML = (0.05, 20.0)
+"""No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
 READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, twin)
 PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
@@ -193,10 +196,33 @@ def _load_pack(
     file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
     if file is not None and (stored := _read_cache(file)) is not None:
         return stored
+    without = tubers_without_views(folder, split=split)
     data = _prepare_all(read_labelled(folder, split=split), folder, keep, asked, progress)
+    _check_unit(data, folder)
+    data = replace(data, refused={**data.refused, "tubers_without_views": without}) if without else data
     if file is not None:
         _write_cache(file, data)
     return data
+
+
+def _check_unit(data: CloudSet, folder: Path) -> None:
+    """Refuse weights that no crop can have for its volume: kilograms, or a volume from a wrong depth or belt distance.
+
+    Raises:
+        InputError: the median is out of `GRAMS_PER_ML`.
+    """
+    known = np.isfinite(data.weight_g)
+    if not known.any():
+        return
+    weight_g = float(np.median(data.weight_g[known]))
+    volume_ml = float(np.median(data.features[known, NAMES.index("volume_ml")]))
+    low, high = GRAMS_PER_ML
+    if not low <= weight_g / volume_ml <= high:
+        raise InputError(
+            f"{folder}: a median weight of {weight_g:.3g} stands beside a median visible volume of {volume_ml:.3g} ml; "
+            f"allowed are {low:g} to {high:g} g a ml. Check that weights are grams, that belt distances are metres "
+            "from the camera to the belt, and the depth images' scale"
+        )
 
 
 def joined(sets: list[CloudSet]) -> CloudSet:

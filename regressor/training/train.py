@@ -52,7 +52,10 @@ class Training:
 
     def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
         if len(data) < settings.batch:
-            raise InputError(f"{len(data)} training views are fewer than one batch of {settings.batch}")
+            raise InputError(
+                f"{len(data)} training views are fewer than one batch of {settings.batch}: give more views, or a "
+                "smaller --batch"
+            )
         self.device = usable_device(settings.device)
         torch.manual_seed(settings.seed)
         self.settings = settings

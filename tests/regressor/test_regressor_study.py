@@ -59,7 +59,7 @@ def test_splits_are_written_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--force"):
         write_splits(tmp_path)
     (tmp_path / "ground_truth.csv").write_text("label,weight_g_inctack\nT1,heavy\n", encoding="utf-8")
-    with pytest.raises(InputError, match="a number"):
+    with pytest.raises(InputError, match="'heavy', which is no number of grams"):
         write_splits(tmp_path, force=True)
 
 
