@@ -80,6 +80,9 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"begun otherwise: epochs 0.3, now 0.6\. Trials are compared"):
         # Trials of other lengths were ranked in one table, and taught the sampler.
         search(large, data, replace(settings, epochs=0.6), storage=tmp_path / "search.db", trials=3)
+    with pytest.raises(InputError, match="12 training views are fewer than the largest batch that is tried, 64"):
+        # Optuna told it with a traceback, and not before a trial drew that batch.
+        search(data, data, settings, storage=tmp_path / "small.db", trials=1)
     with pytest.raises(InputError, match="validation views"):
         search(large, large, settings, storage=tmp_path / "search.db", trials=3)
 
