@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from regressor.studies.ablate import RULES
 from regressor.studies.drift import SHIFTS, drift, write_drift
 from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, evaluate
 from regressor.studies.page import evaluation_page
-from regressor.studies.report import write_report
+from regressor.studies.report import write_plots, write_report
 from regressor.studies.search import search
 from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
@@ -197,6 +198,17 @@ def test_one_tuber_is_evaluated_without_baselines(tmp_path: Path) -> None:
     told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
     assert json.loads(told, parse_constant=pytest.fail) == measured
     assert "Baselines are left out" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_plot_of_few_tubers_is_quiet(tmp_path: Path) -> None:
+    """Weight classes without a tuber were told to the user as four lines of NumPy's warnings."""
+    pytest.importorskip("matplotlib")
+    write_pack(tmp_path / "few", tubers=3, views=1, seed=3)
+    result = evaluate(tmp_path / "few", Weigher.load())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        (path,) = write_plots(result, tmp_path)
+    assert path.stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("option", "value"), [("batch", 0), ("minutes", 0.0), ("epochs", -1.0), ("lr", np.nan)])
