@@ -61,16 +61,55 @@ def group_prefix(
             so that no more is sampled than that. None is all.
     """
     used = min(len(cloud), points)
-    count1, count2 = stage_counts(used)
+    count2 = stage_counts(used)[1]
     free = radius_is_free_of(cloud)
     if free and centroids is not None:
         count2 = min(count2, centroids)
     first = cloud[farthest_points(cloud, min(used, max(NEIGHBOURS, count2)))]
-    groups = _padded(first[:NEIGHBOURS], first[: min(NEIGHBOURS, count1)], first[:count2])
+    groups = _prefixes(first, used)
     if free or _all_within_radii(groups):
         return groups
-    ordered = cloud[farthest_points(cloud, used)]
-    return gather_groups(ordered, np.arange(count1))
+    return gather_prefix(cloud[farthest_points(cloud, used)], of=used)
+
+
+def group_sampled(first: NDArray[np.float32], *, of: int, points: int = CLOUD_POINTS) -> SharedGroups | GatheredGroups:
+    """Groups of a whole cloud as `group_prefix` makes them, from its first points in sampling order.
+
+    Where a radius binds, neighbours are looked for among the points that are here: the same ones if each centroid finds
+    64 of them.
+
+    Args:
+        first: (M, 3) float32, centred, metres; at least as many as the second stage has centroids, or all.
+        of: how many the whole cloud has. points: how many the network is given of a larger cloud.
+    """
+    used = min(of, points)
+    first = first[:used]
+    groups = _prefixes(first, used)
+    return groups if radius_is_free(groups, first) else gather_prefix(first, of=used)
+
+
+def general_groups(
+    clouds: NDArray[np.float32], of: NDArray[np.int64], *, points: int = CLOUD_POINTS
+) -> list[GatheredGroups] | None:
+    """The general form of each cloud of a batch where a radius binds in one of them; None where none does.
+
+    Args:
+        clouds: (B, M, 3) float32, first points in sampling order, as in `group_sampled`. of: (B,) points of the whole
+            clouds. points: how many the network is given of a larger one.
+    """
+    if all(radius_is_free_of(cloud) for cloud in clouds):
+        return None
+    groups = [group_sampled(cloud, of=int(n), points=points) for cloud, n in zip(clouds, of, strict=True)]
+    if not any(isinstance(group, GatheredGroups) for group in groups):
+        return None
+    used = [min(int(n), points) for n in of]
+    return [gather_prefix(cloud[:n], of=n) for cloud, n in zip(clouds, used, strict=True)]
+
+
+def gather_prefix(first: NDArray[np.float32], *, of: int) -> GatheredGroups:
+    """The general form of a cloud of `of` points from its first (M, 3) in sampling order."""
+    count1, count2 = stage_counts(of)
+    return gather_groups(first, np.arange(min(count1, len(first))), count2)
 
 
 def group_given(points: NDArray[np.float32], *, start: int = 0) -> SharedGroups | GatheredGroups:
@@ -84,7 +123,7 @@ def group_given(points: NDArray[np.float32], *, start: int = 0) -> SharedGroups 
     groups = _padded(points[:NEIGHBOURS], points[order[:NEIGHBOURS]], points[order[:count2]])
     if radius_is_free(groups, points):
         return groups
-    return gather_groups(points, farthest_points(points, count1, start=start))
+    return gather_groups(points, farthest_points(points, count1, start=start), count2)
 
 
 def group_random(cloud: NDArray[np.float32], *, seed: int, points: int = CLOUD_POINTS) -> SharedGroups | GatheredGroups:
@@ -111,6 +150,12 @@ def stage_counts(points: int) -> tuple[int, int]:
     """Centroids of both stages for a cloud of `points`, rounded up as in the reference."""
     count1 = int(np.ceil(np.float32(points) * np.float32(RATIO_1)))
     return count1, int(np.ceil(np.float32(count1) * np.float32(RATIO_2)))
+
+
+def _prefixes(first: NDArray[np.float32], used: int) -> SharedGroups:
+    """The three lists of a cloud of `used` points, each a prefix of its `first` ones in sampling order."""
+    count1, count2 = stage_counts(used)
+    return _padded(first[:NEIGHBOURS], first[: min(NEIGHBOURS, count1)], first[:count2])
 
 
 def _padded(
@@ -152,10 +197,10 @@ def _all_within(a: NDArray[np.float32], b: NDArray[np.float32], radius_m: float)
     return bool((square < np.float32(radius_m * radius_m)).all())
 
 
-def gather_groups(points: NDArray[np.float32], order1: NDArray[np.int64]) -> GatheredGroups:
-    """The general form: (N, 3) points and the order in which stage one samples them."""
+def gather_groups(points: NDArray[np.float32], order1: NDArray[np.int64], count2: int) -> GatheredGroups:
+    """The general form: (N, 3) points, in which order stage one samples them, how many centroids stage two has."""
     all1 = points[order1]
-    centroids2 = all1[: stage_counts(len(points))[1]]
+    centroids2 = all1[:count2]
     reads = _filled(first_in_range(all1, centroids2, RADIUS_2_M, NEIGHBOURS))
     read, inverse = np.unique(reads, return_inverse=True)
     centroids1 = all1[read]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import torch
 from torch import Tensor
 
+from regressor.network.grouped import gathered_forward
+from regressor.network.grouping import GatheredGroups
 from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
 from regressor.network.reduced import FULL, Resolution, reduced_forward
@@ -32,11 +35,15 @@ def run_network(
     *,
     resolution: Resolution = FULL,
     compute: torch.dtype | None = None,
+    groups: Sequence[GatheredGroups] | None = None,
 ) -> Tensor:
     """(B,) grams of (B, N, 3) clouds, centred, metres, in sampling order, and (B,) clamped heights.
 
-    PointRAFT reads the points that `resolution` names, PointNet all of them and no height.
+    PointRAFT reads the points that `resolution` names, or the clouds' `groups` where a radius binds in one of them;
+    PointNet reads all points and no height.
     """
     if isinstance(model, PointNet):
         return model(points, compute=compute)  # type: ignore[no-any-return]
+    if groups is not None:
+        return gathered_forward(model, groups, heights_m, centroids=resolution.centroids, compute=compute)
     return reduced_forward(model, points, heights_m, resolution=resolution, compute=compute)

@@ -102,14 +102,14 @@ class SetAbstraction(nn.Module):
         centroids, edges, offsets = [], [], []
         first_point = first_centroid = 0
         for cloud in clouds:
-            points = cloud.detach().to(torch.float32).numpy()
+            points = cloud.detach().to(torch.float32).cpu().numpy()
             picked = self.sample(points, int(np.ceil(np.float32(len(points)) * np.float32(self.ratio))))
             found = torch.from_numpy(first_in_range(points, points[picked], self.radius_m, NEIGHBOURS))
             target, slot = torch.nonzero(found >= 0, as_tuple=True)
             source = found[target, slot]
             centroid = cloud[torch.from_numpy(picked)]
             offsets.append(cloud[source] - centroid[target])
-            edges.append(torch.stack([source + first_point, target + first_centroid]))
+            edges.append(torch.stack([source + first_point, target + first_centroid]).to(cloud.device))
             centroids.append(centroid)
             first_point += len(cloud)
             first_centroid += len(centroid)

@@ -53,10 +53,33 @@ def reduced_forward(
     """
     neighbours = points[:, : resolution.neighbours]
     centroids = points[:, : resolution.centroids]
-    stage1 = edge_features(model.sa1_module.conv.local_nn, neighbours, neighbours, compute)
-    pairs = torch.cat([stage1, neighbours], dim=2)
-    stage2 = edge_features(model.sa2_module.conv.local_nn, pairs, centroids, compute)
-    described = global_feature(model.sa3_module.nn, torch.cat([stage2, centroids], dim=2), compute)
+    return shared_forward(model, neighbours, neighbours, centroids, heights_m, compute=compute)
+
+
+def shared_forward(
+    model: PointRaft,
+    neighbours: Tensor,
+    centroids1: Tensor,
+    centroids2: Tensor,
+    heights_m: Tensor,
+    *,
+    resolution: Resolution = FULL,
+    compute: torch.dtype | None = None,
+) -> Tensor:
+    """(B,) grams from the three lists of `SharedGroups`, (B, n, 3) each, metres, and (B,) clamped heights.
+
+    Of `centroids2` those are used that `resolution` names. All else as in `reduced_forward`.
+    """
+    centroids2 = centroids2[:, : resolution.centroids]
+    stage1 = edge_features(model.sa1_module.conv.local_nn, neighbours, centroids1, compute)
+    pairs = torch.cat([stage1, centroids1], dim=2)
+    stage2 = edge_features(model.sa2_module.conv.local_nn, pairs, centroids2, compute)
+    return grams_of(model, torch.cat([stage2, centroids2], dim=2), heights_m, compute)
+
+
+def grams_of(model: PointRaft, centroids: Tensor, heights_m: Tensor, compute: torch.dtype | None) -> Tensor:
+    """(B,) grams: global stage and head over (B, C, 259) features and places of the second stage's centroids."""
+    described = global_feature(model.sa3_module.nn, centroids, compute)
     if model.height_embed is not None:
         described = torch.cat([described, model.height_embed(heights_m[:, None])], dim=1)
     out: Tensor = model.regression_head(described)

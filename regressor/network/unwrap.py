@@ -42,10 +42,11 @@ def state_dict_within(saved: Any, *, where: Path) -> dict[str, Tensor]:
 def objects_within(refusal: str) -> str:
     """Why torch refuses to load a file that would have to run code; goes after 'weights FILE'."""
     named = re.search(r"GLOBAL ([\w.]+)", refusal)
-    what = f"Python objects ({named[1]})" if named else "no tensors alone"
+    if named is None:
+        return "are no safetensors file or PyTorch state dict: give the .safetensors or the authors' .pth file"
     return (
-        f"hold {what}, and loading those would run code from the file: where you trust it, load it yourself and save "
-        "its tensors with torch.save(checkpoint['state_dict'], NAME)"
+        f"hold Python objects ({named[1]}), and loading those would run code from the file: where you trust it, load "
+        "it yourself and save its tensors with torch.save(checkpoint['state_dict'], NAME)"
     )
 
 

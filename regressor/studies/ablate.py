@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from regressor.network.checkpoint import read_checkpoint
 from regressor.studies.alone import load_scale
 from regressor.studies.evaluate import (
     LINEAR_BOX,
@@ -19,9 +20,10 @@ from regressor.studies.evaluate import (
     evaluate,
     method_scores,
 )
+from regressor.training.begun import differences, digest_of
 from regressor.training.labelled import part_of
 from regressor.training.recipe import TrainSettings
-from regressor.training.run import RunOptions, train
+from regressor.training.run import STATE, WEIGHTS, RunOptions, load_sets, train
 from regressor.training.train import Training
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -62,12 +64,13 @@ def ablate(
     Weights already in `<out>/<name>` are not trained again. The table is written after every variant.
 
     Raises:
-        InputError: a name that is not known.
+        InputError: a name that is not known, or weights there of another recipe or other training views.
     """
     unknown = [name for name in names if name not in VARIANTS]
     if unknown:
         raise InputError(f"unknown ablation {', '.join(unknown)}; known: {', '.join(VARIANTS)}")
     options = replace(options, cache=options.cache or options.out / "cache")
+    _check_finished(names, settings, options)
     table: Table = {}
     rules: Table = {}
     for name in names:
@@ -80,22 +83,49 @@ def ablate(
     return {**table, **rules}
 
 
+def _is_finished(out: Path) -> bool:
+    """A state says that a training is unfinished; without it the weights are final."""
+    return (out / WEIGHTS).is_file() and not (out / STATE).is_file()
+
+
+def _check_finished(names: Sequence[str], settings: TrainSettings, options: RunOptions) -> None:
+    """Before hours of training: a table compares trainings by one recipe on the same views.
+
+    Raises:
+        InputError: finished weights are of another one.
+    """
+    finished = [name for name in names if _is_finished(options.out / name)]
+    views = digest_of(load_sets(options, lambda what, done: None)[0]) if finished else ""
+    for name in finished:
+        weights = options.out / name / WEIGHTS
+        trained = read_checkpoint(weights)[1].training
+        changed = differences(trained.get("settings", {}), asdict(_of_variant(settings, name)))
+        if trained.get("data", views) != views:
+            changed.append("other training views")
+        if changed:
+            raise InputError(
+                f"{weights} was trained otherwise: {'; '.join(changed)}. A table compares trainings by one recipe: "
+                "give the options that it was trained with, or another --out"
+            )
+
+
+def _of_variant(settings: TrainSettings, name: str) -> TrainSettings:
+    return replace(settings, **VARIANTS[name])
+
+
 def _trained(name: str, settings: TrainSettings, options: RunOptions, on_step: Callable[[str, Training], None]) -> Path:
     out = options.out / name
-    weights = out / "weights.safetensors"
-    state = out / "state.pt"
-    if weights.is_file() and not state.is_file():
-        return weights
+    if _is_finished(out):
+        return out / WEIGHTS
     train(
-        replace(options, out=out, name=name, resume=state.is_file()),
-        replace(settings, **VARIANTS[name]),
+        replace(options, out=out, name=name, resume=(out / STATE).is_file()),
+        _of_variant(settings, name),
         on_prepared=lambda what, done: None,
         on_step=lambda training: on_step(name, training),
         on_validated=lambda training, metrics: None,
     )
-    # A state says that a training is unfinished; without it the weights are final.
-    state.unlink()
-    return weights
+    (out / STATE).unlink()
+    return out / WEIGHTS
 
 
 def _recipe_words(settings: TrainSettings, options: RunOptions, test: Path) -> str:

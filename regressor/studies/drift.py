@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter
 from conveyor.errors import InputError
 from regressor.studies.alone import Scale
 from regressor.studies.evaluate import NETWORK, SHIPPED, VOLUME_RULE, coverage, evaluate_views, method_scores
-from regressor.training.labelled import LabelledView, count_labelled, read_labelled
+from regressor.training.labelled import LabelledView, count_labelled, part_of, read_labelled
 from regressor.training.work import Work, no_work
 
 BASELINE_M = 0.018
@@ -39,10 +39,10 @@ def believe_belt(view: LabelledView, rng: Generator, *, error_m: float) -> Label
     return replace(view, belt_distance_m=view.belt_distance_m + error_m)
 
 
-def add_noise(view: LabelledView, rng: Generator, *, times: float) -> LabelledView:
-    """Correlated stereo noise added, until its sd is `times` the simulator's own."""
+def add_noise(view: LabelledView, rng: Generator, *, times: float) -> LabelledView | None:
+    """Correlated stereo noise added, until its sd is `times` the simulator's own; a cloud has no image to add it to."""
     if view.depth is None:
-        raise InputError("the noise shifts need depth images; this set holds clouds")
+        return None
     smooth = gaussian_filter(rng.standard_normal(view.depth.shape), SMOOTH_OVER_PX)
     smooth *= np.sqrt(times**2 - 1) * SMOOTH_NOISE_PX / smooth.std()
     z_m = view.depth * view.depth_scale_m
@@ -85,17 +85,20 @@ def drift(
 ) -> dict[str, Any]:
     """Figures of every shift of `data` and of every pack in `others`, by name, but those of fewer than 10 tubers.
 
+    Of a folder with a splits.csv its part 'test' is read.
+
     Raises:
-        InputError: a pack that cannot be read.
+        InputError: a pack that cannot be read, or none with enough tubers.
     """
     table: dict[str, Any] = {}
     cases: list[tuple[str, Path, Change]] = [(name, data, change) for name, change in SHIFTS.items()]
     cases += [(name, folder, SHIFTS["as it is"]) for name, folder in others.items()]
-    most = {folder: min(count_labelled(folder), max_views or MANY) for _, folder, _ in cases}
+    parts = {folder: part_of(folder, "test") for _, folder, _ in cases}
+    most = {folder: min(count_labelled(folder, split=part), max_views or MANY) for folder, part in parts.items()}
     total, before = sum(most[folder] for _, folder, _ in cases), 0
     for name, folder, change in cases:
         on_work(name, before, total)
-        views = list(_shifted(folder, change, np.random.default_rng(seed), max_views))
+        views = list(_shifted(folder, parts[folder], change, np.random.default_rng(seed), max_views))
         if len({view.tuber for view in views}) < MIN_TUBERS:
             before += most[folder]
             continue
@@ -104,6 +107,8 @@ def drift(
         result = evaluate_views(views, scale, where=f"{folder}, {name}", progress=said)
         scores = method_scores(result)
         table[name] = {"methods": {method: scores[method] for method in METHODS}, "coverage": coverage(result)}
+    if not table:
+        raise InputError(f"{data} holds fewer than {MIN_TUBERS} tubers: nothing can be said of a shift")
     return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table}
 
 
@@ -111,9 +116,11 @@ def _said(on_work: Work, name: str, before: int, total: int, done: int) -> None:
     on_work(name, min(before + done, total), total)
 
 
-def _shifted(folder: Path, change: Change, rng: Generator, max_views: int | None) -> Iterator[LabelledView]:
+def _shifted(
+    folder: Path, part: str | None, change: Change, rng: Generator, max_views: int | None
+) -> Iterator[LabelledView]:
     made = 0
-    for view in read_labelled(folder):
+    for view in read_labelled(folder, split=part):
         shifted = change(view, rng)
         if shifted is None:
             continue

@@ -134,8 +134,9 @@ def write_plots(result: Evaluation, out: Path) -> list[Path]:
         cumulative.plot(error, np.linspace(0, 100, len(error)), color=colours[name], label=name)
         edges = np.quantile(truth, np.linspace(0, 1, 11))
         inside = np.clip(np.digitize(truth, edges) - 1, 0, 9)
-        middle = [truth[inside == i].mean() for i in range(10)]
-        mean = [np.abs(values - truth)[inside == i].mean() for i in range(10)]
+        filled = np.unique(inside)  # of few views some classes are empty
+        middle = [truth[inside == i].mean() for i in filled]
+        mean = [np.abs(values - truth)[inside == i].mean() for i in filled]
         over.plot(middle, mean, "o-", color=colours[name], label=name)
     cumulative.set(xlabel="absolute error [g]", ylabel="views [%]", xlim=(0, 80), ylim=(0, 100))
     over.set(xlabel="weight on the scale [g]", ylabel="mean absolute error [g]", ylim=(0, None))

@@ -42,10 +42,13 @@ def search(
         storage: SQLite file.
 
     Raises:
-        InputError: Optuna is not installed, or `storage` holds a search with other settings or on other views.
+        InputError: Optuna is not installed, too few views for the largest batch that is tried, or `storage` holds a
+            search with other settings or on other views.
     """
     optuna = needed("optuna", extra="train", what="a search")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if len(data) < max(BATCHES):
+        raise InputError(f"{len(data)} training views are fewer than the largest batch that is tried, {max(BATCHES)}")
 
     def mae_g(trial: Any) -> float:
         tried = replace(settings, **suggested(trial))
@@ -53,7 +56,13 @@ def search(
         while training.share < 1.0:
             training.step()
             on_step(trial.number, training)
-        predicted = predict(training.finished_model(), validation, highest_m=tried.max_height_m, resolution=tried.full)
+        predicted = predict(
+            training.finished_model(),
+            validation,
+            highest_m=tried.max_height_m,
+            points=tried.points,
+            resolution=tried.full,
+        )
         return float(np.abs(predicted - validation.weight_g).mean())
 
     storage.parent.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from regressor.network.grouping import radius_is_free_of
 from regressor.network.sampling import _farthest
 
 
@@ -91,13 +92,15 @@ def augmented_batch(
 
     Args:
         points: (B, M, 3) centred, metres. height_m: (B,) not clamped. weight_g: (B,).
-        highest_m: clamp of the height. count: points to sample.
+        highest_m: clamp of the height.
+        count: points to sample; all M where a moved cloud is wider than the smaller search radius, whose centroids find
+            neighbours of their own among them.
         resample: sample again from a random first point, with jitter; False takes the sampling of a prediction, which
             turns and flips leave as it is.
         power: of the scale that the target goes with: 3 for a weight or a volume, 1 for a length.
 
     Returns:
-        ((B, count, 3) in sampling order, (B,) clamped heights, (B,) weights), all float32.
+        ((B, count or M, 3) in sampling order, (B,) clamped heights, (B,) weights), all float32.
     """
     matrices, scale = draw_matrices(rng, len(points), settings)
     moved = points @ matrices.transpose(0, 2, 1)
@@ -106,6 +109,8 @@ def augmented_batch(
     height = height_m * scale
     if settings.height_sd_m:
         height = height + rng.normal(0.0, settings.height_sd_m, len(height))
+    if not all(radius_is_free_of(cloud) for cloud in moved):
+        count = points.shape[1]
     if not resample:
         sampled = np.ascontiguousarray(moved[:, :count])
     else:

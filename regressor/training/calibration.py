@@ -19,9 +19,9 @@ from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.studies.metrics import scores
+from regressor.training.answers import answers, asked_while_read
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN, part_of
-from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
@@ -183,10 +183,15 @@ def recalibrate(
         raise InputError(f"{weights} has no sidecar to calibrate: `tuberline import-checkpoint` makes one")
     split = part_of(data, "val")
     views = load_cloudset(
-        data, split=split, cache=cache, max_views=max_views, progress=preparing(data, on_work, split=split)
+        data,
+        split=split,
+        cache=cache,
+        max_views=max_views,
+        asked=asked_while_read(model, sidecar, compute=compute),
+        progress=preparing(data, on_work, split=split),
     )
     views = views.with_target(sidecar.target)
-    network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
+    network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule)

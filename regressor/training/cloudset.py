@@ -10,6 +10,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 
 from conveyor import depth_noise
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.formats import ply
 from conveyor.formats.packs import views as packed
 from conveyor.formats.plain import pinhole
@@ -30,12 +33,15 @@ from conveyor.formats.potatotwin.layout import SPLITS
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
 from regressor.training import labelled
-from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled
+from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled, tubers_without_views
 from regressor.weigh import outline, pixel_grid, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
+from regressor.weigh.surface import NAMES
 from regressor.weigh.view_features import view_features
 
 KEEP = 384
+GRAMS_PER_ML = (0.05, 20.0)
+"""No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
 READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, twin)
 PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
@@ -47,6 +53,18 @@ LABELS = (
 Target = Literal["weight_g", "volume_ml", "length_mm"]
 TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
 """What a network may learn, and the power of a tuber's scale that it grows with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A network that is asked of each whole cloud: a set keeps no more than its first points.
+
+    Attributes:
+        network_g: grams of a cloud. name: of all that its answers depend on; a cache is another one with another name.
+    """
+
+    network_g: Callable[[PreparedCloud], float | None]
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +81,7 @@ class CloudSet:
         tuber, cultivar, season, recording, preset, surface, pose, rim, calibrated: (n,) str.
         noise_px: (n,) local noise on the skin, NaN where it is not known (`PreparedCloud.noise_px`).
         points_in_cloud: (n,) how many points the whole cloud had.
+        network_g: (n,) float64, what the network said that was asked of the whole cloud; NaN where none was.
         refused: how many views could not be prepared, by reason.
     """
 
@@ -91,6 +110,7 @@ class CloudSet:
     calibrated: NDArray[np.str_]
     noise_px: NDArray[np.float64]
     points_in_cloud: NDArray[np.int64]
+    network_g: NDArray[np.float64]
     refused: dict[str, int]
 
     def __len__(self) -> int:
@@ -139,6 +159,7 @@ def load_cloudset(
     cache: Path | None = None,
     max_views: int | None = None,
     keep: int = KEEP,
+    asked: Asked | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> CloudSet:
     """All labelled views of `folder`, prepared.
@@ -148,6 +169,7 @@ def load_cloudset(
         cache: folder for the cache file; None prepares without one.
         max_views: take this many at most, evenly over the set.
         keep: points to keep of each cloud, in sampling order.
+        asked: who says something of each whole cloud.
         progress: called with the number of views done so far.
 
     Raises:
@@ -156,23 +178,51 @@ def load_cloudset(
     # Each pack has a cache of its own: one more pack prepares only itself.
     packs = sorted({path.parent for path in labelled_files(folder)}) if split is None else [folder]
     packs = packs if all(any(pack.glob("views-*.npz")) for pack in packs) else [folder]
-    data = joined([_load_pack(pack, split, cache, keep, progress) for pack in packs])
+    data = joined([_load_pack(pack, split, cache, keep, asked, progress) for pack in packs])
     if max_views is not None and max_views < len(data):
         data = data.subset(np.linspace(0, len(data) - 1, max_views).astype(np.int64))
     return data
 
 
 def _load_pack(
-    folder: Path, split: str | None, cache: Path | None, keep: int, progress: Callable[[int], None] | None
+    folder: Path,
+    split: str | None,
+    cache: Path | None,
+    keep: int,
+    asked: Asked | None,
+    progress: Callable[[int], None] | None,
 ) -> CloudSet:
-    key = _fingerprint(folder, split, keep)
+    key = _fingerprint(folder, split, keep, asked)
     file = cache / f"clouds-{folder.resolve().name}-{split or 'all'}-{key}.npz" if cache else None
-    if file is not None and file.is_file():
-        return _read_cache(file)
-    data = _prepare_all(read_labelled(folder, split=split), folder, keep, progress)
+    if file is not None and (stored := _read_cache(file)) is not None:
+        return stored
+    without = tubers_without_views(folder, split=split)
+    data = _prepare_all(read_labelled(folder, split=split), folder, keep, asked, progress)
+    _check_unit(data, folder)
+    data = replace(data, refused={**data.refused, "tubers_without_views": without}) if without else data
     if file is not None:
         _write_cache(file, data)
     return data
+
+
+def _check_unit(data: CloudSet, folder: Path) -> None:
+    """Refuse weights that no crop can have for its volume: kilograms, or a volume from a wrong depth or belt distance.
+
+    Raises:
+        InputError: the median is out of `GRAMS_PER_ML`.
+    """
+    known = np.isfinite(data.weight_g)
+    if not known.any():
+        return
+    weight_g = float(np.median(data.weight_g[known]))
+    volume_ml = float(np.median(data.features[known, NAMES.index("volume_ml")]))
+    low, high = GRAMS_PER_ML
+    if not low <= weight_g / volume_ml <= high:
+        raise InputError(
+            f"{folder}: a median weight of {weight_g:.3g} stands beside a median visible volume of {volume_ml:.3g} ml; "
+            f"allowed are {low:g} to {high:g} g a ml. Check that weights are grams, that belt distances are metres "
+            "from the camera to the belt, and the depth images' scale"
+        )
 
 
 def joined(sets: list[CloudSet]) -> CloudSet:
@@ -187,9 +237,10 @@ def joined(sets: list[CloudSet]) -> CloudSet:
     return CloudSet(**columns, refused=dict(refused))
 
 
-def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
-    """Changes with the input files (name, size, time) and with the code that reads and prepares them."""
-    digest = hashlib.sha256(json.dumps([keep, split]).encode())
+def _fingerprint(folder: Path, split: str | None, keep: int, asked: Asked | None) -> str:
+    """Changes with the input files (name, size, time), with the code that reads and prepares them and who is asked."""
+    columns = [f.name for f in fields(CloudSet)]
+    digest = hashlib.sha256(json.dumps([keep, split, asked and asked.name, columns]).encode())
     tables = [folder / SPLITS] if split is not None and (folder / SPLITS).is_file() else []
     for path in [*labelled_files(folder, split=split), *tables]:
         stat = path.stat()
@@ -200,9 +251,14 @@ def _fingerprint(folder: Path, split: str | None, keep: int) -> str:
 
 
 def _prepare_all(
-    views: Iterable[LabelledView], folder: Path, keep: int, progress: Callable[[int], None] | None
+    views: Iterable[LabelledView],
+    folder: Path,
+    keep: int,
+    asked: Asked | None,
+    progress: Callable[[int], None] | None,
 ) -> CloudSet:
     kept: list[tuple[LabelledView, NDArray[np.float32], PreparedCloud, int]] = []
+    network_g: list[float | None] = []
     refused: Counter[str] = Counter()
     for done, view in enumerate(views, start=1):
         try:
@@ -213,6 +269,7 @@ def _prepare_all(
         # The whole cloud is let go: its first points are what is kept of it.
         points = _first_points(cloud.points, keep)
         kept.append((view, points, replace(cloud, points=cloud.points[:0]), len(cloud.points)))
+        network_g.append(asked.network_g(cloud) if asked is not None else None)
         if progress is not None and done % 200 == 0:
             progress(done)
     if not kept:
@@ -224,6 +281,7 @@ def _prepare_all(
         features=np.stack([cloud.surface.as_array() for *_, cloud, _ in kept]),
         noise_px=np.array([math.nan if cloud.noise_px is None else cloud.noise_px for *_, cloud, _ in kept]),
         points_in_cloud=np.array([count for *_, count in kept]),
+        network_g=np.array([math.nan if grams is None else grams for grams in network_g]),
         refused=dict(refused),
         **{name: np.array([getattr(view, name) for view in labels]) for name in LABELS},
     )
@@ -235,15 +293,18 @@ def _first_points(points: NDArray[np.float32], keep: int) -> NDArray[np.float32]
 
 
 def _write_cache(file: Path, data: CloudSet) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
+    """Whole, or not at all: trainings that share a cache may write the same file at the same time."""
     arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "refused"}
-    partial = file.with_suffix(".partial.npz")
-    np.savez(partial, refused=json.dumps(data.refused), **arrays)
-    partial.replace(file)
+    with whole_output(file) as partial:
+        np.savez(partial, refused=json.dumps(data.refused), **arrays)
 
 
-def _read_cache(file: Path) -> CloudSet:
-    with np.load(file, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in stored.files}
-    arrays["refused"] = json.loads(str(arrays["refused"]))
-    return CloudSet(**arrays)
+def _read_cache(file: Path) -> CloudSet | None:
+    """What is stored there; None where nothing is, or nothing that can be read: it is prepared again then."""
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        arrays["refused"] = json.loads(str(arrays["refused"]))
+        return CloudSet(**arrays)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None

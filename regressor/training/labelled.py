@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.packs.views import PackedView, count_views, read_views, view_shards
 from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, SPLITS, TRUTH, is_potatotwin, twin_resting
-from conveyor.formats.potatotwin.views import TwinView, count_twin, read_twin
+from conveyor.formats.potatotwin.views import TwinView, count_twin, labels_without_views, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
@@ -150,6 +150,15 @@ def count_labelled(folder: Path, *, split: str | None = None) -> int:
     """
     files = labelled_files(folder, split=split)
     return sum(map(count_views, files)) if files[0].suffix == ".npz" else count_twin(folder, split=split)
+
+
+def tubers_without_views(folder: Path, *, split: str | None = None) -> int:
+    """How many labels of a 3DPotatoTwin folder's table have no view; a pack has no table.
+
+    Raises:
+        InputError: none of them has one.
+    """
+    return len(labels_without_views(folder, split=split)) if not view_shards(folder) else 0
 
 
 def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = "calibrated") -> Iterator[LabelledView]:

@@ -35,15 +35,18 @@ def run_training(
 
     Args:
         out: folder of `state.pt` and `log.csv`.
+        validate_minutes: between two validations; a training for its best epoch validates after each epoch instead.
         on_validated: called with the model, its validation predictions and whether it is the best so far.
         on_step: called after every step.
     """
     next_save = time.monotonic() + 60 * save_minutes
     next_validation = time.monotonic() + 60 * validate_minutes
     while training.share < 1.0:
+        epoch = int(training.epoch)
         training.step()
         on_step(training)
-        if time.monotonic() >= next_validation:
+        due = int(training.epoch) > epoch if training.settings.best_epoch else time.monotonic() >= next_validation
+        if due and training.share < 1.0:
             _validate(training, out, on_validated, final=False)
             next_validation = time.monotonic() + 60 * validate_minutes
         if time.monotonic() >= next_save:
@@ -65,14 +68,16 @@ def _validate(
         model,
         training.validation,
         highest_m=training.settings.max_height_m,
+        points=training.settings.points,
         resolution=training.settings.full,
         compute=None if final else training.compute,
     )
     residual = torch.from_numpy(predicted - training.validation.weight_g)
     loss = float(nn.functional.smooth_l1_loss(residual, torch.zeros_like(residual), beta=training.settings.beta_g))
     mae = float(residual.abs().mean())
-    best = mae < training.progress.best_mae_g
-    training.progress.best_mae_g = min(mae, training.progress.best_mae_g)
+    progress = training.progress
+    best = loss < progress.best_loss if training.settings.best_epoch else mae < progress.best_mae_g
+    progress.best_mae_g, progress.best_loss = min(mae, progress.best_mae_g), min(loss, progress.best_loss)
     _log(training, out / "log.csv", loss, mae)
     on_validated(model, predicted, best)
     return model
@@ -86,8 +91,7 @@ def _log(training: Training, path: Path, val_loss: float, val_mae_g: float) -> N
         writer = csv.writer(file)
         if fresh:
             writer.writerow(LOG_FIELDS)
-        epoch = progress.step * training.settings.batch / len(training.data)
-        rate = training.settings.learning_rate(share)
+        epoch, rate = training.epoch, training.settings.learning_rate(share)
         figures = (share, resolution.neighbours, resolution.centroids, rate, progress.loss, val_loss, val_mae_g)
         writer.writerow(
             [f"{progress.seconds / 60:.2f}", progress.step, f"{epoch:.3f}", *(f"{value:.5g}" for value in figures)]

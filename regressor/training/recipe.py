@@ -38,6 +38,8 @@ class TrainSettings:
         points: of a cloud that the network is given: 1024, or 512 or 2048 as in the paper's ablation.
         max_height_m: clamp of the height above the belt. The paper's 80 mm hide how tall an upright tuber is.
         frozen_share: last share of the training with batch-norm statistics fixed at their average: it halved the loss.
+        best_epoch: write the weights of the epoch with the least validation loss, as the paper's code does, instead of
+            the last ones.
         compute: 'float32', or 'bfloat16' for the wide products.
         device: 'cpu', or 'cuda' where there is a GPU; clouds are drawn and augmented on the CPU either way.
     """
@@ -61,6 +63,7 @@ class TrainSettings:
     points: int = CLOUD_POINTS
     max_height_m: float = 0.16
     frozen_share: float = 0.35
+    best_epoch: bool = False
     compute: str = "float32"
     device: str = "cpu"
     seed: int = 133
@@ -96,6 +99,7 @@ class TrainSettings:
             average=0.0,
             max_height_m=MAX_HEIGHT_M,
             frozen_share=0.0,
+            best_epoch=True,
             augmentation=Augmentation.paper(),
         )
 

@@ -18,6 +18,7 @@ from regressor.network.checkpoint import InputSpec, Range, Sidecar, read_checkpo
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
 from regressor.studies.metrics import scores
+from regressor.training.begun import digest_of
 from regressor.training.calibration import calibration
 from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
 from regressor.training.labelled import part_of
@@ -26,6 +27,9 @@ from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
 from regressor.weigh.blend import BlendRule, best_share, blend
 from regressor.weigh.volume import VolumeRule, fit_volume_rule
+
+WEIGHTS, LATEST, STATE = "weights.safetensors", "latest.safetensors", "state.pt"
+"""What a training writes: what it is for, where it stands if those are better ones, and all that is needed to go on."""
 
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
@@ -84,19 +88,18 @@ def train(
     training = Training(data, validation, settings)
     if options.start is not None:
         training.start_from(read_checkpoint(options.start)[0])
-    state = options.out / "state.pt"
+    state = options.out / STATE
     if options.resume:
         training.restore(load_state(state))
     elif state.is_file():
         raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     options.out.mkdir(parents=True, exist_ok=True)
-    result: list[Sidecar] = []
 
     def write(model: Network, predicted: NDArray[np.float64], best: bool) -> None:
         sidecar = make_sidecar(training, predicted, rule, options)
         on_validated(training, sidecar.metrics)
-        name = "weights.safetensors" if best or training.share >= 1.0 else "latest.safetensors"
-        result.append(save_checkpoint(options.out / name, model.state_dict(), sidecar))
+        ends = training.share >= 1.0 and not settings.best_epoch
+        save_checkpoint(options.out / (WEIGHTS if best or ends else LATEST), model.state_dict(), sidecar)
 
     run_training(
         training,
@@ -106,7 +109,7 @@ def train(
         on_validated=write,
         on_step=on_step,
     )
-    return result[-1]
+    return read_checkpoint(options.out / WEIGHTS)[1]
 
 
 def load_sets(
@@ -201,6 +204,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         training={
             "command": options.command,
             "views": len(data),
+            "data": digest_of(data),
             "tubers": len(np.unique(data.tuber)),
             "refused_views": data.refused,
             "hours": round(progress.seconds / 3600, 3),

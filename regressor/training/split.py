@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.potatotwin.layout import read_truth
+from conveyor.formats.potatotwin.layout import read_truth, weight_said
 
 PARTS = ("train", "val", "test")
 SHARES = (0.6, 0.2, 0.2)
@@ -72,9 +72,8 @@ def _weights(table: Path) -> tuple[list[str], NDArray[np.float64]]:
         raise InputError(f"table {table} cannot be read: there is no such file")
     rows = read_truth(table.parent)
     unknown = [label for label, row in rows.items() if row.weight_g is None]
-    if unknown or not rows:
-        raise InputError(
-            f"table {table} needs the columns label and weight_g_inctack (a number): "
-            f"{f'{len(unknown)} labels have none, the first is {unknown[0]!r}' if unknown else 'it has no rows'}"
-        )
+    if not rows:
+        raise InputError(f"table {table} has no rows")
+    if unknown:
+        raise InputError(f"table {table}: {weight_said(table.parent, unknown[0])} ({len(unknown)} labels have none)")
     return list(rows), np.array([row.weight_g for row in rows.values()], np.float64)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.studies.metrics import scores
+from regressor.training.answers import answers, asked_while_read
 from regressor.training.cloudset import CloudSet, joined, load_cloudset
 from regressor.training.labelled import part_of
-from regressor.training.train import predict_swiftly
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, BlendRule, best_share, fit_blend
 from regressor.weigh.quadratic import QuadraticRule, fit_quadratic
@@ -55,10 +55,13 @@ def restack(
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
         raise InputError(f"{weights} has no sidecar to write to: `tuberline import-checkpoint` makes one")
     seen, views = (
-        load_cloudset(folder, split=split, cache=cache, progress=preparing(folder, on_work, split=split)).with_target(
-            sidecar.target
+        load_cloudset(
+            folder, split=split, cache=cache, asked=asked, progress=preparing(folder, on_work, split=split)
+        ).with_target(sidecar.target)
+        for folder, split, asked in (
+            (data, part_of(data, "train"), None),
+            (unseen, part_of(unseen, "val"), asked_while_read(model, sidecar, compute=compute)),
         )
-        for folder, split in ((data, part_of(data, "train")), (unseen, part_of(unseen, "val")))
     )
     seen, views = seen.subset(seen.clean), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
@@ -67,7 +70,7 @@ def restack(
             f"{MIN_RECORDINGS} are needed: a blend is fitted over recordings, each of which shares one belt and one "
             "camera"
         )
-    network_g = predict_swiftly(model, views, highest_m=sidecar.input.max_height_m, compute=compute, on_work=on_work)
+    network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)
     known = all(np.isfinite(getattr(part, name)).all() for part in (seen, views) for name in SEEN)
     volume_g, found = cross_fitted(seen, views, with_seen=known and correction)
     everything = joined([seen, views])

@@ -19,6 +19,8 @@ from torch import Tensor, nn
 
 from conveyor.errors import InputError, TuberlineError
 from regressor.network.device import usable_device
+from regressor.network.grouped import grouped_forward
+from regressor.network.grouping import CLOUD_POINTS, GatheredGroups, general_groups, group_sampled
 from regressor.network.networks import POINTNET_POINTS, Network, new_network, run_network
 from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import NEIGHBOURS
@@ -41,6 +43,7 @@ class Progress:
     seconds: float = 0.0
     loss: float = float("nan")
     best_mae_g: float = float("inf")
+    best_loss: float = float("inf")
     frozen: bool = False
 
 
@@ -49,7 +52,10 @@ class Training:
 
     def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
         if len(data) < settings.batch:
-            raise InputError(f"{len(data)} training views are fewer than one batch of {settings.batch}")
+            raise InputError(
+                f"{len(data)} training views are fewer than one batch of {settings.batch}: give more views, or a "
+                "smaller --batch"
+            )
         self.device = usable_device(settings.device)
         torch.manual_seed(settings.seed)
         self.settings = settings
@@ -72,6 +78,11 @@ class Training:
         return min(1.0, self.progress.step / max(1, self.total_steps))
 
     @property
+    def epoch(self) -> float:
+        """Passes over the training set so far."""
+        return self.progress.step * self.settings.batch / len(self.data)
+
+    @property
     def total_steps(self) -> int:
         """Steps of a training by epochs."""
         return round(self.settings.epochs * len(self.data) / self.settings.batch)
@@ -82,7 +93,7 @@ class Training:
         share = self.share
         for group in self.optimiser.param_groups:
             group["lr"] = self.settings.learning_rate(share)
-        points, heights, weights = self._batch(self.rng)
+        points, heights, weights, groups = self._batch(self.rng)
         self.model.train()
         if share >= 1 - self.settings.frozen_share:
             self._freeze()
@@ -91,7 +102,12 @@ class Training:
                     module.eval()
         self.optimiser.zero_grad(set_to_none=True)
         predicted = run_network(
-            self.model, points, heights, resolution=self.settings.resolution(share), compute=self.compute
+            self.model,
+            points,
+            heights,
+            resolution=self.settings.resolution(share),
+            compute=self.compute,
+            groups=groups,
         )
         loss = nn.functional.smooth_l1_loss(predicted, weights, beta=self.settings.beta_g)
         if not torch.isfinite(loss):
@@ -119,7 +135,8 @@ class Training:
         """The last part of the training: clouds drawn as they come, and sampled as a prediction samples them."""
         return not self.settings.balanced or self.share >= 1 - self.settings.natural_share
 
-    def _batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def _batch(self, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor, list[GatheredGroups] | None]:
+        """(clouds, clamped heights, weights) and, where a radius binds in one of the clouds, the groups of all."""
         natural = self.natural
         rows = rng.choice(len(self.data), self.settings.batch, p=None if natural else self._weights)
         arrays = augmented_batch(
@@ -133,8 +150,11 @@ class Training:
             resample=not (natural and self.settings.natural_share > 0),
             power=TARGET_POWER[self.settings.target],
         )
+        groups = None
+        if self.settings.network != "pointnet":
+            groups = general_groups(arrays[0], self.data.points_in_cloud[rows], points=self.settings.points)
         points, heights, weights = (torch.from_numpy(np.ascontiguousarray(array)).to(self.device) for array in arrays)
-        return points, heights, weights
+        return points, heights, weights, groups
 
     def _update_average(self) -> None:
         # The average starts short, so that it forgets the first steps' weights.
@@ -259,26 +279,35 @@ def predict(
     data: CloudSet,
     *,
     highest_m: float,
+    points: int = CLOUD_POINTS,
     resolution: Resolution = FULL,
     batch: int = 32,
     compute: torch.dtype | None = None,
     on_views: Callable[[int, int], None] = lambda done, of: None,
 ) -> NDArray[np.float64]:
-    """(n,) grams, PointRAFT's on the reduced graph. `on_views` is told how many are done, and of how many."""
+    """(n,) grams, as weights that sample from a cloud's first point on weigh these clouds.
+
+    Args:
+        points: how many the network is given of a larger cloud.
+        on_views: told how many are done, and of how many.
+    """
     model.eval()
     device = next(model.parameters()).device
-    used = POINTNET_POINTS if isinstance(model, PointNet) else max(NEIGHBOURS, resolution.centroids)
     out = []
     with torch.inference_mode():
         for begin in range(0, len(data), batch):
-            rows = slice(begin, begin + batch)
-            heights = np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)
-            points = torch.from_numpy(np.ascontiguousarray(data.points[rows, :used]))
-            weights = run_network(
-                model, points.to(device), torch.from_numpy(heights).to(device), resolution=resolution, compute=compute
-            )
+            rows = range(begin, min(begin + batch, len(data)))
+            heights = torch.from_numpy(np.clip(data.height_m[rows], 0.0, highest_m).astype(np.float32)).to(device)
+            if isinstance(model, PointNet):
+                clouds = torch.from_numpy(data.points[rows, :POINTNET_POINTS])
+                weights = run_network(model, clouds.to(device), heights, compute=compute)
+            else:
+                groups = [
+                    group_sampled(data.points[row], of=int(data.points_in_cloud[row]), points=points) for row in rows
+                ]
+                weights = grouped_forward(model, groups, heights, resolution=resolution, compute=compute)
             out.append(weights.cpu().numpy())
-            on_views(min(begin + batch, len(data)), len(data))
+            on_views(rows.stop, len(data))
     return np.concatenate(out).astype(np.float64)
 
 
@@ -287,6 +316,7 @@ def predict_swiftly(
     data: CloudSet,
     *,
     highest_m: float,
+    points: int = CLOUD_POINTS,
     compute: torch.dtype | None = None,
     on_work: Work = no_work,
 ) -> NDArray[np.float64]:
@@ -295,6 +325,7 @@ def predict_swiftly(
         model,
         data,
         highest_m=highest_m,
+        points=points,
         resolution=SWIFT,
         compute=compute,
         on_views=lambda done, of: on_work("weighing", done, of),

@@ -88,12 +88,14 @@ def ellipsoid_view(
     )
 
 
-def write_pack(folder: Path, *, tubers: int, views: int, seed: int) -> None:
-    """A view pack of ellipsoids, weight = 1.07 g/ml times their volume."""
+def write_pack(
+    folder: Path, *, tubers: int, views: int, seed: int, half_axes_m: tuple[float, float, float] = (0.04, 0.032, 0.027)
+) -> None:
+    """A view pack of ellipsoids of about these half axes, weight = 1.07 g/ml times their volume."""
     rng = np.random.default_rng(seed)
     made = [
         (tuber, axes, ellipsoid_view(axes, centre_m=(float(rng.normal(0, 0.05)), float(rng.normal(0, 0.03)))))
-        for tuber, axes in enumerate(map(tuple, np.exp(rng.normal(np.log([0.04, 0.032, 0.027]), 0.2, (tubers, 3)))))
+        for tuber, axes in enumerate(map(tuple, np.exp(rng.normal(np.log(half_axes_m), 0.2, (tubers, 3)))))
         for _ in range(views)
     ]
     volume_ml = np.array([4e6 / 3 * np.pi * np.prod(axes) for _, axes, _ in made])

@@ -251,3 +251,12 @@ def test_a_checkpoint_without_one_is_refused_by_name(saved: object, words: str, 
     with pytest.raises(InputError, match=words) as refused:
         load_checkpoint(tmp_path / "w.ckpt")
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("content", [b"label,weight\na,1\n", b"\x08\x07\x12\x07pytorch"])
+def test_a_file_of_another_kind_is_no_checkpoint(content: bytes, tmp_path: Path) -> None:
+    """Of a table and of an ONNX file it was said that they would run code when they are loaded."""
+    (tmp_path / "w.pth").write_bytes(content)
+    with pytest.raises(InputError, match=r"w\.pth are no safetensors file or PyTorch state dict") as refused:
+        load_checkpoint(tmp_path / "w.pth")
+    assert "\n" not in str(refused.value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from regressor.studies.ablate import RULES
 from regressor.studies.drift import SHIFTS, drift, write_drift
 from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, evaluate
 from regressor.studies.page import evaluation_page
-from regressor.studies.report import write_report
+from regressor.studies.report import write_plots, write_report
 from regressor.studies.search import search
 from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
@@ -25,6 +26,7 @@ from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.split import stratified_split, write_splits
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
+from tests.regressor.twin_folder import write_parts, write_twin
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_splits_are_written_once(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--force"):
         write_splits(tmp_path)
     (tmp_path / "ground_truth.csv").write_text("label,weight_g_inctack\nT1,heavy\n", encoding="utf-8")
-    with pytest.raises(InputError, match="a number"):
+    with pytest.raises(InputError, match="'heavy', which is no number of grams"):
         write_splits(tmp_path, force=True)
 
 
@@ -79,6 +81,9 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"begun otherwise: epochs 0.3, now 0.6\. Trials are compared"):
         # Trials of other lengths were ranked in one table, and taught the sampler.
         search(large, data, replace(settings, epochs=0.6), storage=tmp_path / "search.db", trials=3)
+    with pytest.raises(InputError, match="12 training views are fewer than the largest batch that is tried, 64"):
+        # Optuna told it with a traceback, and not before a trial drew that batch.
+        search(data, data, settings, storage=tmp_path / "small.db", trials=1)
     with pytest.raises(InputError, match="validation views"):
         search(large, large, settings, storage=tmp_path / "search.db", trials=3)
 
@@ -134,6 +139,30 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
         evaluation_page(folder, folder, ablation=None, drift=None, speed=tmp_path, image=None)
 
 
+def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
+    """It weighed all of a folder with a splits.csv, the tubers of its training too."""
+    labels = write_twin(tmp_path, tubers=14)
+    write_parts(tmp_path, {"train": labels[:3], "val": labels[3:4], "test": labels[4:]})
+    seen: set[int | None] = set()
+    measured = drift(
+        tmp_path, {"again": tmp_path}, Weigher.load(), max_views=None, on_work=lambda words, done, of: seen.add(of)
+    )
+    assert measured["shifts"]["as it is"]["methods"][SHIPPED]["views"] == 10
+    assert measured["shifts"]["again"]["methods"][SHIPPED]["views"] == 10
+    assert seen == {10 * (len(SHIFTS) + 1)}
+    write_parts(tmp_path, {"train": labels[:5], "test": labels[5:]})
+    with pytest.raises(InputError, match=r"fewer than 10 tubers: nothing can be said"):
+        drift(tmp_path, {}, Weigher.load(), max_views=None)
+
+
+def test_noise_is_added_to_images_alone(pack: Path, rng: np.random.Generator) -> None:
+    """One shift that a set of clouds cannot take ended the command, after five others were weighed."""
+    view = next(read_labelled(pack))
+    cloud = replace(view, depth=None, cloud=np.zeros((40, 3)))
+    assert SHIFTS["noise x2"](cloud, rng) is None
+    assert SHIFTS["belt 3 mm nearer than believed"](cloud, rng) is not None
+
+
 def test_another_crop_in_the_same_layout(tmp_path: Path) -> None:
     """Apples, nearly round, seen from 0.42 m in a season of their own: docs/pointraft.md, another crop."""
     images = tmp_path / "1_rgbd" / "1_image"
@@ -169,6 +198,17 @@ def test_one_tuber_is_evaluated_without_baselines(tmp_path: Path) -> None:
     told = (tmp_path / "out" / "metrics.json").read_text(encoding="utf-8")
     assert json.loads(told, parse_constant=pytest.fail) == measured
     assert "Baselines are left out" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_plot_of_few_tubers_is_quiet(tmp_path: Path) -> None:
+    """Weight classes without a tuber were told to the user as four lines of NumPy's warnings."""
+    pytest.importorskip("matplotlib")
+    write_pack(tmp_path / "few", tubers=3, views=1, seed=3)
+    result = evaluate(tmp_path / "few", Weigher.load())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        (path,) = write_plots(result, tmp_path)
+    assert path.stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("option", "value"), [("batch", 0), ("minutes", 0.0), ("epochs", -1.0), ("lr", np.nan)])

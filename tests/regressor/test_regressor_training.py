@@ -124,7 +124,7 @@ def test_turns_and_flips_keep_distances_and_height() -> None:
         points, np.full(3, 0.09), np.full(3, 9.0), rng, settings, highest_m=0.08, resample=False
     )
     distance = np.linalg.norm(points[:, 1:128] - points[:, :1], axis=2)
-    assert np.linalg.norm(moved[:, 1:] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
+    assert np.linalg.norm(moved[:, 1:128] - moved[:, :1], axis=2) == pytest.approx(distance, abs=1e-6)
     assert height == pytest.approx([0.08] * 3)
     assert weight == pytest.approx([9.0] * 3)
 
@@ -390,6 +390,14 @@ def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) ->
     assert load_checkpoint(tmp_path / "out" / "2048-points" / "weights.safetensors")[1].input.centroids == (1024, 256)
     count = len(steps)
     assert run() == table
+    assert len(steps) == count
+    # Finished variants stood in the table of other options, under the words of these.
+    longer = replace(settings, epochs=0.4)
+    with pytest.raises(InputError, match=r"no-height.weights.safetensors was trained otherwise: epochs 0.2, now 0.4\."):
+        ablate(("no-height",), longer, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)
+    others = replace(options, data=packs / "val", validation=packs / "train")
+    with pytest.raises(InputError, match=r"trained otherwise: other training views\. A table compares"):
+        ablate(("no-height",), settings, others, test=packs / "val", max_views=4, on_step=lambda name, _: None)
     assert len(steps) == count
     with pytest.raises(InputError, match="known: full, no-height"):
         ablate(("no-hight",), settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)

@@ -36,7 +36,8 @@ def ablate(
     test
         Views to compare on; of a 3DPotatoTwin folder its part `test`.
     out
-        Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained again.
+        Folder with one training per variant, ablation.md and ablation.json. Finished variants are not trained
+        again; they must be of the same options.
     epochs
         Per variant.
     minutes

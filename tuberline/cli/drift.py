@@ -29,7 +29,8 @@ def drift(
     Parameters
     ----------
     data
-        A folder of view packs that no training has seen.
+        A folder of view packs that no training has seen, or a 3DPotatoTwin folder, of which its part `test` is read.
+        Noise is added to depth images alone.
     out
         Folder of drift.json and drift.md.
     also

@@ -37,7 +37,7 @@ def evaluate(
     weights
         A .safetensors or the authors' .pth file; default: the shipped ones.
     split
-        Of a 3DPotatoTwin folder's splits.csv.
+        Of a 3DPotatoTwin folder's splits.csv; default: all parts, the one of a training too.
     season
         Only tubers of this season; the baselines are fitted to them alone.
     max_views
@@ -61,7 +61,7 @@ def evaluate(
     from regressor.studies.report import markdown, write_plots, write_report
     from regressor.studies.worlds import BY, by_class, by_preset
     from regressor.studies.worlds import markdown as worlds_table
-    from regressor.training.labelled import count_labelled
+    from regressor.training.labelled import count_labelled, part_of
     from regressor.weigh.weigher import Weigher
     from tuberline.cli.markdown import print_markdown
     from tuberline.cli.progress import work_bar
@@ -72,6 +72,8 @@ def evaluate(
     if unknown:
         raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
     torch.set_num_threads(1)
+    if split is None and part_of(data, "test") is not None:
+        sys.stderr.write(f"{data} has a splits.csv: all its parts are judged; --split test takes the test part alone\n")
     known = None if season else min(count_labelled(data, split=split), max_views or sys.maxsize)
     with work_bar("reading views") as on_work:
         result = run(

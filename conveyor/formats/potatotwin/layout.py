@@ -11,7 +11,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ BELT_DISTANCES_M = {"2023": 0.345, "2024": 0.460, "2025": 0.465}
 RGBD = "1_rgbd"
 INTRINSICS, IMAGES, CLOUDS = "0_camera_intrinsics", "1_image", "2_pcd"
 TRUTH, SPLITS = "ground_truth.csv", "splits.csv"
+WEIGHT = "weight_g_inctack"
 UNKNOWN = "unknown"
 FARTHEST_BELT_M = 10.0
 _DEPTH_NAME = re.compile(r"(?P<label>.+)_depth_(?P<row>\d+)\.png")
@@ -124,6 +125,17 @@ def read_truth(folder: Path) -> dict[str, TruthRow]:
     return found
 
 
+def weight_said(folder: Path, label: str) -> str:
+    """Why ground_truth.csv has no weight of a label that stands there, and what to do: for people.
+
+    Raises:
+        InputError: it has no column of weights at all.
+    """
+    said = next((row[WEIGHT] or "" for row in _rows(folder / TRUTH, WEIGHT) if row["label"].strip() == label), "")
+    fix = "write decimals with a point" if "," in said else "take out rows of tubers that were not weighed"
+    return f"label '{label}' has {WEIGHT} '{said}', which is no number of grams: {fix}"
+
+
 def truth_of(truth: dict[str, TruthRow], label: str) -> TruthRow:
     """The row of a label; what its name says where it has none."""
     season = _season("", label)
@@ -137,7 +149,7 @@ def labels_of_split(folder: Path, split: str) -> set[str]:
         InputError: no such file, no such split (names those there are), or a label that stands in two of them.
     """
     parts: dict[str, str] = {}
-    for number, row in enumerate(_rows(folder / SPLITS), start=2):
+    for number, row in enumerate(_rows(folder / SPLITS, "split"), start=2):
         label, part = ((row.get(key) or "").strip() for key in ("label", "split"))
         if parts.setdefault(label, part) != part:
             raise InputError(
@@ -145,7 +157,7 @@ def labels_of_split(folder: Path, split: str) -> set[str]:
                 "tuber belongs to one part, else it is trained on and tested"
             )
     if split not in parts.values():
-        known = ", ".join(sorted(set(parts.values())))
+        known = ", ".join(sorted(set(parts.values()))) or "none: it has no rows"
         raise InputError(f"{folder / SPLITS} has no split '{split}'; known: {known}")
     return {label for label, part in parts.items() if part == split}
 
@@ -163,7 +175,7 @@ def _truth_row(row: dict[str, str], where: str) -> TruthRow:
         season=season,
         belt_distance_m=_belt_distance_m(row.get("belt_distance_m") or "", where) or BELT_DISTANCES_M.get(season),
         cultivar=(row.get("cultivar") or "").strip() or UNKNOWN,
-        weight_g=_measured(row.get("weight_g_inctack")),
+        weight_g=_measured(row.get(WEIGHT)),
         volume_ml=_measured(row.get("volume_metashape")),
         length_mm=_measured(row.get("x1_length_mm")),
     )
@@ -195,18 +207,28 @@ def _measured(text: str | None) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _rows(path: Path) -> Iterator[dict[str, str]]:
-    """Rows of a table; a byte-order mark is left out."""
+def _rows(path: Path, *needed: str) -> Iterator[dict[str, str]]:
+    """Rows of a table with the column label and all that are `needed`; a byte-order mark is left out."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            if "label" not in (reader.fieldnames or ()):
-                raise InputError(f"table {path} has no column 'label'; it has {', '.join(reader.fieldnames or ())}")
+            has = reader.fieldnames or ()
+            if missing := [name for name in ("label", *needed) if name not in has]:
+                raise InputError(
+                    f"table {path} has no column '{missing[0]}'; it has {', '.join(has) or 'nothing'}{_separated(has)}"
+                )
             yield from reader
     except OSError as error:
         raise InputError(f"table {path} cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"table {path} is not CSV text: {error}") from error
+        raise InputError(f"table {path} is not CSV text: {error}; save it as CSV in UTF-8") from error
+
+
+def _separated(columns: Sequence[str]) -> str:
+    """What to do about a table whose one column is all of them."""
+    other = next((mark for mark in (";", "\t") if len(columns) == 1 and mark in columns[0]), None)
+    words = {";": "semicolons", "\t": "tabs"}
+    return f": its columns are separated by {words[other]}; save it with commas, and points in numbers" if other else ""
 
 
 def twin_resting(folder: Path) -> RestingLevel:

@@ -15,8 +15,11 @@ from conveyor.formats.ply import read_ply
 from conveyor.formats.potatotwin.intrinsics import folder_intrinsics
 from conveyor.formats.potatotwin.layout import (
     BELT_DISTANCES_M,
+    CLOUDS,
+    IMAGES,
     INTRINSICS,
     RGBD,
+    SPLITS,
     TRUTH,
     TruthRow,
     ViewFile,
@@ -24,6 +27,7 @@ from conveyor.formats.potatotwin.layout import (
     depth_files,
     labels_of_split,
     read_truth,
+    weight_said,
 )
 from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
 from conveyor.geometry import Intrinsics
@@ -77,6 +81,34 @@ def count_twin(folder: Path, *, split: str | None = None) -> int:
     return sum(len(depth_files(folder, label) or cloud_files(folder, label)) for label in labels)
 
 
+def labels_without_views(folder: Path, *, split: str | None = None) -> list[str]:
+    """Labels of the table, or of one part of splits.csv, of which there is no view with a weight.
+
+    Raises:
+        InputError: none has any; names what stands in the tables and the folders.
+    """
+    truth = read_truth(folder)
+    labels = sorted(labels_of_split(folder, split)) if split else list(truth)
+    without = [
+        label
+        for label in labels
+        if label not in truth or not (depth_files(folder, label) or cloud_files(folder, label))
+    ]
+    if without == labels:
+        here = [path.name for name in (IMAGES, CLOUDS) for path in sorted((folder / RGBD / name).glob("*"))]
+        part = f"{_some(labels)} in '{split}' of {SPLITS}, " if split else ""
+        raise InputError(
+            f"{folder}: no label has both a row in {TRUTH} and images ({RGBD}/{IMAGES}/LABEL/LABEL_depth_ROW.png) or "
+            f"clouds ({RGBD}/{CLOUDS}/LABEL/LABEL_pcd_ROW.ply): {part}{_some(list(truth))} in {TRUTH}, {_some(here)} "
+            "in the folders; a label is written alike in all of them"
+        )
+    return without
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names[:3]) + (", ..." if len(names) > 3 else "") or "nothing"
+
+
 def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsics, float] | None) -> TwinView:
     belt_distance_m, weight_g = _known(folder, view, truth)
     depth = cloud = crop = None
@@ -112,7 +144,7 @@ def _known(folder: Path, view: ViewFile, truth: TruthRow) -> tuple[float, float]
             f"another one stands in a column belt_distance_m of {TRUTH}"
         )
     if truth.weight_g is None:
-        raise InputError(f"{folder / TRUTH}: label '{truth.label}' has no number in column 'weight_g_inctack'")
+        raise InputError(f"{folder / TRUTH}: {weight_said(folder, truth.label)}")
     if truth.weight_g <= 0:
         raise InputError(
             f"{folder / TRUTH}: label '{truth.label}' has weight_g_inctack {truth.weight_g:g}; allowed are grams above "
