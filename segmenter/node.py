@@ -153,6 +153,7 @@ class SegmenterNode:
             self._serve(camera_run, now_s)
         if now_s - self._reported_s >= REPORT_EVERY_S:
             self._reported_s = now_s
+            self._leave_gone(self._regressors.names())
             self._report()
         self._tell_finished()
 
@@ -301,6 +302,11 @@ class SegmenterNode:
         if regressor not in self._works:
             self._works[regressor] = LatestPublisher(self._node, topics.VIEW, regressor=regressor)
         return self._works[regressor]
+
+    def _leave_gone(self, regressors: set[str]) -> None:
+        """Regressors may come and go for days, each under a name of its own."""
+        for name in self._works.keys() - regressors:
+            self._works.pop(name).leave()
 
     def _tell_finished(self) -> None:
         """The aggregator stays until each segmenter has its last acknowledgement: told once, at once."""
