@@ -84,6 +84,8 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
                 assert ledger.loads.loads[1].ended_ns is not None
                 with pytest.raises(InputError, match="was 61 s ago, a change can be undone within 60 s"):
                     it.order("late", "undo", now_ns=round((101 + UNDO_WITHIN_S) * S))
+                with pytest.raises(InputError, match="set back by at least 90 s since the last change"):
+                    it.order("back", "undo", now_ns=10 * S)
                 assert it.order("u", "undo", now_ns=110 * S).name == "B"
                 assert ledger.loads.loads[1].ended_ns is None
                 assert ledger.loads.loads[2].undone
