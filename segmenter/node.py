@@ -35,6 +35,7 @@ from segmenter.frame.watch import BeltWatch
 from segmenter.in_view import tracks_in_view
 from segmenter.results import StepResult
 from segmenter.setup import log_path, run_settings
+from segmenter.state_lock import only_here
 from segmenter.warmup import warm_up
 
 PROGRESS_EVERY_S = 0.2
@@ -81,6 +82,7 @@ class SegmenterNode:
         """Work until stopped."""
         warm_up(self._config.segmenter.pixel_mm)
         with self._node as node, ExitStack() as stack:
+            stack.enter_context(only_here(self._config.segmenter.state_dir, f"{self._config.name}.{self._camera}"))
             self._open_links(node, stack)
             try:
                 self._open_run(node.run)

@@ -18,6 +18,7 @@ from conveyor.messages import Committed, Mark, Track, TrackEntry
 from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
 from segmenter.old_log import MAGIC, read_old_log
+from segmenter.state_lock import only_here
 from segmenter.tracklog import UNDER_WAY_AT_MOST, TrackLog
 from tests.conftest import wait_until
 
@@ -418,3 +419,21 @@ def test_what_the_writing_thread_cannot_write_is_an_error_of_the_next_call(tmp_p
         log.append([track(2)])
     with pytest.raises(StorageError, match="disk is full"):
         log.__exit__(None, None, None)
+
+
+def test_one_process_at_a_time_keeps_a_cameras_logs(tmp_path: Path) -> None:
+    """Two lines of one name and one folder numbered their entries into one log, and were told to move it away."""
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom segmenter.state_lock import only_here\n"
+        "with only_here(Path(sys.argv[1]), 'field.front'):\n    print('there', flush=True)\n    sys.stdin.read()\n"
+    )
+    told = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", code, tmp_path], cwd=ROOT, **told) as child:  # type: ignore[call-overload]
+        assert child.stdout.readline() == "there\n"
+        with pytest.raises(StorageError, match=r"field\.front\.\* cannot be kept: another process keeps them"):
+            only_here(tmp_path, "field.front").__enter__()
+        with only_here(tmp_path, "field.rear"), only_here(None, "field.front"):
+            pass
+        child.kill()
+    with only_here(tmp_path, "field.front"):
+        pass
