@@ -80,6 +80,10 @@ class LedgerError(TuberlineError):
     """The ledger cannot be trusted."""
 
 
+class UnmadeError(LedgerError):
+    """A file that no aggregator has made a ledger of yet, or the empty part of one."""
+
+
 class StorageError(LedgerError):
     """The disk is full, read-only, away or reports errors: what is stored is as it was."""
 

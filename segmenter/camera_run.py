@@ -15,6 +15,7 @@ from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from segmenter.dispatch.early import EarlyViews
+from segmenter.dispatch.refusal_words import RefusalWords
 from segmenter.dispatch.thinning import Thinning
 from segmenter.dispatch.view_budget import ViewBudget
 from segmenter.dispatch.weighing import Weighing
@@ -76,6 +77,7 @@ class CameraRun:
         self.early = EarlyViews()
         self.provisional = ProvisionalWeights()
         self._thinning = Thinning()
+        self._refusals = RefusalWords()
         self.ended = False
         self.aggregator_lives = False
         self._done_seq = -1
@@ -102,6 +104,7 @@ class CameraRun:
         self.core = Segmenter(self.settings.core, resume=resume_after(mark, self.log.since_mark, self.log.speed_mps))
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
         self._base_views = _views_left(mark.views, self.log.since_mark)
+        self._refusals.know(self._base_views)
         self._base_tracks = _tracks_left(mark.tracks, self.log.since_mark)
         self._lost_share = _lost_share(mark.tracks, self._base_tracks)
         self._done_seq = self.frames.newest_seq
@@ -178,9 +181,8 @@ class CameraRun:
     def weight(self, weight: Weight) -> None:
         """Take a regressor's answer."""
         usable = weight.status == "weighed" and None not in (weight.weight_g, weight.low_g, weight.high_g)
-        known = self.dispatcher.answer(
-            weight.view_id, regressor=weight.regressor, usable=usable, reason=weight.reason[:40]
-        )
+        reason = self._refusals.word(weight.reason)
+        known = self.dispatcher.answer(weight.view_id, regressor=weight.regressor, usable=usable, reason=reason)
         if known and usable:
             self.provisional.add(weight)
         if known and usable and not self.early.answered(weight):

@@ -106,15 +106,21 @@ class LogStore:
             self._insert(entries)
             self._set_state(newest, committed)
 
-    def commit(self, *, newest: int, committed: int, keep: Iterable[int]) -> None:
-        """The aggregator has made entries up to `committed` durable: forget them, but for those to `keep`."""
-        kept = sorted(set(keep))
+    def commit(self, *, newest: int, committed: int, keep: Iterable[int], moved: Iterable[TrackEntry] = ()) -> None:
+        """The aggregator has made entries up to `committed` durable: forget them, but for those to `keep`.
+
+        Entries that wait and were `moved` to numbers behind `committed` take their places in the same transaction, and
+        are on the disk when this returns.
+        """
+        kept, moved = sorted(set(keep)), tuple(moved)
         with self._explained("write"):
-            self._db.execute("PRAGMA synchronous = NORMAL")
+            if not moved:
+                self._db.execute("PRAGMA synchronous = NORMAL")
             try:
                 with self._transaction("commit"):
                     marks = ", ".join("?" * len(kept))
                     self._db.execute(f"DELETE FROM entry WHERE n <= ? AND n NOT IN ({marks})", (committed, *kept))
+                    self._insert(moved)
                     self._set_state(newest, committed)
             finally:
                 self._db.execute("PRAGMA synchronous = FULL")

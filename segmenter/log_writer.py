@@ -33,6 +33,7 @@ class _Commit:
     newest: int
     committed: int
     keep: tuple[int, ...]
+    moved: tuple[TrackEntry, ...] = ()
 
 
 class LogWriter:
@@ -84,9 +85,12 @@ class LogWriter:
         """Store entries, soon; `durable` tells when they are on the disk."""
         self._put(_Append(tuple(entries), newest, committed))
 
-    def commit(self, *, newest: int, committed: int, keep: Iterable[int]) -> None:
-        """The aggregator has made entries up to `committed` durable: forget them, but for those to `keep`."""
-        self._put(_Commit(newest, committed, tuple(keep)))
+    def commit(self, *, newest: int, committed: int, keep: Iterable[int], moved: Iterable[TrackEntry] = ()) -> None:
+        """The aggregator has made entries up to `committed` durable: forget them, but for those to `keep`.
+
+        Entries `moved` to numbers behind `committed` take the places of those that wait.
+        """
+        self._put(_Commit(newest, committed, tuple(keep), tuple(moved)))
 
     def _put(self, job: _Append | _Commit) -> None:
         self._raise_error()
@@ -118,6 +122,14 @@ class LogWriter:
             return jobs or None
 
     def _write_all(self, jobs: list[_Append | _Commit]) -> None:
+        """In order, as few transactions as can be: entries that are moved are written before any that follow them."""
+        start = 0
+        for n, job in enumerate(jobs, start=1):
+            if n == len(jobs) or (isinstance(job, _Commit) and job.moved):
+                self._write_some(jobs[start:n])
+                start = n
+
+    def _write_some(self, jobs: list[_Append | _Commit]) -> None:
         """All entries in one transaction; of what was committed the last word is enough."""
         appends = [job for job in jobs if isinstance(job, _Append)]
         commits = [job for job in jobs if isinstance(job, _Commit)]
@@ -127,6 +139,8 @@ class LogWriter:
             self._store.append(entries, newest=last.newest, committed=last.committed)
             self.durable = last.newest
         if commits:
-            last_commit = commits[-1]
-            newest = max(last_commit.newest, self.durable)
-            self._store.commit(newest=newest, committed=last_commit.committed, keep=last_commit.keep)
+            job = commits[-1]
+            newest = max(job.newest, self.durable)
+            self._store.commit(newest=newest, committed=job.committed, keep=job.keep, moved=job.moved)
+            if job.moved:
+                self.durable = newest

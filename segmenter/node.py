@@ -35,6 +35,7 @@ from segmenter.frame.watch import BeltWatch
 from segmenter.in_view import tracks_in_view
 from segmenter.results import StepResult
 from segmenter.setup import log_path, run_settings
+from segmenter.state_lock import only_here
 from segmenter.warmup import warm_up
 
 PROGRESS_EVERY_S = 0.2
@@ -81,6 +82,7 @@ class SegmenterNode:
         """Work until stopped."""
         warm_up(self._config.segmenter.pixel_mm)
         with self._node as node, ExitStack() as stack:
+            stack.enter_context(only_here(self._config.segmenter.state_dir, f"{self._config.name}.{self._camera}"))
             self._open_links(node, stack)
             try:
                 self._open_run(node.run)
@@ -153,6 +155,7 @@ class SegmenterNode:
             self._serve(camera_run, now_s)
         if now_s - self._reported_s >= REPORT_EVERY_S:
             self._reported_s = now_s
+            self._leave_gone(self._regressors.names())
             self._report()
         self._tell_finished()
 
@@ -301,6 +304,11 @@ class SegmenterNode:
         if regressor not in self._works:
             self._works[regressor] = LatestPublisher(self._node, topics.VIEW, regressor=regressor)
         return self._works[regressor]
+
+    def _leave_gone(self, regressors: set[str]) -> None:
+        """Regressors may come and go for days, each under a name of its own."""
+        for name in self._works.keys() - regressors:
+            self._works.pop(name).leave()
 
     def _tell_finished(self) -> None:
         """The aggregator stays until each segmenter has its last acknowledgement: told once, at once."""

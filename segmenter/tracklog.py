@@ -129,19 +129,18 @@ class TrackLog:
         """
         if n <= self.committed:
             return
-        waiting = [item for entry in self._entries if (item := entry.track or entry.mark)] if n > self.newest else []
+        moved = self._numbered_on(n)
+        if self.store is not None:
+            before = [self._mark_before] if self._mark_before else []
+            keep = (entry.n for entry in [*before, *self._since_mark] if entry.n not in moved)
+            self.store.commit(newest=max(self.newest, n + len(moved)), committed=n, keep=keep, moved=moved.values())
         self._under_way = min(self._under_way + n - self.committed, UNDER_WAY_AT_MOST)
         self.committed = n
         self._progress_s = None
+        self._next = max(self._next, n + 1 + len(moved))
+        self._take_numbers(moved)
         self._forget_committed()
         self._unsent_from = max(self._unsent_from, n + 1)
-        self._next = max(self._next, n + 1)
-        if self.store is not None:
-            before = [self._mark_before] if self._mark_before else []
-            keep = (entry.n for entry in [*before, *self._since_mark])
-            self.store.commit(newest=self.newest, committed=n, keep=keep)
-        if waiting:
-            self.append(waiting)
 
     def due(self, now_s: float) -> list[TrackEntry]:
         """Entries to send now: the new ones; those under way once more when nothing was confirmed for a while."""
@@ -188,6 +187,22 @@ class TrackLog:
     def _numbered(self, n: int, item: Track | Mark) -> TrackEntry:
         track, mark = (item, None) if isinstance(item, Track) else (None, item)
         return TrackEntry(camera=self.camera, run=self.run, n=n, track=track, mark=mark)
+
+    def _numbered_on(self, n: int) -> dict[int, TrackEntry]:
+        """What waits as n + 1, n + 2, ..., by the number that it has now; nothing where n is a number of this log."""
+        if n <= self.newest:
+            return {}
+        waiting = ((entry.n, entry.track or entry.mark) for entry in self._entries)
+        return {was: self._numbered(now, item) for now, (was, item) in enumerate(waiting, start=n + 1) if item}
+
+    def _take_numbers(self, moved: dict[int, TrackEntry]) -> None:
+        """Entries under the numbers that they were `moved` to."""
+        if not moved:
+            return
+        self._entries = deque(moved.values())
+        self._since_mark = [moved.get(entry.n, entry) for entry in self._since_mark]
+        if self._mark_before is not None:
+            self._mark_before = moved.get(self._mark_before.n, self._mark_before)
 
     def _forget_committed(self) -> None:
         while self._entries and self._entries[0].n <= self.committed:

@@ -118,11 +118,12 @@ def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: st
 
     Offset and factor are known together better than each alone: each cause takes its part of the joint variance.
     """
-    at = correction.cultivars.index(cultivar)
-    multiplier = math.exp(correction.mean[1] + correction.mean[2 + at])
+    at = correction.at(cultivar)
+    assert at is not None  # it was made for this cultivar
+    multiplier = math.exp(correction.mean[1] + correction.mean[at])
     weight_g = multiplier * max(weighed_g + per_mm_g * correction.offset_mm[0], 0.2 * weighed_g)
     gradient = np.zeros(len(correction.mean))
-    gradient[0], gradient[1], gradient[2 + at] = multiplier * per_mm_g, weight_g, weight_g
+    gradient[0], gradient[1], gradient[at] = multiplier * per_mm_g, weight_g, weight_g
     shares = gradient * (correction.covariance @ gradient)
     total = max(float(shares.sum()), 0.0)
     kept = np.maximum(shares, 0.0)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from aggregator.calibration.evidence import Evidence, gather
 from aggregator.calibration.tickets import Ticket
 from conveyor import load_spread
+from conveyor.cultivar import as_first_given, cultivar_key
 from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM, factor_sd
 
 Floats = NDArray[np.float64]
@@ -67,7 +68,7 @@ class Correction:
     """What tickets and prior come to.
 
     Attributes:
-        cultivars: named ones; their parameters follow offset and factor.
+        cultivars: named ones, each as first given; their parameters follow offset and factor.
         mean: (2 + cultivars,) offset in mm (absolute, positive below the belt plane), ln factor, ln of each cultivar.
         covariance: of `mean`.
         load_sd: what still differs from load to load, as a share.
@@ -94,10 +95,14 @@ class Correction:
 
     def cultivar_factor(self, cultivar: str) -> tuple[float, float]:
         """(mean, standard deviation) of a cultivar's own factor; of one without tickets what the prior says."""
-        if cultivar not in self.cultivars:
+        if (at := self.at(cultivar)) is None:
             return 1.0, self.prior.cultivar_sd
-        at = 2 + self.cultivars.index(cultivar)
         return float(np.exp(self.mean[at])), float(np.exp(self.mean[at]) * np.sqrt(self.covariance[at, at]))
+
+    def at(self, cultivar: str) -> int | None:
+        """Where in `mean` a cultivar's own factor is; None where it is none of them."""
+        keys = [cultivar_key(name) for name in self.cultivars]
+        return 2 + keys.index(key) if (key := cultivar_key(cultivar)) in keys else None
 
     @property
     def tickets(self) -> int:
@@ -118,15 +123,16 @@ def fit(
     Args:
         doubt: (tickets,) by what each ticket's variance is multiplied.
     """
-    cultivars = tuple(sorted({ticket.cultivar for ticket in tickets} | {cultivar}))
+    found = as_first_given([*(ticket.cultivar for ticket in tickets), cultivar])
+    cultivars = tuple(found[key] for key in sorted(found))
     prior_mean = np.array([prior.stated_offset_mm, 0.0, *[0.0] * len(cultivars)])
     prior_sd = prior_sds(prior, len(cultivars))
     precision = np.diag(1.0 / prior_sd**2)
     doubt = np.ones(len(tickets)) if doubt is None else doubt
     mean, covariance, load_sd = prior_mean, np.diag(prior_sd**2), _rms(LOAD_SD_CHANCES)
     for _ in range(ROUNDS if len(tickets) else 0):
-        found = gather(tickets, mean, cultivars, doubt)
-        mean, covariance, load_sd = _mixed(found, mean, prior_mean - mean, precision)
+        evidence = gather(tickets, mean, cultivars, doubt)
+        mean, covariance, load_sd = _mixed(evidence, mean, prior_mean - mean, precision)
     used = tuple(sorted(Counter(ticket.kind for ticket in tickets).items()))
     return Correction(model, cultivars, mean, covariance, load_sd, prior, used)
 

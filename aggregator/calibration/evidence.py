@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aggregator.calibration.sensitivity import share_of_weight
 from aggregator.calibration.tickets import Ticket
+from conveyor.cultivar import cultivar_key
 
 Floats = NDArray[np.float64]
 
@@ -98,9 +99,9 @@ def sum_tickets(tickets: Sequence[Ticket], at: Floats, cultivars: Sequence[str])
 
 
 def _members(tickets: Sequence[Ticket], cultivars: Sequence[str]) -> Floats:
-    return np.array([[ticket.cultivar == name for name in cultivars] for ticket in tickets], float).reshape(
-        len(tickets), len(cultivars)
-    )
+    keys = [cultivar_key(name) for name in cultivars]
+    rows = [[cultivar_key(ticket.cultivar) == key for key in keys] for ticket in tickets]
+    return np.array(rows, float).reshape(len(tickets), len(cultivars))
 
 
 def single_weights(ticket: Ticket, at: Floats, cultivars: Sequence[str], *, doubt: float = 1.0) -> Group:

@@ -192,6 +192,12 @@ def _undo(book: LoadBook, run: str, now_ns: int) -> tuple[Said, int, None, dict[
     if change is None:
         raise InputError("nothing to undo: no load was started or ended in this run")
     ago_s = (now_ns - change.said_ns) / 1e9
+    if ago_s < -UNDO_WITHIN_S:
+        raise InputError(
+            f"the clock of the aggregator's machine was set back by at least {-ago_s:.0f} s since the last change "
+            f"({change.kind} of {book.loads[change.load].told}), so it is not known how long ago that was; start or "
+            "end the load again"
+        )
     if ago_s > UNDO_WITHIN_S:
         raise InputError(
             f"the last change ({change.kind} of {book.loads[change.load].told}) was {ago_s:.0f} s ago, a change can be "

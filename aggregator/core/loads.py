@@ -146,6 +146,8 @@ class LoadBook:
     events: dict[str, LoadEvent] = field(default_factory=dict)
     """By request."""
     last_n: int = 0
+    _undone: set[int] = field(default_factory=set)
+    """Numbers of the changes that were taken back."""
 
     @classmethod
     def of(cls, events: Iterable[LoadEvent]) -> LoadBook:
@@ -233,18 +235,36 @@ class LoadBook:
         self.loads[event.load] = replace(load, tickets=(*load.tickets, ticket), notes=(*load.notes, *_notes(event)))
 
     def _undo(self, event: LoadEvent) -> None:
-        """The last stretch of the run goes back to the one before it, and so does the state of both their loads."""
+        """The last stretch of the run goes back to the one before it, and both their loads are what they would be if
+        the change had never been said; what was said of them since stays."""
         undone = self.last_change(event.run)
         if undone is None or undone.n != event.payload.get("event"):
             return  # what it undid was lost to damage
+        self._undone.add(undone.n)
         gone = self.spans[event.run].pop()
+        if undone.load in self.loads:
+            self.loads[undone.load] = self._without(undone)
         if gone.load != NO_LOAD:
-            load = self._known(undone)
-            spans = tuple(span for span in load.spans if span != (event.run, gone.n))
             ended = undone.payload.get("was_ended_ns") if undone.kind is Said.RESUME else event.said_ns
-            self.loads[gone.load] = replace(load, spans=spans, ended_ns=ended, undone=undone.kind is Said.START)
+            started = undone.kind is Said.START
+            self.loads[gone.load] = replace(self._known(undone), ended_ns=ended, undone=started)
         if (again := self.open_load(event.run)) is not None:
             self.loads[again.number] = replace(again, ended_ns=None)
+
+    def _without(self, undone: LoadEvent) -> Load:
+        """The load of a change without what that said of it; one that it began stays described."""
+        load = self.loads[undone.load]
+        fields: dict[str, Any] = dict.fromkeys(FIELDS, "")
+        for event in self.events.values():
+            if event.load == load.number and (event.kind is Said.START or event.n not in self._undone):
+                fields |= _fields(event)
+        return replace(
+            load,
+            spans=tuple(span for span in load.spans if span != (undone.run, undone.n)),
+            resumed_at_mm=tuple(at for at in load.resumed_at_mm if at[0] != undone.n),
+            notes=tuple(note for note in load.notes if note.n != undone.n or undone.kind is Said.START),
+            **fields,
+        )
 
 
 def _fields(event: LoadEvent) -> dict[str, Any]:

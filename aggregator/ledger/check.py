@@ -27,7 +27,7 @@ from aggregator.ledger.schema import (
 from aggregator.ledger.seal import seal_faults
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView, named_key, reading
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, UnmadeError
 
 _SHOWN = 5
 
@@ -36,7 +36,7 @@ def check_file(path: Path) -> list[str]:
     """Everything wrong with the ledger at `path` and its receipt, in words; every row and index is checked.
 
     Raises:
-        LedgerError: there is no such file.
+        LedgerError: there is no such file, or no aggregator has made a ledger of it yet.
     """
     if not path.is_file():
         raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
@@ -45,6 +45,8 @@ def check_file(path: Path) -> list[str]:
             return view_faults(view)
     except DAMAGE as error:
         return [f"it cannot be read at all: {error}"]
+    except UnmadeError:
+        raise
     except LedgerError as error:
         return [str(error)]
 

@@ -7,6 +7,7 @@ from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.loads import Load
 from aggregator.ledger.load_totals import Sums
+from conveyor.cultivar import cultivar_key
 
 SAME_OFFSET_MM = 0.05
 
@@ -24,7 +25,7 @@ def heights_before(ledger: Sums, load: Load, *, cultivar: str = "") -> list[Heig
             break
         if other.number >= load.number or other.undone or not other.spans:
             continue
-        if (other.variety or cultivar).casefold() != (load.variety or cultivar).casefold():
+        if cultivar_key(other.variety or cultivar) != cultivar_key(load.variety or cultivar):
             continue
         if abs(other.stated_offset_mm - load.stated_offset_mm) > SAME_OFFSET_MM:
             continue

@@ -15,7 +15,7 @@ def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
     A run without a summary (it goes on, or its process was killed) is told by its sums: no interval then, and no
     coverage.
     """
-    newest = sorted(read_runs(view), key=lambda known: (known.started_ns, known.run), reverse=True)[:limit]
+    newest = read_runs(view)[::-1][:limit]
     return [{"run": known.run, "started_unix_s": known.started_ns / 1e9, **_came_to(view, known)} for known in newest]
 
 

@@ -86,8 +86,9 @@ def expected(rows: Rows) -> dict[str, Expected]:
 
 
 def by_run(rows: Rows) -> dict[str, Rows]:
-    """The rows of each run, by table."""
-    found: dict[str, Rows] = {run: {table.name: [] for table in TABLES} for run, *_ in rows[RUN.name]}
+    """The rows of each run, by table; runs in the order they were begun, as far as their clocks tell it."""
+    begun = sorted(rows[RUN.name], key=lambda one: (one[RUN.names.index("started_ns")], one[0]))
+    found: dict[str, Rows] = {run: {table.name: [] for table in TABLES} for run, *_ in begun}
     for table in TABLES:
         at = table.names.index("run")
         for one in rows[table.name]:

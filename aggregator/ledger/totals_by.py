@@ -16,6 +16,7 @@ from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.load_totals import ReadLoads, count_load, tickets_of, with_own
 from aggregator.ledger.reader import RunRow, ledger_file, reading
+from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 
 BY = ("load", "field", "variety", "day", "season")
@@ -96,8 +97,9 @@ def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
     """The totals of these loads by one of `BY`, in the order in which the labels come."""
     groups: dict[str, list[Labelled]] = {}
     for load in loads:
-        groups.setdefault(load.labels[by], []).append(load)
-    return [total_of(label, group) for label, group in groups.items()]
+        label = load.labels[by]
+        groups.setdefault(cultivar_key(label) if by == "variety" else label, []).append(load)
+    return [total_of(group[0].labels[by], group) for group in groups.values()]
 
 
 def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:

@@ -23,12 +23,14 @@ from aggregator.ledger.schema import (
     Table,
     checksum,
 )
-from conveyor.errors import LedgerError
+from conveyor.errors import LedgerError, UnmadeError
 
 Row = tuple[Any, ...]
 OnRows = Callable[[str, int, int | None], None]
 """Called with what is read, how many rows of it are, and how many there are (None: no one knows)."""
 TOLD_EVERY = 500
+_ID_AT = 68
+"""Where an SQLite file has its application id."""
 
 _on_rows: ContextVar[OnRows | None] = ContextVar("on_rows", default=None)
 
@@ -125,6 +127,8 @@ def checked_version(db: sqlite3.Connection, path: Path) -> int:
     """
     (application,) = db.execute("PRAGMA application_id").fetchone()
     (version,) = db.execute("PRAGMA user_version").fetchone()
+    if application == 0 and db.execute("SELECT 1 FROM sqlite_master").fetchone() is None:
+        raise unmade(path)
     if application != APPLICATION_ID:
         raise LedgerError(f"{path} is an SQLite file, but no ledger of Tuberline (application id {application:#x})")
     if not OLDEST_VERSION <= version <= SCHEMA_VERSION:
@@ -140,6 +144,32 @@ def checked_version(db: sqlite3.Connection, path: Path) -> int:
             f"{path}` saves what is intact into a new file and keeps this one"
         )
     return int(version)
+
+
+def _is_being_made(path: Path) -> bool:
+    """A journal of SQLite's lies beside a ledger only until the file has its header; then it has a write-ahead log."""
+    if not path.with_name(f"{path.name}-journal").exists():
+        return False
+    with path.open("rb") as file:
+        return file.read(_ID_AT + 4)[_ID_AT:] != APPLICATION_ID.to_bytes(4, "big")
+
+
+def unmade(path: Path) -> LedgerError:
+    """That nothing is in the file, why, and what to do.
+
+    Raises:
+        LedgerError: the receipt beside it is damaged.
+    """
+    if acknowledged := read_receipt(receipt_path(path)):
+        return LedgerError(
+            f"ledger {path} is empty, but {acknowledged} batches of it were acknowledged: the file was lost; bring it "
+            f"back, or remove {receipt_path(path)} too and start again"
+        )
+    return UnmadeError(
+        f"ledger {path} is empty. Either its aggregator was stopped before it had made it: nothing was counted, start "
+        f"the line again. Or it was copied without what belongs to it: copy {path.name}-wal and "
+        f"{receipt_path(path).name} with it, or copy it after the line was stopped"
+    )
 
 
 def _receipt_now(path: Path) -> Callable[[], int | None]:
@@ -166,6 +196,8 @@ def reading(path: Path) -> Iterator[LedgerView]:
         raise LedgerError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
     immutable = "" if path.with_name(path.name + "-wal").exists() else "&immutable=1"
     with explained(path, "reading"):
+        if _is_being_made(path):
+            raise unmade(path)
         receipt = _receipt_now(path)  # before the view's moment: the batches that it tells of are in the view
         db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro{immutable}", uri=True, isolation_level=None)
         try:

@@ -48,7 +48,7 @@ from aggregator.ledger.schema import (
 from aggregator.ledger.seal import break_seal, set_seal
 from aggregator.ledger.steps import first_step, next_step
 from aggregator.ledger.sums import RunSums
-from aggregator.ledger.verified import LedgerView
+from aggregator.ledger.verified import LedgerView, unmade
 from conveyor.errors import LedgerError, StorageError
 from conveyor.messages import Tuber
 
@@ -137,10 +137,7 @@ class Ledger:
             self._receipt.write(0)
         if not self._db.execute("SELECT 1 FROM sqlite_master").fetchone():
             if acknowledged:
-                raise LedgerError(
-                    f"ledger {self.path} is empty, but {acknowledged} batches of it were acknowledged: the file was "
-                    f"lost; bring it back, or remove {receipt_path(self.path)} too and start again"
-                )
+                raise unmade(self.path)
             self._create()
         self.view = LedgerView(self._db, self.path)
         self._refuse(opening_faults(self.view, acknowledged=acknowledged))

@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 
 import zenoh
 
-from camera_sim.live.rmw_zenoh import Numbering, check_topic, key_of, published_topic, read_attachment
+from camera_sim.live.rmw_zenoh import Attachment, Numbering, check_topic, key_of, published_topic, read_attachment
+from camera_sim.live.ros2_calibration import INFO, Calibrations
 from conveyor.config import CameraConfig, LinkConfig
 from conveyor.errors import ConfigError, DeviceError, InputError, MessageError
 from conveyor.formats.mcap.reader import rate_of
@@ -27,12 +28,12 @@ from conveyor.formats.rosbag.depth import (
     unsupported,
 )
 from conveyor.formats.rosbag.messages import RosCalibration, RosCompressed, RosImage
-from conveyor.formats.scale_check import check_depth_scale
+from conveyor.formats.scale_check import check_depth_scale, median_depth_m
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.messages import Frame
 from conveyor.session import ENCRYPTED, open_client
 
-IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 FIRST_WITHIN_S = 10.0
 RATE_FROM_IMAGES, RATE_WITHIN_S = 5, 2.0
 RING = 8
@@ -90,6 +91,7 @@ class Ros2Source:
         self._type = COMPRESSED if base != self._topic else IMAGE
         self._images, self._infos = _Inbox(), _Inbox()
         self._subscribers: list[Any] = []
+        self._calibrations = Calibrations(self._info_topic, rectified="rect" in self._topic)
         self._checked = 0
         self._poll: Callable[[float], bool] = lambda still_s: True
 
@@ -121,12 +123,18 @@ class Ros2Source:
         self._poll = poll
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
-        """Frames as they come. The first one is number `after` + 1, then the publisher's own steps."""
+        """Frames as they come. The first one is number `after` + 1, then the publisher's own steps.
+
+        Each has the intrinsics that CameraInfo says at its time: a driver that starts again in another mode sends other
+        frames than the run began with, which the segmenter refuses.
+        """
         numbering = Numbering(after=after, fps=self._description.fps)
         last_s = time.monotonic()
         try:
             while self._poll(time.monotonic() - last_s):
                 sample = self._images.take(POLL_S)
+                while (info := self._infos.take(0.0)) is not None:
+                    self._calibrations.take(*info)
                 if sample is not None:
                     last_s = time.monotonic()
                     item = self._item(numbering, *sample, run)
@@ -141,18 +149,34 @@ class Ros2Source:
             attachment = read_attachment(extra)
         except MessageError as error:
             return Refused(numbering.refused(), "no_attachment", f"a message on {self._topic}: {error}")
+        image, fault = self._decoded(payload)
+        captured_ns = (image and image.stamp_ns) or attachment.sent_ns
+        try:
+            seq = numbering.number(attachment, captured_ns)
+        except ConfigError as error:
+            return Refused(numbering.refused(), "two_publishers", f"a message on {self._topic}: {error}")
+        if seq is None:
+            return None
+        if image is None:
+            return Refused(seq, "undecodable", f"frame {seq} of {self._topic}: {fault}")
+        return self._frame(image, seq, captured_ns, run, attachment)
+
+    def _decoded(self, payload: bytes) -> tuple[RosImage | RosCompressed | None, str]:
+        """(the image, ""), or (None, why it is none)."""
         try:
             image = decode_ros(self._type, payload)
         except MessageError as error:
-            seq = numbering.number(attachment, attachment.sent_ns)
-            return None if seq is None else Refused(seq, "undecodable", f"frame {seq} of {self._topic}: {error}")
+            return None, str(error)
         assert isinstance(image, RosImage | RosCompressed)
-        captured_ns = image.stamp_ns or attachment.sent_ns
-        seq = numbering.number(attachment, captured_ns)
-        return None if seq is None else self._frame(image, seq, captured_ns, run)
+        return image, ""
 
-    def _frame(self, image: RosImage | RosCompressed, seq: int, captured_ns: int, run: str) -> Frame | Refused:
-        d, k, where = self._description, self._description.intrinsics, f"frame {seq} of {self._topic}"
+    def _frame(
+        self, image: RosImage | RosCompressed, seq: int, captured_ns: int, run: str, attachment: Attachment
+    ) -> Frame | Refused:
+        d, where = self._description, f"frame {seq} of {self._topic}"
+        k = self._calibrations.of_image(image.stamp_ns, publisher=attachment.gid)
+        if isinstance(k, Refusal):
+            return Refused(seq, k.reason, f"{where} {k.text}")
         depth = depth_pixels(image)
         if isinstance(depth, Refusal):
             return Refused(seq, depth.reason, f"{where} {depth.text}")
@@ -172,9 +196,18 @@ class Ros2Source:
             belt_distance_m=d.belt_distance_m,
             depth=depth,
         )
-        if self._checked < CHECKED_FRAMES:
-            self._checked += 1
+        return self._fitting(frame)
+
+    def _fitting(self, frame: Frame) -> Frame | Refused:
+        """The frame, until some have fitted only where its depth fits the belt distance. A view that is blocked at the
+        start looks like a wrong scale, and is clear again later."""
+        if self._checked >= CHECKED_FRAMES or median_depth_m(frame) is None:
+            return frame
+        try:
             check_depth_scale(frame, where=f"ROS topic {self._topic}")
+        except InputError as error:
+            return Refused(frame.seq, "depth_scale", f"{error}; or something is before the camera")
+        self._checked += 1
         return frame
 
     def _listen(self) -> None:
@@ -199,6 +232,7 @@ class Ros2Source:
             raise InputError(f"{where}: {error}") from error
         assert isinstance(image, RosImage | RosCompressed)
         assert isinstance(calibration, RosCalibration)
+        self._calibrations.take(info)
         fault = unsupported(image)
         if fault:
             raise InputError(f"{where} {fault}")

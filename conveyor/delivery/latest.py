@@ -21,7 +21,7 @@ class LatestPublisher:
     """Publishes messages that no one waits for."""
 
     def __init__(self, node: Endpoint, topic: Topic, **parts: str) -> None:
-        self._publisher = node.session.declare_publisher(
+        self._publisher: Any = node.session.declare_publisher(
             topic.key(node.line, **parts),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh_priority(topic),
@@ -34,6 +34,10 @@ class LatestPublisher:
     def put_encoded(self, data: bytes) -> None:
         """Send a message that is encoded already."""
         self._publisher.put(data)
+
+    def leave(self) -> None:
+        """Publish no longer; the session forgets it."""
+        self._publisher.undeclare()
 
     @property
     def has_listener(self) -> bool:

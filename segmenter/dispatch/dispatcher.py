@@ -60,7 +60,7 @@ class DispatchSettings:
 
 @dataclass(frozen=True, slots=True)
 class LostView:
-    """A view that will not be weighed. `reason`: a `ViewLoss`, or 'refused_' and the regressor's own reason."""
+    """A view that will not be weighed. `reason`: a `ViewLoss`, or 'refused_' and a regressor's (`RefusalWords`)."""
 
     view_id: str
     track_id: str

@@ -8,12 +8,15 @@ import pytest
 
 from aggregator.core.cameras import Cameras
 from aggregator.core.coverage import Moment, coverage
+from aggregator.core.load_orders import decide
 from aggregator.core.reasons import Unseen
 from aggregator.core.sight import CameraSight
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.check import check_file
+from aggregator.ledger.loads import last_loads
 from aggregator.ledger.writer import Ledger
 from conveyor.geometry import Intrinsics
-from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
+from conveyor.messages import CameraInfo, LoadOrder, Mark, TrackEntry, Travel
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run
 
@@ -134,3 +137,21 @@ def test_belt_that_ran_until_a_line_was_stopped_without_its_aggregator_was_not_s
     told = coverage(cameras.sights, seen_by={frozenset(("a",)): 9}, moment=cameras.moment(501.0, over=True))
     assert told.unseen_m["a"].get(Unseen.AFTER, 0.0) == pytest.approx(unseen_m)
     assert told.belt_m == pytest.approx(1.8 + unseen_m)
+
+
+def test_the_newest_run_is_the_one_begun_last_though_the_clock_was_set_back(tmp_path: Path) -> None:
+    """A machine without a clock of its own began the day's second run in 1970: `ledger summary` wrote the first one's,
+    and what was said of a load in the evening went to it."""
+    path = tmp_path / "ledger.db"
+    with Ledger(path) as ledger:
+        for run, started_s in (("morning", 1_800_000_000), ("noon", 40)):
+            begun = {"cameras": ["a"], "version": "1", "started_ns": started_s * SECOND_NS}
+            ledger.open_run(run, line="t", **begun)  # type: ignore[arg-type]
+            line = {"utc_offset_s": 0.0, "stated_offset_mm": 0.0}
+            order = LoadOrder(run, "start", by="test", fields={"name": run})
+            decided = {"run": run, "now_ns": started_s * SECOND_NS, "line": line, "place_x_m": lambda _: 0.0}
+            ledger.say(decide(order, ledger.loads, **decided))  # type: ignore[arg-type]
+        assert [row.run for row in ledger.runs()] == ["morning", "noon"]
+        assert [told["run"] for told in last_loads(ledger.view, limit=9)] == ["noon", "morning"]
+    assert order_at_rest(path, LoadOrder("n", "note", by="test", note="wet")).name == "noon"
+    assert check_file(path) == []

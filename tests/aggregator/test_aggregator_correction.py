@@ -164,6 +164,29 @@ def test_a_cultivar_has_a_factor_of_its_own() -> None:
     assert found.cultivar_factor("new") == (1.0, PRIOR.cultivar_sd)
 
 
+def test_a_cultivar_is_one_however_it_is_typed() -> None:
+    """'Agria' and 'agria' were two, each with half of the tickets, and a third spelling had none."""
+    weighed_g = reads(offset_mm=0.0, factor=1.0)
+    tickets = [
+        *(summed(weighed_g, run=f"a{n}") for n in range(2)),
+        *(_of("Agria", summed(weighed_g, run=f"r{n}", times=1.04)) for n in range(4)),
+    ]
+    typed = [*tickets[:3], *(_of(name, tickets[3]) for name in ("agria", " AGRIA ", "Agria"))]
+    typed = [replace(ticket, run=same.run) for ticket, same in zip(typed, tickets, strict=True)]
+    wanted = correction_of(tickets, MODEL, PRIOR, cultivar="Agria")
+    found = correction_of(typed, MODEL, PRIOR, cultivar="aGRIA")
+    assert found.cultivars == wanted.cultivars == ("", "Agria")
+    assert np.array_equal(found.mean, wanted.mean)
+    assert np.array_equal(found.covariance, wanted.covariance)
+    assert found.cultivar_factor("agria") == wanted.cultivar_factor("Agria") != (1.0, PRIOR.cultivar_sd)
+    sums = {("pointraft", MODEL): float(weighed_g.sum())}
+    told = [
+        calibrated(sums, per_mm_g=0.0, own_variance_g2=(0.0, 0.0), tickets=typed, cultivar=name).weight_g
+        for name in ("Agria", "agria")
+    ]
+    assert told[0] == told[1]
+
+
 def _of(cultivar: str, ticket: Ticket) -> Ticket:
     return replace(ticket, cultivar=cultivar)
 

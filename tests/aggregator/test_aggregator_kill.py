@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from aggregator.ledger.check import check_file
+from aggregator.ledger.verified import reading
 from aggregator.ledger.writer import Ledger
+from conveyor.errors import UnmadeError
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 
@@ -42,16 +44,22 @@ def calm(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
         return undisturbed(ledger, tell(SEED, n=10, cameras=2)).canonical()
 
 
+def faults_or_none(ledger: Path) -> list[str] | None:
+    """What is wrong with a ledger; None where it is empty, which the check must say like every reader."""
+    try:
+        return check_file(ledger)
+    except UnmadeError:
+        with pytest.raises(UnmadeError, match=r"is empty\. Either its aggregator was stopped before it had made it"):
+            reading(ledger).__enter__()
+        return None
+
+
 def survives(folder: Path, calm: list[str]) -> int:
     """Reopen what a killed process left, check it against what it acknowledged, and finish the story."""
     said = folder / "acknowledged"
     acknowledged = dict(line.split() for line in said.read_text().splitlines()) if said.exists() else {}
-    if (folder / "ledger.db").exists() and (folder / "ledger.ack").exists():
-        assert [
-            fault
-            for fault in check_file(folder / "ledger.db")
-            if "schema version" not in fault and "no ledger" not in fault
-        ] == []
+    if (folder / "ledger.db").exists():
+        assert faults_or_none(folder / "ledger.db") in ([], None)
     with Ledger(folder / "ledger.db") as ledger:
         it = Aggregator(ledger, tell(SEED, n=10, cameras=2))
         for camera, n in acknowledged.items():
@@ -103,6 +111,34 @@ def test_killed_while_the_file_was_made_it_can_be_opened(tmp_path: Path, calm: l
     assert (tmp_path / "ledger.db-journal").stat().st_size > 0
     assert not (tmp_path / "ledger.ack").exists()
     survives(tmp_path, calm)
+
+
+@pytest.mark.parametrize(("stopped_at", "made"), [("before create", False), ("before run", True)])
+def test_a_ledger_whose_making_was_stopped_is_told_as_empty_by_every_reader(
+    tmp_path: Path, stopped_at: str, made: bool
+) -> None:
+    """`ledger check` said that it is no ledger of Tuberline and that `ledger repair` saves what is intact."""
+    code = (
+        "import os, sys\nfrom pathlib import Path\nfrom aggregator.ledger.writer import Ledger\n"
+        f"with Ledger(Path(sys.argv[1]), step=lambda name: name == '{stopped_at}' and os._exit(9)) as ledger:\n"
+        "    ledger.open_run('r1', line='x', cameras=['a'], version='1', started_ns=1)\n"
+    )
+    ledger = tmp_path / "ledger.db"
+    subprocess.run([sys.executable, "-c", code, str(ledger)], cwd=ROOT, check=False, timeout=60)
+    assert faults_or_none(ledger) == ([] if made else None)
+
+
+def test_a_file_copied_without_its_write_ahead_log_is_told_from_a_ledger_that_was_lost(tmp_path: Path) -> None:
+    told = tell(SEED, n=10, cameras=2)
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        Aggregator(ledger, told).deliver_the_rest()
+        for name in ("ledger.db", "ledger.ack"):
+            (tmp_path / f"copy-{name}").write_bytes((tmp_path / name).read_bytes())
+    copy = tmp_path / "copy-ledger.db"
+    assert any("batches of it were acknowledged: the file was lost" in fault for fault in check_file(copy))
+    (tmp_path / "copy-ledger.ack").unlink()
+    with pytest.raises(UnmadeError, match=r"copy copy-ledger\.db-wal and copy-ledger\.ack with it"):
+        check_file(copy)
 
 
 def test_a_second_writer_is_refused(tmp_path: Path) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from aggregator.core.load_orders import UNDO_WITHIN_S
-from aggregator.core.loads import NO_LOAD
+from aggregator.core.load_orders import UNDO_WITHIN_S, decide
+from aggregator.core.loads import NO_LOAD, LoadBook, Said
 from aggregator.ledger.check import check_file
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
+from conveyor.messages import LoadOrder
+from conveyor.messages.loads import FIELDS
 from tests.aggregator.loaded_story import Loads, S, by_span, story, sums_by_load
 from tuberline.cli.address import LineAddress
 from tuberline.cli.load_table import told_loads as asked_of
@@ -79,6 +84,8 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
                 assert ledger.loads.loads[1].ended_ns is not None
                 with pytest.raises(InputError, match="was 61 s ago, a change can be undone within 60 s"):
                     it.order("late", "undo", now_ns=round((101 + UNDO_WITHIN_S) * S))
+                with pytest.raises(InputError, match="set back by at least 90 s since the last change"):
+                    it.order("back", "undo", now_ns=10 * S)
                 assert it.order("u", "undo", now_ns=110 * S).name == "B"
                 assert ledger.loads.loads[1].ended_ns is None
                 assert ledger.loads.loads[2].undone
@@ -90,6 +97,55 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
     assert set(by_span(path)) == {NO_LOAD, 1}
     assert sums_by_load(path)[1][0] == sum(tuber.x_m < -0.4 for tuber in story().seen())
     assert check_file(path) == []
+
+
+def test_an_undo_leaves_what_would_be_there_without_the_change() -> None:
+    """Fields and notes that came with a load's going on, the offset it went on with and the note of its end stayed."""
+    book = LoadBook()
+
+    def say(action: str, **more: Any) -> None:
+        order = LoadOrder(f"r{book.last_n}", action, by="test", **more)  # type: ignore[arg-type]
+        line = {"stated_offset_mm": float(book.last_n)}
+        book.apply(decide(order, book, run="r", now_ns=S, line=line, place_x_m=lambda _: -float(book.last_n)))
+
+    say("start", fields={"name": "A", "variety": "Agria"}, note="dry")
+    before = book.loads[1]
+    say("end", note="rain")
+    say("undo")
+    assert book.loads[1] == before
+    say("end", note="full")
+    before = book.loads[1]
+    say("start", load="A", fields={"variety": "Fontane", "field": "Long Acre"}, note="from the second field")
+    say("note", load="A", fields={"trailer": "7"}, note="said of the load as it is")
+    say("undo")
+    assert book.loads[1] == replace(before, trailer="7", notes=(*before.notes, book.loads[1].notes[-1]))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_an_undo_is_the_history_without_the_change(seed: int) -> None:
+    """Over random histories: after each undo, loads and stretches are those of the events that were not taken back."""
+    rng, book, taken_back = np.random.default_rng(seed), LoadBook(), set[int]()
+    for n in range(60):
+        actions = ("start", "start", "end", "note", "ticket", "undo", "undo")
+        action, which = str(rng.choice(actions)), str(rng.choice(["", "", "1", "2", "3"]))
+        fields = {name: str(rng.integers(3)) for name in rng.choice(FIELDS, size=2)}
+        more = {"start": {"fields": fields}, "note": {"fields": fields}, "ticket": {"kg": float(n + 1)}}.get(action, {})
+        order = LoadOrder(f"r{n}", action, by="test", load="" if action == "undo" else which, note=f"n{n}", **more)  # type: ignore[arg-type]
+        run, line = f"run{n // 30}", {"stated_offset_mm": float(n)}
+        with suppress(InputError):
+            event = decide(order, book, run=run, now_ns=n * S, line=line, place_x_m=lambda _, n=n: -float(n))  # type: ignore[misc]
+            if event.kind is Said.UNDO:
+                taken_back |= {event.n, int(event.payload["event"])}
+            book.apply(event)
+        kept = LoadBook.of(e for e in book.events.values() if e.n not in taken_back)
+        undone = {number for number, load in book.loads.items() if load.undone}
+        assert {n: load for n, load in book.loads.items() if n not in undone} == {
+            n: load for n, load in kept.loads.items() if n not in undone
+        }
+        assert {run: spans for run, spans in book.spans.items() if len(spans) > 1} == kept.spans
+    assert taken_back
+    again = LoadBook.of(book.events.values())
+    assert (again.loads, again.spans) == (book.loads, book.spans)
 
 
 @pytest.mark.parametrize(

@@ -152,6 +152,18 @@ def test_totals_by_what_loads_are_described_by(tmp_path: Path) -> None:
         totals_by([path], "cultivar")
 
 
+def test_loads_of_one_variety_are_together_however_it_was_typed(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    day_of_loads(path)
+    both = {t.label: t for t in totals_by([path], "variety")[0]}
+    order_at_rest(path, LoadOrder("d", "note", by="test", load="B", fields={"variety": "aGRIA "}))
+    one = {t.label: t for t in totals_by([path], "variety")[0]}
+    assert set(both) - set(one) == {"Fontane"}
+    assert one["Agria"].loads == both["Agria"].loads + both["Fontane"].loads
+    assert one["Agria"].sums.tubers == both["Agria"].sums.tubers + both["Fontane"].sums.tubers
+    assert set(one) == {"Agria", NOT_TOLD, ALL}
+
+
 def test_tickets_of_loads_calibrate_the_others(tmp_path: Path) -> None:
     """Tubers weigh 8 % more than they read: after one load's ticket the other is told nearer, and narrower."""
     path = tmp_path / "ledger.db"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import signal
+import struct
 import threading
-from itertools import count, pairwise
+from itertools import count, cycle, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from camera_sim.live.rmw_zenoh import Attachment, Numbering, key_of, published_topic, read_attachment
 from conveyor.config import CameraConfig, LinkConfig
 from conveyor.errors import ConfigError, InputError, MessageError
+from conveyor.formats.png16 import Refusal
 from conveyor.messages import Frame
 from tests.camera_sim.camera_process import RUN, line, other_side, process
 from tests.conftest import wait_until
@@ -20,8 +22,9 @@ from tests.conftest import wait_until
 pytest.importorskip("rosbags.typesys")
 
 from camera_sim.live import ros2 as ros2_live
+from camera_sim.live.ros2_calibration import DOUBTED_IMAGES, Calibrations
 from tests.camera_sim.ros2_publisher import Ros2Camera, ros2_session
-from tests.formats.bag_messages import HEIGHT, compressed_depth, depth_mm, image, info, stamp_ns
+from tests.formats.bag_messages import HEIGHT, P, compressed_depth, depth_mm, image, info, stamp_ns
 
 TOPIC = "/camera/camera/depth/image_rect_raw"
 ONE, TWO = b"\x01" * 16, b"\x02" * 16
@@ -137,3 +140,95 @@ def test_compressed_depth_bad_messages_and_wrong_topics(link: LinkConfig, monkey
     assert {item.reason for item in items if not isinstance(item, Frame)} == {"undecodable"}
     assert sum(isinstance(item, Frame) for item in items) >= 20
     assert source.description.fps == pytest.approx(30.0, rel=0.01)
+
+
+OTHER_P = (2 * P[0], 0.0, P[2], 0.0, 0.0, 2 * P[5], *P[6:])
+
+
+def calibrations(*said: tuple[int, bytes]) -> Calibrations:
+    """The CameraInfos of images n by these publishers, the intrinsics of the second one's others than of the first."""
+    found = Calibrations("/camera/camera_info", rectified=True)
+    for n, publisher in said:
+        found.take(info(n, p=P if publisher == ONE else OTHER_P), attachment(n, publisher))
+    return found
+
+
+def attachment(n: int, gid: bytes) -> bytes:
+    return struct.pack("<qqB", n, 0, 16) + gid
+
+
+def fx_of(found: Calibrations, n: int, publisher: bytes) -> float | str:
+    k = found.of_image(stamp_ns(n), publisher=publisher)
+    return k.reason if isinstance(k, Refusal) else k.fx
+
+
+def test_an_image_has_the_intrinsics_that_were_said_of_it() -> None:
+    """CameraInfo was read once: what a driver that started again in another mode sent was weighed with old ones."""
+    found = calibrations((0, ONE), (1, ONE), (2, TWO))
+    assert [fx_of(found, n, ONE) for n in (0, 1, 2, 7)] == [P[0], P[0], 2 * P[0], 2 * P[0]]
+
+
+def test_images_of_a_driver_that_started_again_wait_for_its_camera_info() -> None:
+    found = calibrations((0, ONE))
+    assert fx_of(found, 0, b"a") == P[0]
+    assert [fx_of(found, n, b"b") for n in (5, 6)] == ["camera_info"] * 2
+    found.take(info(7, p=OTHER_P), attachment(1, TWO))
+    assert fx_of(found, 7, b"b") == 2 * P[0]
+    # A CameraInfo that came before the first image of the next driver holds at once, and one that never comes again
+    # is of a node that lives on.
+    found.take(info(8), attachment(1, ONE))
+    assert fx_of(found, 8, b"c") == P[0]
+    said = [fx_of(found, 9 + n, b"d") for n in range(DOUBTED_IMAGES + 1)]
+    assert said == ["camera_info"] * DOUBTED_IMAGES + [P[0]]
+
+
+def test_an_unusable_camera_info_makes_its_images_unusable_until_another_comes() -> None:
+    found = calibrations((0, ONE))
+    found.take(info(1, k=(0.0,) * 9, p=(0.0,) * 12), attachment(1, ONE))
+    assert "not calibrated" in found.of_image(stamp_ns(1), publisher=ONE).text  # type: ignore[union-attr]
+    found.take(b"no message", attachment(2, ONE))
+    assert fx_of(found, 2, ONE) == "camera_info"
+    found.take(info(3), attachment(3, ONE))
+    assert fx_of(found, 3, ONE) == P[0]
+
+
+@pytest.mark.graph
+def test_a_view_that_is_blocked_at_the_start_and_a_driver_in_another_mode_end_no_camera(link: LinkConfig) -> None:
+    """A hand before the lens was taken for a wrong scale, and ended the camera for good; so did a second node."""
+    settings = CameraConfig(source="ros2", topic=TOPIC, belt_distance_m=0.42)
+    shapes = list[str]()
+    stop = threading.Event()
+    with ros2_session(link) as session:
+        camera = Ros2Camera(session, TOPIC, gid=ONE)
+
+        def keep_publishing() -> None:
+            other: Ros2Camera | None = None
+            for n in cycle(range(50)):
+                if stop.wait(0.02):
+                    return
+                clear = len(shapes) > 5
+                if len(shapes) > 10 and other is None:
+                    other = Ros2Camera(session, TOPIC, gid=TWO)
+                sender = other or camera
+                p = OTHER_P if other else P
+                sender.publish(image(n, nearer_mm=0 if clear else 390), info(n, p=p))
+                if n % 10 == 9:
+                    camera.publish(image(n), info(n))
+
+        thread = threading.Thread(target=keep_publishing)
+        thread.start()
+        try:
+            frames = ros2_live.Ros2Source.connect("front", settings, link).frames(run="r")
+            wanted = {"depth_scale", f"fx {P[0]:g}", f"fx {2 * P[0]:g}", "two_publishers"}
+
+            def next_shape() -> bool:
+                item = next(frames)
+                shapes.append(f"fx {item.intrinsics.fx:g}" if isinstance(item, Frame) else item.reason)
+                return wanted <= set(shapes)
+
+            wait_until(next_shape, what=f"{wanted}; came: {shapes}")
+            frames.close()
+        finally:
+            stop.set()
+            thread.join()
+    assert shapes[:5] == ["depth_scale"] * 5

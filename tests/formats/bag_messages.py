@@ -36,9 +36,17 @@ def stamp_ns(n: int) -> int:
     return START_NS + n * STEP_NS
 
 
-def image(n: int, *, encoding: str = "16UC1", pad: int = 0, big_endian: bool = False, ros1: bool = False) -> bytes:
+def image(
+    n: int,
+    *,
+    encoding: str = "16UC1",
+    pad: int = 0,
+    big_endian: bool = False,
+    ros1: bool = False,
+    nearer_mm: int = 0,
+) -> bytes:
     """Image n, serialised: metres for 32FC1, else millimetres; `pad` bytes behind each row."""
-    pixels = depth_mm(n).astype(">u2" if big_endian else "<u2")
+    pixels = (np.maximum(depth_mm(n), nearer_mm) - nearer_mm).astype(">u2" if big_endian else "<u2")
     if encoding == "32FC1":
         metres = np.where(depth_mm(n) > 0, depth_mm(n) / 1000.0, np.nan)
         pixels = metres.astype(">f4" if big_endian else "<f4")
@@ -48,14 +56,16 @@ def image(n: int, *, encoding: str = "16UC1", pad: int = 0, big_endian: bool = F
     return _serialised(IMAGE, {**fields, "step": rows.shape[1], "data": rows.ravel()}, n, ros1=ros1)
 
 
-def info(*, distortion: float = 0.0, ros1: bool = False, k: tuple[float, ...] = K) -> bytes:
-    """A CameraInfo, serialised."""
+def info(
+    n: int = 0, *, distortion: float = 0.0, ros1: bool = False, k: tuple[float, ...] = K, p: tuple[float, ...] = P
+) -> bytes:
+    """The CameraInfo of image n, serialised."""
     types = (STORE1 if ros1 else STORE).types
     names = ("D", "K", "R", "P") if ros1 else ("d", "k", "r", "p")
-    matrices = (np.full(5, distortion), np.array(k), np.eye(3).ravel(), np.array(P))
+    matrices = (np.full(5, distortion), np.array(k), np.eye(3).ravel(), np.array(p))
     roi = types["sensor_msgs/msg/RegionOfInterest"](x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
     fields = {"height": HEIGHT, "width": WIDTH, "distortion_model": "plumb_bob", "binning_x": 0, "binning_y": 0}
-    return _serialised(INFO, {**fields, "roi": roi, **dict(zip(names, matrices, strict=True))}, 0, ros1=ros1)
+    return _serialised(INFO, {**fields, "roi": roi, **dict(zip(names, matrices, strict=True))}, n, ros1=ros1)
 
 
 def compressed_depth(n: int, *, form: str = "16UC1; compressedDepth png") -> bytes:

@@ -218,6 +218,39 @@ def test_a_refused_view_is_lost_with_the_regressors_reason(frames: list[Frame]) 
     assert all(t.views_lost == {"refused_few_points": 1} and len(t.views) == 2 for t in tracks)
 
 
+def test_a_regressor_that_never_refuses_twice_for_one_reason_ends_no_camera(
+    frames: list[Frame], tmp_path: Path
+) -> None:
+    """One that was brought puts numbers into its words: 300 of them made a mark that no one could send."""
+    refused = 0
+    for process in range(2):
+        run = CameraRun("front", "r1", LIVE_SETTINGS, tmp_path / "front.db")
+        run.open()
+        views = play(run, frames[process * 31 :][:31], names={"a"})
+        for n in range(150):
+            view_id = f"{process}-{n}"
+            run.dispatcher.offer(replace(views[0], view_id=view_id, track_id=view_id), now_s=1.0)
+        for _ in range(150):
+            for name, view in run.tick(1.0, {"a"}):
+                refused += 1
+                answer = weight(view, regressor=name)
+                answer = replace(answer, status="refused", weight_g=None, low_g=None, high_g=None)
+                run.weight(replace(answer, reason=f"{refused + 70} of 300 points"))
+        if process == 0:
+            run.log.append([run._mark(final=False)])  # what its successor goes on with
+    finish(run, 3.0, {"a"})
+    mark = run.log.last_mark
+    assert mark is not None
+    assert mark.final
+    for entry in entries(run, 3.0):
+        assert TrackEntry.decode(entry.encode()) == entry
+    reasons = {name: n for name, n in mark.views.items() if name.startswith("lost_refused_")}
+    assert refused == sum(reasons.values()) >= 300
+    assert reasons["lost_refused_71 of 300 points"] == 1
+    assert reasons["lost_refused_other"] == refused - 64
+    assert len(reasons) == 65
+
+
 @pytest.mark.parametrize("settings", [SETTINGS, LIVE_SETTINGS], ids=["tuber by tuber", "first views first"])
 @pytest.mark.parametrize("killed_after", [20, *range(29, 37), 45])
 def test_a_killed_process_is_followed_without_a_tuber_lost_or_renumbered(

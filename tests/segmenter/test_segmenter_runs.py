@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 
-from conveyor.config import CameraConfig, LineConfig
+from conveyor import topics
+from conveyor.config import CameraConfig, LineConfig, LinkConfig
 from conveyor.messages import Committed, Frame
+from conveyor.session import open_client
 from segmenter.node import SegmenterNode
+from tests.conftest import wait_until
 from tests.segmenter.segmenter_scene import Body, Scene
 
 SCENE = Scene([Body(-0.3, 0.0)])
@@ -105,3 +110,25 @@ def test_reports_name_the_run_that_they_tell_of(node: Any) -> None:
     assert node._node.run == "r2"
     give(node, "r1", range(2, 3))
     assert node._node.run == "r2"
+
+
+@pytest.mark.graph
+def test_a_regressor_that_left_takes_its_publisher_along(link: LinkConfig) -> None:
+    """Each that ever joined, under its own name, kept one in the segmenter's session for as long as that lived."""
+    line = LINE.model_copy(update={"link": link})
+    found: Any = SegmenterNode(line, "front", "r1")
+    with found._node as node, ExitStack() as stack, open_client(link, name="regressors") as session:
+        found._open_links(node, stack)
+        found._open_run("r1")
+        keys = [topics.ALIVE.key(line.name, role="regressor", name=f"r{n}") for n in range(3)]
+        tokens = [session.liveliness().declare_token(key) for key in keys]
+        wait_until(lambda: found._regressors.names() == {"r0", "r1", "r2"}, what="three regressors")
+        works = {name: found._work(name) for name in ("r0", "r1", "r2")}
+        for n in (0, 2):
+            tokens[n].undeclare()
+        wait_until(lambda: found._turn() or set(found._works) == {"r1"}, what="two to leave")
+        works["r1"].put_encoded(b"x")
+        with pytest.raises(zenoh.ZError):
+            works["r0"].put_encoded(b"x")
+        for camera_run in found._runs.values():
+            camera_run.close()

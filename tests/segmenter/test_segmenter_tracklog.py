@@ -18,6 +18,7 @@ from conveyor.messages import Committed, Mark, Track, TrackEntry
 from segmenter.log_store import LogStore
 from segmenter.log_writer import LogWriter
 from segmenter.old_log import MAGIC, read_old_log
+from segmenter.state_lock import only_here
 from segmenter.tracklog import UNDER_WAY_AT_MOST, TrackLog
 from tests.conftest import wait_until
 
@@ -252,6 +253,62 @@ def test_what_waits_when_another_log_was_committed_is_numbered_on(tmp_path: Path
         assert log.uncommitted == 0
 
 
+@pytest.mark.parametrize("step", ["commit: begin", "commit: commit", "commit: done"])
+def test_a_process_that_dies_while_it_numbers_on_loses_nothing(tmp_path: Path, step: str) -> None:
+    """What waits was forgotten in one transaction and written anew in the next: killed between them, it was lost."""
+
+    def die(name: str) -> None:
+        if name == step:
+            raise RuntimeError(name)
+
+    log = TrackLog(tmp_path / "front.db", camera="front", run="r1").__enter__()
+    log.append([mark(0.4), mark(0.5), track(1), track(2)])
+    log.commit(1)
+    assert isinstance(log.store, LogStore)
+    log.store.step = die
+    with pytest.raises(RuntimeError, match=step):
+        log.commit(40)
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1") as log:
+        log.commit(40)
+        assert [(entry.n, entry.track or entry.mark) for entry in log.due(0.1)] == [
+            (41, mark(0.5)),
+            (42, track(1)),
+            (43, track(2)),
+        ]
+        assert (log.committed, log.newest, log.last_mark) == (40, 43, mark(0.5))
+        assert log.since_mark == [track(1), track(2)]
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1") as log:
+        assert log._mark_before is not None
+        assert (log._mark_before.mark, log.last_mark, log.since_mark) == (mark(0.4), mark(0.5), [track(1), track(2)])
+
+
+def test_a_thread_that_writes_numbers_on_in_order(tmp_path: Path) -> None:
+    """All of it in one go: entries, those that another log makes move, and entries and commits after them."""
+    disk, begun = threading.Event(), list[str]()
+
+    def busy(step: str) -> None:
+        begun.append(step)
+        assert disk.wait(30)
+
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1", behind=True) as log:
+        assert isinstance(log.store, LogWriter)
+        log.store._store.step = busy
+        log.append([track(1)])
+        wait_until(lambda: begun, what="the first write")
+        log.append([track(2), mark(0.5)])
+        log.commit(40)
+        assert log.due(0.0) == []
+        log.append([track(3)])
+        log.commit(41)
+        disk.set()
+        sent: list[int] = []
+        wait_until(lambda: sent.extend(e.n for e in log.due(0.0)) or len(sent) == 3, what="three entries to send")
+        assert sent == [42, 43, 44]
+    with TrackLog(tmp_path / "front.db", camera="front", run="r1") as log:
+        assert (log.committed, log.newest, log.uncommitted, log.last_mark) == (41, 44, 3, mark(0.5))
+        assert [entry.track or entry.mark for entry in log.due(0.0)] == [track(2), mark(0.5), track(3)]
+
+
 def test_a_slow_aggregator_is_not_sent_a_long_log_again_and_again() -> None:
     """Under overload it got 6000 entries from each of six cameras every few seconds, and confirmed nothing any more."""
     with TrackLog(None, camera="front", run="r1") as log:
@@ -362,3 +419,21 @@ def test_what_the_writing_thread_cannot_write_is_an_error_of_the_next_call(tmp_p
         log.append([track(2)])
     with pytest.raises(StorageError, match="disk is full"):
         log.__exit__(None, None, None)
+
+
+def test_one_process_at_a_time_keeps_a_cameras_logs(tmp_path: Path) -> None:
+    """Two lines of one name and one folder numbered their entries into one log, and were told to move it away."""
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom segmenter.state_lock import only_here\n"
+        "with only_here(Path(sys.argv[1]), 'field.front'):\n    print('there', flush=True)\n    sys.stdin.read()\n"
+    )
+    told = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", code, tmp_path], cwd=ROOT, **told) as child:  # type: ignore[call-overload]
+        assert child.stdout.readline() == "there\n"
+        with pytest.raises(StorageError, match=r"field\.front\.\* cannot be kept: another process keeps them"):
+            only_here(tmp_path, "field.front").__enter__()
+        with only_here(tmp_path, "field.rear"), only_here(None, "field.front"):
+            pass
+        child.kill()
+    with only_here(tmp_path, "field.front"):
+        pass

@@ -43,13 +43,15 @@ class RosCompressed:
 
 @dataclass(frozen=True, slots=True)
 class RosCalibration:
-    """A camera's calibration: `k` 9 numbers, `p` 12 (or none), row-major, in pixels; `d` distortion coefficients."""
+    """A camera's calibration: `k` 9 numbers, `p` 12 (or none), row-major, in pixels; `d` distortion coefficients.
+    `stamp_ns` is that of the image that it belongs to, 0 where that is not said."""
 
     width: int
     height: int
     k: tuple[float, ...]
     p: tuple[float, ...]
     d: tuple[float, ...]
+    stamp_ns: int = 0
 
 
 RosMessage = RosImage | RosCompressed | RosCalibration | float
@@ -86,7 +88,8 @@ def from_ros(kind: Kind, message: Any) -> RosMessage:
     if kind == "calibration":
         upper = hasattr(message, "K")
         k, p, d = (getattr(message, name.upper() if upper else name) for name in "kpd")
-        return RosCalibration(int(message.width), int(message.height), _floats(k), _floats(p), _floats(d))
+        size = int(message.width), int(message.height)
+        return RosCalibration(*size, _floats(k), _floats(p), _floats(d), _stamp_ns(message))
     return float(message.data)
 
 
