@@ -7,6 +7,8 @@ DEMO_STAMP := $(VENV)/.installed-demo
 
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+# Byte code is kept, whatever the environment says: the tests start hundreds of processes, and each would compile ours.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test lint bench docs docs-site wheel chaos chaos-live load soak fuzz images boot powercuts install clean
 

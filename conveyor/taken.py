@@ -1,36 +1,27 @@
-"""Who lives under a name already, and who listens on a port already.
+"""Who lives under a name already: two nodes of one name would mix their messages.
 
-Two nodes of one name would mix their messages, and two lines at one router their loads. A name or a port counts as
-taken only while somebody proves to be alive there: what a dead process left behind goes away by itself, and is waited
-for.
+A name counts as taken only while somebody proves to be alive there: what a dead process left behind goes away by
+itself, and is waited for.
 """
 
 from __future__ import annotations
 
-import json
-import socket
 import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 from conveyor import topics
-from conveyor.config import LinkConfig
-from conveyor.errors import LinkError, MessageError, TakenError, TuberlineError
+from conveyor.errors import LinkError, MessageError, TakenError
 from conveyor.messages import Counters
-from conveyor.session import open_client
 
 ASK_S = 2.0
 LEASE_MARGIN_S = 2.0
 REPORTS_APART_S = 0.7
 """Two reports this far apart were sent by a living process; what a frozen router gives out late comes at once."""
 SAME_AGE_S = 2.0
-PORT_IS_LEFT_WITHIN_S = 3.0
-"""A line that was stopped or killed a moment ago lets go of its port by then."""
 LOOK_EVERY_S = 0.1
-CONNECT_S = 0.5
 
 
 class Namesake:
@@ -116,49 +107,3 @@ class Namesake:
             f"a {self._role} '{self._name}' of line '{self._line}' lives already: process {other.pid} on host "
             f"{other.host}, run {other.run}, for {other.uptime_s:.0f} s. Stop it, or give this one another name"
         )
-
-
-def check_port_free(link: LinkConfig, *, stop: Callable[[], bool] = lambda: False) -> None:
-    """Return when no one listens where this line's router is to listen.
-
-    Raises:
-        TakenError: somebody does, and stays; says who.
-    """
-    deadline = time.monotonic() + PORT_IS_LEFT_WITHIN_S
-    while (endpoint := _listened_to(link)) is not None and not stop():
-        if time.monotonic() > deadline:
-            raise TakenError(
-                f"cannot listen on {endpoint}: {who_routes(link, endpoint)}. Stop it, choose another port in "
-                "link.router, or use --no-router to join that router with this line's nodes"
-            )
-        time.sleep(LOOK_EVERY_S)
-
-
-def who_routes(link: LinkConfig, endpoint: str) -> str:
-    """Who listens at `endpoint`, in words: a router with its host and the nodes that live at it, or something else."""
-    there = link.model_copy(update={"router": endpoint, "connect_timeout_s": ASK_S})
-    try:
-        with open_client(there, name="router") as session:
-            routers = [reply.ok for reply in session.get("@/*/router", timeout=ASK_S) if reply.ok is not None]
-            names = [str(r.ok.key_expr) for r in session.liveliness().get(f"{topics.ROOT}/*/alive/**") if r.ok]
-            host = json.loads(routers[0].payload.to_string())["metadata"]["host"] if routers else "an unknown host"
-    except (TuberlineError, zenoh.ZError, ValueError, KeyError, TypeError):
-        return "another program listens there"
-    nodes = sorted(name.removeprefix(f"{topics.ROOT}/").replace("/alive/", ": ", 1) for name in names)
-    return f"a router on {host} listens there, with {', '.join(nodes) or 'no nodes'}"
-
-
-def _listened_to(link: LinkConfig) -> str | None:
-    """The first of the router's own endpoints at which somebody accepts connections, as a client reaches it."""
-    for endpoint in link.listen or (link.router,):
-        protocol, _, rest = endpoint.partition("/")
-        host, _, port = rest.partition("#")[0].partition("?")[0].rpartition(":")
-        if protocol not in ("tcp", "tls", "ws") or not port.isdecimal():
-            continue
-        host = {"0.0.0.0": "127.0.0.1", "[::]": "::1", "*": "127.0.0.1"}.get(host, host).strip("[]")
-        try:
-            socket.create_connection((host, int(port)), timeout=CONNECT_S).close()
-        except OSError:
-            continue
-        return f"{protocol}/{f'[{host}]' if ':' in host else host}:{port}"
-    return None

@@ -18,7 +18,7 @@ from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
 from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
-from conveyor.taken import check_port_free
+from conveyor.taken_port import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 

@@ -148,6 +148,17 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_router_loads_neither_numpy_nor_messages() -> None:
+    """A third of its start and 13 MB, for the reports that only a node reads."""
+    code = (
+        "import sys, tuberline.cli.router\n"
+        "heavy = {'torch', 'cv2', 'numba', 'scipy', 'numpy', 'conveyor.messages'} & set(sys.modules)\n"
+        "sys.exit(str(sorted(heavy)) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_command_exists_and_explains_itself() -> None:
     from tuberline.cli import build_app
 

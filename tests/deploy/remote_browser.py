@@ -25,14 +25,13 @@ FLAGS = (
     "--disable-sync",
     "--disable-component-update",
     "--disable-dev-shm-usage",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
     "--ignore-certificate-errors",
     "--window-size=1280,800",
 )
-"""Software rendering. The certificate is of the test's own authority, which this browser does not know."""
+"""The certificate is of the test's own authority, which this browser does not know."""
+WEBGL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+"""In software: each picture of the page goes through it then, for a third of the browser's CPU."""
+NO_WEBGL = ("--disable-gpu",)
 
 
 class BrowserError(Exception):
@@ -103,15 +102,19 @@ class Browser:
 
 
 @contextmanager
-def chromium(folder: Path) -> Iterator[Browser]:
-    """A browser with a profile of its own; the test is skipped loudly without one."""
+def chromium(folder: Path, *, webgl: bool = True) -> Iterator[Browser]:
+    """A browser with a profile of its own; the test is skipped loudly without one.
+
+    Args:
+        webgl: for pages that draw with it: maps, and the viewer's scenes.
+    """
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no Chromium (Debian: apt-get install chromium): the page was not looked at")
     their_in, to_browser = os.pipe()
     from_browser, their_out = os.pipe()
     shell = f'exec "$@" 3<&{their_in} 4>&{their_out}'
-    flags = [*FLAGS, "--remote-debugging-pipe", f"--user-data-dir={folder}"]
+    flags = [*FLAGS, *(WEBGL if webgl else NO_WEBGL), "--remote-debugging-pipe", f"--user-data-dir={folder}"]
     process = subprocess.Popen(
         ["bash", "-c", shell, "sh", program, *flags],
         pass_fds=(their_in, their_out),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -33,18 +34,20 @@ def certs(folder: Path, name: str) -> Path:
     return made
 
 
-@pytest.fixture
-def root(tmp_path: Path) -> Path:
-    """A folder with line north installed."""
-    done = install(
-        tmp_path / "root",
-        "--roles",
-        ROLES,
-        "--certs",
-        str(certs(tmp_path, "north")),
-        config=line(tmp_path, "north", port=7447),
-    )
+@pytest.fixture(scope="module")
+def north(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with line north installed, of which each test has a copy. No test writes to it."""
+    folder = tmp_path_factory.mktemp("north")
+    config, made = line(folder, "north", port=7447), certs(folder, "north")
+    done = install(folder / "root", "--roles", ROLES, "--certs", str(made), config=config)
     assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture
+def root(tmp_path: Path, north: Path) -> Path:
+    """A folder of the test's own with line north installed; its config and certificates lie beside it."""
+    shutil.copytree(north, tmp_path, symlinks=True, dirs_exist_ok=True)
     return tmp_path / "root"
 
 

@@ -69,7 +69,7 @@ def mcap(folder: Path) -> tuple[list[bytes], Read]:
 
 def rosbag(folder: Path) -> tuple[list[bytes], Read]:
     """A ROS 1 bag."""
-    from tests.camera_sim import test_camera_sim_rosbag as bags
+    from tests.formats import test_formats_rosbag as bags
     from tests.fuzz.test_fuzz_files import read_all
 
     path = folder / "recording.bag"

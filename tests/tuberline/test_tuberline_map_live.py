@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from conveyor import topics
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter, read_positions
 from conveyor.messages import Position
+from tests.deploy.remote_browser import Browser, chromium
 from tests.viewer import viewer_line as line
 from tests.viewer.page_states import loaded_state
-from tests.viewer.test_viewer_page_browser import Browser, browser, js, text, until
+from tests.viewer.test_viewer_page_browser import js, text, until
 from tests.viewer.test_viewer_page_server import ask
 from tuberline.maps.field import Settings, field_map
 from tuberline.maps.live import features, live_map, newest_run
@@ -29,7 +31,6 @@ from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
 from viewer.way import MOST_PLACES
 
-__all__ = ["browser"]
 pytest.importorskip("pyproj")
 WORLD = FieldWorld(size_m=(24.0, 80.0), shown_share=0.1)
 SEED = 7303
@@ -47,6 +48,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for time_ns, lat, lon, quality in zip(day.time_ns, day.lat_deg, day.lon_deg, day.quality, strict=True):
             file.write((int(time_ns), int(time_ns), float(lat), float(lon), int(quality), 0.8, 12))
     return out
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One that draws maps."""
+    with chromium(tmp_path_factory.mktemp("browser") / "profile") as running:
+        yield running
 
 
 def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.kernels import take_compiled
+
 pytestmark = pytest.mark.timeout(900)
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tuberline", "conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer")
@@ -41,13 +43,17 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The interpreter of a new environment with the wheel; the libraries are lent by this one, ours are not."""
+    """The interpreter of a new environment with the wheel; the libraries are lent by this one, ours are not.
+
+    Machine code is lent, too: numba takes what was made of the same source, and all other tests compile that.
+    """
     home = tmp_path_factory.mktemp("env") / "venv"
     venv.create(home, with_pip=False, symlinks=True)
     site = home / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
     run(sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", str(site), str(wheel))
     # A line of a .pth file is a folder to look in; .pth files inside that folder, an editable install's, do not count.
     (site / "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
+    take_compiled(ROOT, site)
     return home / "bin" / "python"
 
 

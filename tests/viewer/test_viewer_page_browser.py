@@ -29,7 +29,7 @@ SIZES = {"phone": (390, 844), "panel": (1280, 800)}
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with chromium(tmp_path_factory.mktemp("browser") / "profile") as running:
+    with chromium(tmp_path_factory.mktemp("browser") / "profile", webgl=False) as running:
         yield running
 
 

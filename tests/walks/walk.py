@@ -6,7 +6,6 @@ import csv
 import os
 import re
 import shlex
-import shutil
 import signal
 import socket
 import subprocess
@@ -15,6 +14,7 @@ import time
 from pathlib import Path
 
 from tests.docs.blocks import Command, blocks, made_small
+from tests.kernels import take_compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 1800
@@ -28,21 +28,6 @@ def section(title: str) -> list[str]:
     text = (ROOT / "docs" / "walks.md").read_text(encoding="utf-8")
     part = next(part for part in re.split(r"^## ", text, flags=re.MULTILINE) if part.startswith(title))
     return [made_small(block.line) for block in blocks(part) if isinstance(block, Command)]
-
-
-def take_compiled(source: Path, target: Path) -> None:
-    """What numba has compiled of files that are the same in both: each process of a fresh clone would take a minute.
-
-    Numba knows a file by its time and size, so the times are taken along.
-    """
-    for index in source.glob("[a-z]*/**/__pycache__/*.nbi"):
-        module = index.parent.parent / f"{index.name.split('.')[0]}.py"
-        same = target / module.relative_to(source)
-        if same.is_file() and module.is_file() and same.read_bytes() == module.read_bytes():
-            os.utime(same, ns=(module.stat().st_atime_ns, module.stat().st_mtime_ns))
-            (same.parent / "__pycache__").mkdir(exist_ok=True)
-            for compiled in index.parent.glob(f"{index.name.removesuffix('.nbi')}*.nb?"):
-                shutil.copy(compiled, same.parent / "__pycache__")
 
 
 class Walk:

@@ -13,7 +13,7 @@ from conveyor.config import LineConfig, load_config
 from conveyor.heap import GIVE_BACK_EVERY_S, give_back
 from conveyor.notify import notify
 from conveyor.session import open_router
-from conveyor.taken import check_port_free
+from conveyor.taken_port import check_port_free
 
 
 def router(*, config: Path | None = None, listen: str | None = None) -> None:

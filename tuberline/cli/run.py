@@ -13,7 +13,7 @@ from pathlib import Path
 from conveyor.config import LineConfig, load_config
 from conveyor.errors import ConfigError, TuberlineError
 from conveyor.observer import observer_when_there
-from conveyor.taken import check_port_free
+from conveyor.taken_port import check_port_free
 from tuberline.cli.named_files import unreadable_files
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
