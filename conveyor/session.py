@@ -50,7 +50,8 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
         why = "" if reason.startswith("Unable to connect") else f" ({reason})"  # that much is said already
         raise LinkError(
             f"no router answered at {link.router} within {link.connect_timeout_s:g} s{why}; "
-            "start one with `tuberline router`, or fix link.router in the config"
+            "start the line with `tuberline run`, or a router alone with `tuberline router`, or correct its address "
+            "(link.router in the config, --connect)"
         ) from error
 
 
