@@ -233,6 +233,19 @@ def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -
         assert js(browser, "document.querySelector('[data-act=start]').disabled")
 
 
+def test_a_line_that_was_switched_off_takes_no_orders(browser: Browser) -> None:
+    """Its run is complete, which is no trouble; but a load that was started there got no answer."""
+    board = Board(["north"])
+    disabled = "document.querySelector('[data-act=start]').disabled"
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        for heard_s, off in ((0.4, False), (120.0, True)):
+            complete = good_state(totals=totals(final=True), heard_s=heard_s, totals_age_s=heard_s)
+            told = {**snapshot(complete), "looks_only": ""}
+            until_told(browser, board, told, "Run complete", *(["The line switched off"] if off else ["No alarms."]))
+            assert js(browser, disabled) is off
+
+
 def press_key(browser: Browser, key: str, code: int, **more: Any) -> None:
     for kind in ("keyDown", "keyUp"):
         browser.page("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code, **more)

@@ -53,7 +53,7 @@ export class LineCard {
     const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
     this.gone = now === "no contact";
     this.health(found.health);
-    this.loads.contact(!this.gone);
+    this.loads.contact(!lost && heardS !== null && heardS <= STALE_S); // a line that is off hears no order
     this.places.state.dataset.state = STATES[now] ?? "wait";
     this.element.dataset.gone = this.gone ? "yes" : "no";
     this.put("state", t(`state.${now.replace(" ", "_")}`), this.places.state.querySelector(".text"));
