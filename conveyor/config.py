@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
-from conveyor.config_base import Metres, Section, checked_name
+from conveyor.config_base import Metres, Section, checked_endpoint, checked_name
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
@@ -39,6 +39,11 @@ class LinkConfig(Section):
     certs: Path | None = Field(
         None, description="TLS: folder from `tuberline certs`, where every process finds its own three files"
     )
+
+    @field_validator("router")
+    @classmethod
+    def _endpoint(cls, router: str) -> str:
+        return checked_endpoint(router)
 
 
 class CameraConfig(Section):
@@ -326,7 +331,10 @@ def parse_config(raw: dict[str, Any], *, where: str, base: Path | None = None) -
 def _fault(fault: Any) -> str:
     where = ".".join(str(part) for part in fault["loc"])
     if fault["type"] != "extra_forbidden":
-        return f"{where}: {fault['msg']} (got {fault.get('input')!r})"
+        told = fault["msg"].removeprefix("Value error, ")  # pydantic's mark on a sentence of ours
+        given = fault.get("input")
+        said = told != fault["msg"] and (isinstance(given, dict) or str(given) in told)
+        return f"{where}: {told}" if said else f"{where}: {told} (got {given!r})"
     if new_name := _new_name(fault["loc"]):
         return f"{where}: now '{new_name}'; write that instead"
     known = _known_keys(fault["loc"][:-1])

@@ -18,6 +18,15 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
+def checked_endpoint(text: str) -> str:
+    """`text` where it names a protocol and an address, as 'tcp/10.0.0.1:7447'; raises ValueError else."""
+    protocol, slash, address = text.partition("/")
+    if slash and address and protocol.replace("-", "").isalnum():
+        return text
+    host = "HOST" if slash or not text else text.split(":")[0]
+    raise ValueError(f"'{text}' is no router's endpoint: write it like tcp/{host}:7447")
+
+
 def checked_name(name: str, what: str) -> str:
     """`name` where it may be part of keys and file names; pydantic tells what is wrong else."""
     try:

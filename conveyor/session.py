@@ -43,14 +43,11 @@ def open_client(link: LinkConfig, *, name: str) -> zenoh.Session:
         return zenoh.open(_config(client_settings(link, name=name)))
     except zenoh.ZError as error:
         reason = short_reason(error)
-        if "/" not in link.router:
-            raise LinkError(
-                f"'{link.router}' is no router's endpoint: write it like tcp/{link.router.split(':')[0]}:7447"
-            ) from error
         why = "" if reason.startswith("Unable to connect") else f" ({reason})"  # that much is said already
         raise LinkError(
             f"no router answered at {link.router} within {link.connect_timeout_s:g} s{why}; "
-            "start one with `tuberline router`, or fix link.router in the config"
+            "start the line with `tuberline run`, or a router alone with `tuberline router`, or correct its address "
+            "(link.router in the config, --connect)"
         ) from error
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from conveyor.config import LineConfig, dump_toml, load_config, parse_config
 from conveyor.errors import ConfigError
+from tuberline.cli.address import LineAddress
 from tuberline.cli.config import check
 
 
@@ -41,6 +42,21 @@ def test_a_fault_is_named_with_its_mend(tmp_path: Path, text: str, said: str) ->
     with pytest.raises(ConfigError, match=said) as caught:
         load_config(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("router", "mend"), [("edge", "tcp/edge:7447"), ("10.0.0.1:7447", "tcp/10.0.0.1:7447"), ("tcp/", "tcp/HOST:7447")]
+)
+def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router: str, mend: str) -> None:
+    """`config check` said that it is fine, and `tuberline watch edge` ended in a traceback of Zenoh."""
+    told = f"'{router}' is no router's endpoint: write it like {mend}"
+    with pytest.raises(ConfigError) as caught:
+        load_config(write(tmp_path, f'[link]\nrouter = "{router}"'))
+    assert str(caught.value).splitlines()[1] == f"  link.router: {told}"
+    for address in (LineAddress(connect=router).watched, LineAddress(connect=router).link):
+        with pytest.raises(ConfigError) as caught:
+            address()
+        assert str(caught.value) == told
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:

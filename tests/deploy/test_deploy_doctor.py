@@ -119,6 +119,8 @@ def test_a_port_nobody_listens_on(free_port: int) -> None:
     found = only(check_port(LinkConfig(router=f"tcp/127.0.0.1:{free_port}")))
     assert f"127.0.0.1:{free_port} does not answer" in found.text
     assert "tuberline router" in found.fix
+    assert found.fix.startswith("start the line (`tuberline run`"), "most often it is only not started"
+    assert "tuberline doctor --offline" in found.fix
 
 
 def test_nodes_versions_and_clocks() -> None:

@@ -93,6 +93,25 @@ def test_help_shows_every_word_and_no_empty_option(words: tuple[str, ...]) -> No
     assert f"Usage: tuberline {' '.join(words)}" in text
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("calibrate", "bucket", "run", "--kg", "8,61"), ('"8,61" is no number; write it like 8.61.', "bucket --help")),
+        (
+            ("replay", "rec", "--out", "x", "--regressors", "many"),
+            ('"many" is no whole number; write it like 12.', "--help"),
+        ),
+        (("raplay",), ('Did you mean "replay"?', "What is allowed: tuberline --help")),
+    ],
+)
+def test_a_mistake_is_told_with_the_right_words(words: tuple[str, ...], told: tuple[str, ...]) -> None:
+    """'Unable to convert "8,61" into float' was said of a decimal comma."""
+    done = tuberline(*words)
+    assert done.returncode == 2
+    for part in told:
+        assert part in " ".join(done.stderr.replace("│", " ").split()), done.stderr
+
+
 def test_angle_and_square_brackets_are_shown() -> None:
     assert "<name>.recovered.mcap" in help_of("recover")
     assert "tuberline-<line>-<time>.tar.gz" in help_of("bundle", width=200)

@@ -313,7 +313,10 @@ def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -
     assert "written@0" in text
     assert text.count('src="data:image/png;base64,') == 1, "the map"
     assert not [word for word in ("http:", "https:", "<script", "<link") if word in text]
-    assert "No load was weighed: no ticket calibrates these weights." in text
+    assert "No load was on a scale: no ticket says how right these weights are." in text
+    assert "kg: the same, for nothing is calibrated." in text, "it said 'kg: calibrated' above 'Not calibrated.'"
+    assert "all of it" in text
+    assert ("the rest is made up for" in text) == (summary["coverage"] <= 0.9995)
     with pytest.raises(InputError, match=r"no load of 2020-01-01: they hold 2026-09-21"):
         export([run], format="html", day="2020-01-01", out=tmp_path / "no.html", **HOW)  # type: ignore[arg-type]
 

@@ -29,7 +29,7 @@ from viewer.page.board import Board
 from viewer.page.maps import FieldMaps
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
-from viewer.way import MOST_PLACES
+from viewer.way import AGREEING, MOST_PLACES, Way
 
 pytest.importorskip("pyproj")
 WORLD = FieldWorld(size_m=(24.0, 80.0), shown_share=0.1)
@@ -126,6 +126,19 @@ def test_a_way_is_bounded_and_told_now_and_then() -> None:
     assert found["way"][0] == [5.0, 52.0]
     assert found["way"][-1] == pytest.approx([5.0, 52.0 + (3 * MOST_PLACES - 1) * 2e-5])
     assert 0 < found["number"] < MOST_PLACES
+
+
+def test_a_wild_place_is_not_drawn_and_a_long_gap_is() -> None:
+    """A receiver's single places 100 m off made spikes, and the field a fifth of the map."""
+    way, step_deg = Way(), 2e-5
+    places = [(52.0 + n * step_deg, 5.0) for n in range(10)]
+    wild = [(52.001, 5.002), (51.998, 4.998)]
+    for lat_deg, lon_deg in (*places[:5], *wild, *places[5:]):
+        way.add(lat_deg=lat_deg, lon_deg=lon_deg)
+    assert way.lon_lat == [(lon, lat) for lat, lon in places]
+    after = [(52.01 + n * step_deg, 5.0) for n in range(10)]
+    added = [way.add(lat_deg=lat_deg, lon_deg=lon_deg) for lat_deg, lon_deg in after]
+    assert added == [False] * (AGREEING - 1) + [True] * (11 - AGREEING), "where it is after an hour without a fix"
 
 
 @pytest.mark.graph

@@ -147,6 +147,27 @@ def loaded_state(line: str = "north", **changes: Any) -> LineState:
     return replace(good_state(line), totals=said, told=told, changed_s=12.0, **changes)
 
 
+def huge_state(line: str = "the-line-of-the-northern-fields-" + "north" * 6) -> LineState:
+    """A day of 1250 t, and loads of 104 t, with names as long as persons make them."""
+    name, grams = "Großbäckersheim-Überlingen am See, Schlag 17b hinter Äckern x", 104_218_345.6
+    state = loaded_state(line)
+    assert state.totals is not None
+    assert state.totals.load is not None
+
+    def figures(grams: float) -> dict[str, float]:
+        seen = {"weight_g": grams, "low_g": 0.93 * grams, "high_g": 1.07 * grams}
+        return {**seen, **{f"estimated_{key}": 1.08 * value for key, value in seen.items()}}
+
+    named = {"name": name, "field": name, "variety": name}
+    now = replace(state.totals.load, customer=name, operator=name, count=612_345, **named, **figures(grams))
+    told = tuple(
+        replace(load, notes=({"by": name, "text": f"{name} {name}"},), net_g=0.99 * grams, weight_g=grams, **named)
+        for load in state.told
+    )
+    run = replace(state.totals, load=now, contract=name, count=7_348_140, **figures(12 * grams))
+    return replace(state, totals=run, told=told)
+
+
 def with_node(state: LineState, name: str, changed: NodeState | None) -> LineState:
     """The look with one node changed, or taken away."""
     others = {key: value for key, value in state.nodes.items() if key != name}

@@ -218,6 +218,18 @@ def test_a_thousand_names_end_somewhere() -> None:
 def test_belt_that_was_not_looked_at() -> None:
     state = good_state(totals=totals(coverage=0.93))
     assert texts(state, "warning") == ["7.0 % of the belt was not looked at. The estimate makes up for it."]
+    assert snapshot(state)["state"] == "warned", "it said 'running', and on a phone the warning is two screens below"
+
+
+def test_who_does_not_count_yet_is_not_told_as_running() -> None:
+    state = good_state(totals=totals(state="starting", reason="camera right has not said anything yet", count=0))
+    assert texts(state, "warning") == ["Starting, not counting: camera right has not said anything yet."]
+    assert snapshot(state)["state"] == "waiting"
+
+
+def test_a_little_belt_in_layers_is_not_none() -> None:
+    (text,) = texts(good_state(totals=totals(layered_m=0.4, belt_m=200.0, hidden=3.2)), "warning")
+    assert text.startswith("Tubers lie in more than one layer on <1 % of the belt: 3 hidden, estimated.")
 
 
 def test_old_totals_are_told_though_cameras_live() -> None:

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 
 import viewer.page.app as app_module
 from tests.deploy.remote_browser import Browser, chromium
-from tests.viewer.page_states import good_state, loaded_state, segmenter, with_node
+from tests.viewer.page_states import good_state, huge_state, loaded_state, segmenter, totals, with_node
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
@@ -136,6 +137,70 @@ def test_nothing_sticks_out_and_fingers_find_the_buttons(browser: Browser, size:
         assert js(browser, "parseFloat(getComputedStyle(document.querySelector('.seen b')).fontSize)") >= 40
 
 
+@pytest.mark.parametrize("size", [*SIZES, "desk"])
+@pytest.mark.parametrize("open_load", [True, False])
+def test_a_day_of_a_thousand_tons_and_long_names_fit(browser: Browser, size: str, open_load: bool) -> None:
+    """From 100 t on a load's figure lay over its estimate; a line's long name made the page wider than a phone."""
+    board, state = Board([huge_state().line]), huge_state()
+    if not open_load:
+        assert state.totals is not None
+        state = replace(state, totals=replace(state.totals, load=None))
+    board.put({**snapshot(state), "looks_only": ""})
+    width, height = {**SIZES, "desk": (1440, 900)}[size]
+    browser.page(
+        "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+    )
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until(lambda: ("104 218 kg" if open_load else "1 250 620 kg") in text(browser), what="the figures")
+        js(browser, "document.querySelectorAll('details').forEach((fold) => { fold.open = true; })")
+        until(lambda: js(browser, STICKS_OUT) == [], what=f"nothing sticks out of {size}")
+        assert js(browser, "document.documentElement.scrollWidth") <= width
+
+
+TOPS = "['.alarms', '.load'].map((name) => document.querySelector(name).getBoundingClientRect().top)"
+
+
+def test_on_a_phone_trouble_stands_above_the_figures_that_it_makes_wrong(browser: Browser) -> None:
+    board = Board(["north"])
+    width, height = SIZES["phone"]
+    browser.page("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True)
+    drift = segmenter("left", gauges={"belt_alarm": 1.0, "belt_drift_mm": 9.3})
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        until_told(browser, board, snapshot(loaded_state()), "No alarms.", "206.4 kg")
+        alarms, load = js(browser, TOPS)
+        assert load < alarms
+        troubled = snapshot(with_node(loaded_state(), "segmenter/left", drift))
+        until_told(browser, board, troubled, "Running, with trouble", "9 mm further than calibrated")
+        alarms, load = js(browser, TOPS)
+        assert alarms < load
+
+
+def test_between_loads_the_one_that_ended_is_told_and_the_run_is_called_so(browser: Browser) -> None:
+    state = loaded_state()
+    assert state.totals is not None
+    assert state.totals.load is not None
+    ended = tuple(replace(load, open=False) for load in state.told)
+    between = replace(state, totals=replace(state.totals, load=None), told=ended)
+    none = totals(
+        count=0, histogram=(), tubers_per_s=0.0, coverage=1.0, weight_g=0.0, low_g=0.0, high_g=0.0,
+        estimated_weight_g=0.0, estimated_low_g=0.0, estimated_high_g=0.0,
+    )  # fmt: skip
+    board = Board(["north"])
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        weighed = "Load 3 weighed 206.4 kg (90 % sure: 199.0 to 214.0 kg)."
+        until_told(browser, board, snapshot(between), "No load is open", weighed, "Run as seen", "Run as estimated")
+        assert "Load as seen" not in text(browser)
+        until_told(browser, board, snapshot(state), "Load as seen", "Load as estimated", "Not calibrated with a scale")
+        weighed_load = replace(state.totals.load, calibrated_by="1 bucket: offset +0.4 mm +- 0.2")
+        scale = replace(state, totals=replace(state.totals, load=weighed_load))
+        until_told(browser, board, snapshot(scale), "Calibrated with a scale.")
+        until_told(browser, board, snapshot(good_state(totals=none)), "0.00 kg No tubers yet")
+        assert "90 % sure: 0.00" not in text(browser)
+
+
 def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -> None:
     board = Board(["north"])
     board.put({**snapshot(loaded_state()), "looks_only": ""})
@@ -161,10 +226,24 @@ def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -
         assert shown.index("Load 3") < shown.index("Belt left") < shown.index("Health:")
         board.put({**snapshot(loaded_state(heard_s=14.0, totals_age_s=14.0)), "looks_only": ""})
         until(lambda: "No contact with north" in text(browser), what="no contact")
+        js(browser, "document.querySelectorAll('details').forEach((fold) => { fold.open = true; })")
         shown = text(browser)
-        for contradicted in ("Page connected", "Running", "No alarms", "Working"):
+        for contradicted in ("Page connected", "Running", "No alarms", "Working", "✓ ok", "frames a second"):
             assert contradicted not in shown, contradicted
         assert js(browser, "document.querySelector('[data-act=start]').disabled")
+
+
+def test_a_line_that_was_switched_off_takes_no_orders(browser: Browser) -> None:
+    """Its run is complete, which is no trouble; but a load that was started there got no answer."""
+    board = Board(["north"])
+    disabled = "document.querySelector('[data-act=start]').disabled"
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
+        for heard_s, off in ((0.4, False), (120.0, True)):
+            complete = good_state(totals=totals(final=True), heard_s=heard_s, totals_age_s=heard_s)
+            told = {**snapshot(complete), "looks_only": ""}
+            until_told(browser, board, told, "Run complete", *(["The line switched off"] if off else ["No alarms."]))
+            assert js(browser, disabled) is off
 
 
 def press_key(browser: Browser, key: str, code: int, **more: Any) -> None:

@@ -195,6 +195,7 @@ def test_totals_say_weight_count_interval_and_missed_belt() -> None:
     assert (sum(bars.counts), bars.step) == (12, 50.0)
     nothing = replace(report, count=0, weight_g=0.0, low_g=0.0, high_g=0.0, coverage=None)
     assert "none yet" in page(nothing)
+    assert "90 % sure" not in page(nothing), "of nothing no one is sure to 0.00 kg"
 
 
 @pytest.mark.parametrize("state", ["nothing seen", "starting"])

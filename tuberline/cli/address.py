@@ -8,6 +8,8 @@ from pathlib import Path
 from cyclopts import Parameter
 
 from conveyor.config import LineConfig, LinkConfig, load_config
+from conveyor.config_base import checked_endpoint
+from conveyor.errors import ConfigError
 
 
 @Parameter(name="*")
@@ -36,14 +38,23 @@ class LineAddress:
     def watched(self) -> LineConfig:
         """The line's settings with the router and the name that were given beside them."""
         settings = self.loaded()
-        link = settings.link.model_copy(update={"router": self.connect} if self.connect else {})
+        link = settings.link.model_copy(update=self._router())
         return settings.model_copy(update={"link": link, "name": self.line or settings.name})
 
     def link(self) -> tuple[LinkConfig, str]:
         """How to reach the line, and its name."""
         settings = self.loaded()
-        changed = {"connect_timeout_s": 5.0, **({"router": self.connect} if self.connect else {})}
+        changed = {"connect_timeout_s": 5.0, **self._router()}
         return settings.link.model_copy(update=changed), self.line or settings.name
+
+    def _router(self) -> dict[str, str]:
+        """The router that was given beside the config; raises ConfigError where it is none."""
+        if self.connect is None:
+            return {}
+        try:
+            return {"router": checked_endpoint(self.connect)}
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
 
 
 NO_ADDRESS = LineAddress()

@@ -13,7 +13,9 @@ COLOURS = {"kept": "green", "open": "yellow", "broken": "red", "": ""}
 
 def class_table(contract: str, classes: Sequence[Mapping[str, Any]]) -> Table:
     """Count, weight and share of each class with their 90 % intervals; `classes` as plain `ClassTotal`."""
-    table = Table("class", "mm", "tubers", "kg", "% of weight", "contract", title=Text(contract), title_justify="left")
+    limits = any(each["state"] for each in classes)
+    heads = ("class", "mm", "tubers", "kg", "% of weight", *(["contract"] if limits else []))
+    table = Table(*heads, title=Text(f"classes: {contract}"), title_justify="left")
     for each in classes:
         to_mm = each["to_mm"]
         edges = f"{each['from_mm']:g} and more" if to_mm is None else f"{each['from_mm']:g} to {to_mm:g}"
@@ -24,7 +26,7 @@ def class_table(contract: str, classes: Sequence[Mapping[str, Any]]) -> Table:
             f"{each['count']:.0f} ({each['count_low']:.0f} to {each['count_high']:.0f})",
             f"{each['weight_g'] / 1000:.2f} ({each['low_g'] / 1000:.2f} to {each['high_g'] / 1000:.2f})",
             f"{each['percent']:.1f} ({each['percent_low']:.1f} to {each['percent_high']:.1f})",
-            Text(state, style=COLOURS[state]),
+            *([Text(state, style=COLOURS[state])] if limits else []),
         )
     return table
 

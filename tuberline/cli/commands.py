@@ -10,6 +10,7 @@ from cyclopts import App, Group, Parameter
 
 from conveyor import __version__
 from tuberline.cli.help import PlainHelp
+from tuberline.cli.mistakes import mistake
 
 Commands = Mapping[str, tuple[str, str]]
 """By name: 'module:function' and what help says of it."""
@@ -168,6 +169,7 @@ def _app(name: str, about: str, **settings: Any) -> App:
         help_on_error=False,
         help_format="plaintext",
         help_formatter=PlainHelp(),
+        error_formatter=mistake,
         # A flag that is off needs no second one that leaves it off; what can be turned off says so where it is defined.
         default_parameter=Parameter(negative_bool=(), negative_iterable=(), show_default=_told_default),
     )

@@ -58,10 +58,10 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
         return
-    table = Table("", "load", "began", "ended", "tubers", "kg (90 %)", "seen", "ticket", box=None)
+    table = Table("", "load", "began", "ended", "tubers", "kg, all belt\n(90 %)", "seen", "ticket", box=None)
     for column in (table.columns[0], *table.columns[2:]):
         column.no_wrap = True
-    table.columns[1].min_width = 14
+    table.columns[1].min_width = 11
     for load in loads:
         said = [load["name"], *(load[name] for name in DESCRIBED)]
         table.add_row(
@@ -70,8 +70,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             _clock(load["began_unix_s"], "%m-%d %H:%M"),
             _ended(load),
             str(load["count"]),
-            f"{load['estimated_weight_g'] / 1000:.2f} ± "
-            f"{(load['estimated_high_g'] - load['estimated_low_g']) / 2000:.2f}",
+            _weight(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"]),
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
@@ -88,6 +87,13 @@ def print_load(load: dict[str, Any]) -> None:
         console.print(Text(heights_told(HeightChange(**change))))
     for refused in load["refused"]:
         console.print(Text(f"its ticket does not calibrate: {refused}"))
+
+
+def _weight(middle_g: float, low_g: float, high_g: float) -> str:
+    """Kilograms with four figures or so, the interval below; it is not the same to both sides."""
+    digits = 2 if middle_g < 1e5 else 1 if middle_g < 1e6 else 0
+    low, middle, high = (f"{grams / 1000:.{digits}f}" for grams in (low_g, middle_g, high_g))
+    return f"{middle}\n{low} to {high}"
 
 
 def _ended(load: dict[str, Any]) -> str:

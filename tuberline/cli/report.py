@@ -75,6 +75,8 @@ def _calibration(totals: dict[str, Any]) -> list[tuple[str, str]]:
     if totals.get("calibrated_by"):
         rows.append(("calibrated by", totals["calibrated_by"]))
         rows.append(("as weighed", f"{totals['as_weighed_g'] / 1000:.3f} kg"))
+    elif "calibrated_by" in totals:
+        rows.append(("calibrated by", "nothing; one weighed bucket narrows the interval (tuberline calibrate bucket)"))
     parts = totals.get("parts_percent") or {}
     if parts:
         rows.append(("its 90 % interval", ", ".join(f"{name} {part:.1f} %" for name, part in parts.items())))

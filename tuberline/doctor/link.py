@@ -31,8 +31,9 @@ def check_port(link: LinkConfig, *, timeout_s: float = 2.0) -> list[Finding]:
             fault(
                 "router port",
                 f"{host}:{port} does not answer: {error.strerror or error}",
-                f"start the router (`tuberline router` or tuberline-router@LINE.service), open port {port} in the "
-                "firewall of its host, or correct link.router",
+                "start the line (`tuberline run`; until then `tuberline doctor --offline` looks at all the rest), or "
+                f"the router (`tuberline router` or tuberline-router@LINE.service); open port {port} in the firewall "
+                "of its host, or correct link.router",
             )
         ]
 

@@ -183,7 +183,7 @@ def layers(totals: Totals) -> dict[str, Value]:
     if totals.layered_m <= 0:
         return {}
     share = 100 * min(1.0, totals.layered_m / totals.belt_m) if totals.belt_m else None
-    where = f"{totals.layered_m:.1f} m" if share is None else f"{share:.0f} %"
+    where = f"{totals.layered_m:.1f} m" if share is None else "<1 %" if share < 1 else f"{share:.0f} %"
     return {"where": where, "n": round(totals.hidden)}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from conveyor.messages import CameraInfo, Totals
 from conveyor.messages.loads import LoadNow
-from viewer.page.alarms import Alarm, alarms, layers
+from viewer.page.alarms import Alarm, Level, alarms, layers
 from viewer.page.state import STALE_S, LineState, NodeState, ToldLoad
 
 FORGET_GONE_S = 600.0
@@ -21,7 +21,7 @@ def snapshot(state: LineState) -> dict[str, Any]:
     found = alarms(state)
     return {
         "line": state.line,
-        "state": _state(state, troubled=any(alarm.level == "trouble" for alarm in found)),
+        "state": _state(state, worst=found[0].level if found else "note"),
         "heard_s": None if state.heard_s is None else round(state.heard_s, 1),
         "alarms": [{**asdict(alarm), "text": alarm.text, "fix": alarm.fix} for alarm in found],
         "load": None if state.totals is None or state.totals.no_number else _load(state.totals, state),
@@ -39,12 +39,16 @@ def snapshot(state: LineState) -> dict[str, Any]:
     }
 
 
-def _state(state: LineState, *, troubled: bool) -> str:
+def _state(state: LineState, *, worst: Level) -> str:
     if state.final:
         return "complete"
     if not state.in_contact:
         return "no contact"
-    return "trouble" if troubled else "waiting" if state.totals is None else "running"
+    if worst == "trouble":
+        return "trouble"
+    if state.totals is None or state.totals.state == "starting":
+        return "waiting"
+    return "warned" if worst == "warning" else "running"
 
 
 def _load(totals: Totals, state: LineState) -> dict[str, Any]:
@@ -54,6 +58,7 @@ def _load(totals: Totals, state: LineState) -> dict[str, Any]:
         "seen_g": [totals.low_g, totals.weight_g, totals.high_g],
         "estimated_g": [totals.estimated_low_g, totals.estimated_weight_g, totals.estimated_high_g],
         "coverage": totals.coverage,
+        "calibrated": bool(totals.calibrated_by),
         "layers": layers(totals),
         **_matter(totals),
         "step_g": totals.histogram_step_g,
@@ -82,6 +87,7 @@ def _now(load: LoadNow) -> dict[str, Any]:
         "seen_g": [load.low_g, load.weight_g, load.high_g],
         "estimated_g": [load.estimated_low_g, load.estimated_weight_g, load.estimated_high_g],
         "coverage": load.coverage,
+        "calibrated": bool(load.calibrated_by),
         **_matter(load),
     }
 

@@ -85,8 +85,9 @@ def page(totals: Totals) -> str:
     rows = [
         *_open_load(totals),
         *_headline(totals.count, totals.weight_g),
-        f"90 % sure: {_kg(totals.low_g)} to {_kg(totals.high_g)}",
     ]
+    if totals.count:
+        rows.append(f"90 % sure: {_kg(totals.low_g)} to {_kg(totals.high_g)}")
     if totals.coverage is not None:
         rows.append(f"Belt looked at: **{100 * totals.coverage:.1f} %**")
         if totals.coverage < 0.9995:

@@ -52,12 +52,18 @@ def _figures(facts: DayFacts) -> Figures:
     items = [
         ("Potatoes", kg(sums.estimated_g / 1000), f"90 %: {_between(sums.low_g / 1000, sums.high_g / 1000)}"),
         ("Loads", str(facts.total.loads), f"{sums.tubers:,} tubers".replace(",", " ")),
-        ("Belt seen", _percent(sums.coverage), "the rest is made up for"),
+        ("Belt seen", _percent(sums.coverage), _unseen(sums.coverage)),
     ]
     if foreign is not None:
         low, high = foreign.percent_low, foreign.percent_high
         items.append(("Clods, stones, haulm", f"{foreign.percent:.1f} %", f"by count; 90 %: {low:.1f} to {high:.1f} %"))
     return Figures(tuple(items))
+
+
+def _unseen(coverage: float | None) -> str:
+    if coverage is None:
+        return "not known how much"
+    return "all of it" if coverage > 0.9995 else "the rest is made up for"
 
 
 def _loads(facts: DayFacts) -> Grid:
@@ -86,7 +92,8 @@ def _loads(facts: DayFacts) -> Grid:
         )
     )  # fmt: skip
     names = ("Load", "Field", "Variety", "Time", "Tubers", "Raw kg", "kg", "90 % interval", "Seen", "Ticket kg")
-    note = "Raw: as weighed. kg: calibrated. Both for all of the belt."
+    known = "calibrated" if facts.calibrated_by else "the same, for nothing is calibrated"
+    note = f"Raw kg: as weighed. kg: {known}. Both for all of the belt."
     return Grid("Loads", _columns(names, left=4), tuple(rows), note, summed=True)
 
 
@@ -188,7 +195,8 @@ def _how(facts: DayFacts) -> tuple[str, ...]:
     made = ", ".join(f"{name} {part:.1f} %" for name, part in parts.items() if part >= 0.05)
     return (
         "An interval holds the true value nine times out of ten. What loads share (camera, resting level) does not "
-        f"shrink with their number. Of all loads it is made of: {made or 'nothing known'}.",
+        f"shrink with their number. Of all loads it is made of: {made or 'nothing known'}. The resting level is how "
+        "far below the belt's plane tubers lie; one weighed bucket tells it.",
         "Belt that no camera looked at is made up for in every weight, and widens the interval.",
         "Sizes are told from one side: the smallest square hole that a tuber passes, unless the contract says length.",
     )

@@ -61,7 +61,7 @@ def _tickets(facts: DayFacts) -> Iterator[str]:
         if load.ticket_kg is not None and not load.low_kg <= load.ticket_kg <= load.high_kg:
             yield _outside(load, load.ticket_kg)
     if not facts.total.weighed:
-        yield "No load was weighed: no ticket calibrates these weights."
+        yield "No load was on a scale: no ticket says how right these weights are."
 
 
 def _outside(load: LoadFacts, ticket_kg: float) -> str:
@@ -74,11 +74,11 @@ def _outside(load: LoadFacts, ticket_kg: float) -> str:
 def _weighing(facts: DayFacts) -> Iterator[str]:
     noisy, off_mm = facts.camera_doubt
     if noisy > FEW:
-        yield f"{100 * noisy:.0f} % of the weight was seen by a camera noisier than the weights were trained for."
+        yield f"{100 * noisy:.0f} % of the weight was seen by a camera noisier than those the network was trained for."
     if off_mm > 1:
         yield f"The belt was seen {off_mm:.0f} mm off its calibration, in the mean."
     if facts.late:
-        yield f"{facts.late} tubers were told after their place was committed: they are counted, look for twins."
+        yield f"{facts.late} tubers came late to the ledger: they are counted, and some may be counted twice."
 
 
 def _of_run(run: RunFacts) -> Iterator[str]:

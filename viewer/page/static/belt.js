@@ -33,6 +33,7 @@ export function beltPicture(canvas, line, camera) {
   forget(canvas);
   canvas.dataset.see = see;
   canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", t("picture.none"));
   shown.set(see, { canvas, picture: null, image: null, cameAt: null, next: null, busy: false });
   onScreen.observe(canvas);
 }

@@ -8,7 +8,7 @@ import { fill } from "./table.js";
 import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate, weight, when } from "./words.js";
 
 const STALE_S = 3.5;
-const STATES = { running: "good", complete: "good", waiting: "wait", starting: "wait", trouble: "trouble", "no contact": "trouble" };
+const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", trouble: "trouble", "no contact": "trouble" };
 
 export class LineCard {
   constructor(template) {
@@ -53,7 +53,7 @@ export class LineCard {
     const now = gone && !final && found.state !== "starting" ? "no contact" : found.state;
     this.gone = now === "no contact";
     this.health(found.health);
-    this.loads.contact(!this.gone);
+    this.loads.contact(!lost && heardS !== null && heardS <= STALE_S); // a line that is off hears no order
     this.places.state.dataset.state = STATES[now] ?? "wait";
     this.element.dataset.gone = this.gone ? "yes" : "no";
     this.put("state", t(`state.${now.replace(" ", "_")}`), this.places.state.querySelector(".text"));
@@ -70,6 +70,7 @@ export class LineCard {
 
   alarms(found) {
     const list = this.places.alarms;
+    this.element.dataset.worst = found[0]?.level ?? "fine"; // the worst comes first
     const items = found.length ? found : [{ level: "fine", say: "alarms.none", todo: "" }];
     while (list.children.length > items.length) list.lastElementChild.remove();
     items.forEach(({ level, say, todo, values }, n) => {
@@ -88,25 +89,29 @@ export class LineCard {
     this.element.dataset.load = found ? "yes" : "no";
     if (!found) return;
     this.put("run", t("run", { run: found.run }));
-    const { seen_g, estimated_g, coverage, count } = now ?? found;
-    this.range("seen", seen_g);
-    this.range("estimated", estimated_g);
+    const { seen_g, estimated_g, coverage, count, calibrated } = now ?? found;
+    const ofRun = !now && (this.found.told ?? []).length > 0; // between loads the figures are the run's
+    this.put("seen-name", t(ofRun ? "run.seen" : "load.seen"));
+    this.put("estimated-name", t(ofRun ? "run.estimated" : "load.estimated"));
+    this.range("seen", seen_g, count);
+    this.range("estimated", estimated_g, count);
     const missed = coverage === null ? null : 100 * (1 - coverage);
     const seen = missed === null ? "" : missed < 0.05 ? t("load.all_seen") : t("load.made_up", { percent: missed });
     this.put("estimated-note", [seen, found.layers?.where ? t("load.layers", found.layers) : ""].filter(Boolean).join(" "));
+    this.put("calibrated", t(calibrated ? "calibrated.yes" : "calibrated.no"));
     this.put("count", number(count));
     this.put("coverage", percent(coverage));
     this.put("mean", count ? small(seen_g[1] / count) : "–");
     histogram(this.places.histogram, this.places.classes, found);
   }
 
-  range(name, [low, middle, high]) {
+  range(name, [low, middle, high], count) {
     const scale = loadUnit(middle);
     const output = this.places[name];
     if (!output.firstChild) output.append(document.createElement("b"), document.createElement("span"));
     this.put(name, load(middle, scale), output.firstChild);
     this.put(name, ` ${scale.unit}`, output.lastChild);
-    this.put(`${name}-range`, t("load.sure", { low: load(low, scale), high: load(high, scale), unit: scale.unit }));
+    this.put(`${name}-range`, !count && !middle ? t("histogram.none") : t("load.sure", { low: load(low, scale), high: load(high, scale), unit: scale.unit }));
   }
 
   flow(found, history) {

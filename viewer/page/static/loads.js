@@ -28,7 +28,7 @@ export class Loads {
     const put = (name, text) => this.card.put(name, text);
     const none = !found.load ? "load.no_figures" : told.length ? "load.none_open" : "load.none_started";
     put("which", now ? [t("load.number", { n: now.number }), now.name].filter(Boolean).join(" · ") : t(none));
-    const below = !found.load ? "" : t(told.length ? "load.belongs_to_none" : "load.whole_run");
+    const below = !found.load ? "" : told.length ? `${this.last(told[0])} ${t("load.belongs_to_none")}`.trim() : t("load.whole_run");
     put("known", now ? [t("load.since", { when: when(now.since_unix_s) }), ...now.known].join(" · ") : below);
     this.below(now ? found.load : null);
     this.matter(now ?? found.load, found.contract);
@@ -36,6 +36,13 @@ export class Loads {
     fill(this.card.places.told, heads.map((key) => t(key)), told.map((each) => this.row(each)), t("loads.none"));
     this.chart.show(told);
     this.buttons(found, now);
+  }
+
+  // What the load that ended last weighs.
+  last({ number: n, weight_g, low_g, high_g }) {
+    if (weight_g === null) return "";
+    const scale = loadUnit(weight_g);
+    return t("load.last", { n, weight: load(weight_g, scale), low: load(low_g, scale), high: load(high_g, scale), unit: scale.unit });
   }
 
   below(run) {
