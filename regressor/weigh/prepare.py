@@ -18,6 +18,7 @@ from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
+from regressor.weigh.grown import cut_back
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
@@ -29,6 +30,8 @@ STEP_M = 0.006
 MAX_EXTENT_M = 0.2
 MAX_POINTS = 60_000
 VOXEL_M = 0.0005
+GROWN = "outline_grown"
+"""Flag of a view whose outline was cut back."""
 NEAREST_M, FARTHEST_M = 0.001, 1000.0
 """No camera over a belt sees so near, none so far: the one is left out of a cloud, the other is no number of a place.
 """
@@ -82,13 +85,14 @@ class PreparedCloud:
 
 
 def prepare_view(view: View) -> PreparedCloud:
-    """The view's cloud, over its own resting level.
+    """The view's cloud, over its own resting level; an outline that its camera let grow is cut back (`grown`).
 
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    return prepare_depth(
-        view.depth,
+    cut = _cut_back(view)
+    cloud = prepare_depth(
+        view.depth if cut is None else cut,
         depth_scale_m=view.depth_scale_m,
         fx=view.intrinsics.fx,
         fy=view.intrinsics.fy,
@@ -97,6 +101,17 @@ def prepare_view(view: View) -> PreparedCloud:
         belt_from_camera=view.belt_from_camera,
         resting_offset_m=view.resting_offset_m,
     )
+    return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
+
+
+def _cut_back(view: View) -> NDArray[np.uint16] | None:
+    """The view's depth without what its camera grew at the outline; None where nothing has grown."""
+    cleaned = clean_depth(np.ascontiguousarray(view.depth), view.depth_scale_m)
+    k, up = view.intrinsics, view.belt_from_camera[2]
+    v, u = np.ogrid[: cleaned.shape[0], : cleaned.shape[1]]
+    slope = up[0] * (u + view.u0 - k.cx) / k.fx + up[1] * (v + view.v0 - k.cy) / k.fy + up[2]
+    heights_m = cleaned * view.depth_scale_m * slope + (up[3] + view.resting_offset_m)
+    return cut_back(cleaned, heights_m)
 
 
 def prepare_depth(

@@ -60,8 +60,8 @@ class Weigher:
 
     Flags: 'few_points' (at most 1024), 'extent' (0.2 m or more), 'height_clamped' (below the belt, or above the
     weights' limit), 'belt_distance', 'size' and 'weight' (outside what the training saw), 'volume_disagrees' (the
-    visible volume says otherwise), 'camera_unlike' (noise and holes of a poor camera),
-    'bfloat16', 'centroids_16' and 'batched' (not computed in the exact form).
+    visible volume says otherwise), 'camera_unlike' (noise and holes of a poor camera), 'outline_grown' (its camera let
+    the outline grow; it was cut back), 'bfloat16', 'centroids_16' and 'batched' (not computed in the exact form).
     """
 
     def __init__(
