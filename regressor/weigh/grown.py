@@ -44,11 +44,11 @@ def cut_back(cleaned: NDArray[np.uint16], heights_m: NDArray[np.float64]) -> NDA
     measured = cleaned > 0
     body = _body(measured)
     scraps = measured & ~body
-    if not scraps.any() or not body.any():
+    least = LEAST_SHARE * np.count_nonzero(measured)
+    if np.count_nonzero(scraps) < max(least, 1) or not body.any():
         return None
     top_m = np.quantile(heights_m[measured], 0.99)
-    high = np.count_nonzero(scraps & (heights_m > HIGH * top_m))
-    if high < LEAST_SHARE * np.count_nonzero(measured):
+    if np.count_nonzero(scraps & (heights_m > HIGH * top_m)) < least:
         return None
     return np.where(body, cleaned, 0).astype(np.uint16)
 
@@ -58,10 +58,12 @@ def _body(measured: NDArray[np.bool_]) -> NDArray[np.bool_]:
     seen = np.pad(measured.astype(np.uint8), OPENING_PX)
     outlines, _ = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     filled = cv2.drawContours(np.zeros_like(seen), outlines, -1, 1, cv2.FILLED)
-    deep = cv2.distanceTransform(filled, cv2.DIST_L2, cv2.DIST_MASK_5) > OUTER_PX
     holes = ((filled > 0) & ~(seen > 0)).astype(np.uint8)
-    spots = np.asarray(cv2.dilate(cv2.morphologyEx(holes, cv2.MORPH_OPEN, _SPOT), _DISC), np.uint8) & holes
-    whole = seen | deep.astype(np.uint8) | spots
+    whole = seen
+    if holes.any():
+        deep = cv2.distanceTransform(filled, cv2.DIST_L2, cv2.DIST_MASK_5) > OUTER_PX
+        spots = np.asarray(cv2.dilate(cv2.morphologyEx(holes, cv2.MORPH_OPEN, _SPOT), _DISC), np.uint8) & holes
+        whole = seen | deep.astype(np.uint8) | spots
     opened = cv2.morphologyEx(whole, cv2.MORPH_OPEN, _DISC)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     if count < 2:

@@ -90,9 +90,14 @@ def prepare_view(view: View) -> PreparedCloud:
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    cut = _cut_back(view)
-    cloud = prepare_depth(
-        view.depth if cut is None else cut,
+    depth = np.ascontiguousarray(view.depth)
+    kept = clean_depth(depth, view.depth_scale_m)
+    cut = cut_back(kept, _heights_m(kept, view))
+    if cut is not None:
+        depth, kept = cut, clean_depth(cut, view.depth_scale_m)
+    cloud = _prepare_kept(
+        depth,
+        kept,
         depth_scale_m=view.depth_scale_m,
         fx=view.intrinsics.fx,
         fy=view.intrinsics.fy,
@@ -104,14 +109,12 @@ def prepare_view(view: View) -> PreparedCloud:
     return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
 
 
-def _cut_back(view: View) -> NDArray[np.uint16] | None:
-    """The view's depth without what its camera grew at the outline; None where nothing has grown."""
-    cleaned = clean_depth(np.ascontiguousarray(view.depth), view.depth_scale_m)
+def _heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
+    """(h, w) heights above the resting level of a view's pixels."""
     k, up = view.intrinsics, view.belt_from_camera[2]
-    v, u = np.ogrid[: cleaned.shape[0], : cleaned.shape[1]]
+    v, u = np.ogrid[: kept.shape[0], : kept.shape[1]]
     slope = up[0] * (u + view.u0 - k.cx) / k.fx + up[1] * (v + view.v0 - k.cy) / k.fy + up[2]
-    heights_m = cleaned * view.depth_scale_m * slope + (up[3] + view.resting_offset_m)
-    return cut_back(cleaned, heights_m)
+    return np.asarray(kept * view.depth_scale_m * slope + (up[3] + view.resting_offset_m))
 
 
 def prepare_depth(
@@ -136,7 +139,33 @@ def prepare_depth(
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
-    kept = clean_depth(np.ascontiguousarray(depth), depth_scale_m)
+    depth = np.ascontiguousarray(depth)
+    return _prepare_kept(
+        depth,
+        clean_depth(depth, depth_scale_m),
+        depth_scale_m=depth_scale_m,
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        belt_from_camera=belt_from_camera,
+        resting_offset_m=resting_offset_m,
+    )
+
+
+def _prepare_kept(
+    depth: NDArray[np.uint16],
+    kept: NDArray[np.uint16],
+    *,
+    depth_scale_m: float,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    belt_from_camera: NDArray[np.float64],
+    resting_offset_m: float,
+) -> PreparedCloud:
+    """As `prepare_depth`, of what was `kept` of a depth image."""
     if np.count_nonzero(kept) < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
     filled = kept * np.float64(depth_scale_m)
