@@ -92,7 +92,7 @@ def prepare_view(view: View) -> PreparedCloud:
     """
     depth = np.ascontiguousarray(view.depth)
     kept = clean_depth(depth, view.depth_scale_m)
-    cut = cut_back(kept, _heights_m(kept, view))
+    cut = cut_back(depth, kept, _heights_m(kept, view))
     if cut is not None:
         depth, kept = cut, clean_depth(cut, view.depth_scale_m)
     cloud = _prepare_kept(

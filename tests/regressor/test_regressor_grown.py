@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conveyor.messages import View
-from regressor.weigh.grown import LEAST_SHARE, cut_back
+from regressor.weigh.grown import LEAST_SHARE, MOST_DROPPED, cut_back
 from regressor.weigh.prepare import GROWN, prepare_view
 from tests.regressor.ellipsoids import ellipsoid_view
 
@@ -44,7 +44,7 @@ def test_low_scraps_of_mixed_pixels_change_nothing(share: float, cut: bool) -> N
     """The weights were trained on views that have them."""
     view = with_scraps(ellipsoid_view(), share)
     heights_m = view.belt_from_camera[2, 3] - view.depth * view.depth_scale_m
-    assert (cut_back(view.depth, heights_m) is not None) is cut
+    assert (cut_back(view.depth, view.depth, heights_m) is not None) is cut
 
 
 def test_few_high_scraps_change_nothing() -> None:
@@ -56,7 +56,7 @@ def test_few_high_scraps_change_nothing() -> None:
     few[row : row + 2, first - 4 : first - 2] = few[row, first]
     assert LEAST_SHARE * np.count_nonzero(few) > 4
     heights_m = np.where(few > 0, 0.345 - few * view.depth_scale_m, 0.0)
-    assert cut_back(few.astype(np.uint16), heights_m) is None
+    assert cut_back(few.astype(np.uint16), few.astype(np.uint16), heights_m) is None
 
 
 def test_a_hole_in_the_skin_cuts_nothing_off() -> None:
@@ -73,4 +73,17 @@ def test_a_hole_in_the_skin_cuts_nothing_off() -> None:
 
 @pytest.mark.parametrize("depth", [np.zeros((9, 9)), np.full((3, 40), 300), np.full((1, 1), 300)])
 def test_what_has_no_body_is_left_alone(depth: np.ndarray) -> None:
-    assert cut_back(depth.astype(np.uint16), np.where(depth > 0, 0.045, 0.0)) is None
+    image = depth.astype(np.uint16)
+    assert cut_back(image, image, np.where(depth > 0, 0.045, 0.0)) is None
+
+
+def test_a_flank_that_noise_tore_off_is_not_cut_away() -> None:
+    """Where cleaning takes many pixels of a view, the strips beyond its gaps are the tuber's own."""
+    view = with_scraps(ellipsoid_view(), 0.65)
+    heights_m = view.belt_from_camera[2, 3] - view.depth * view.depth_scale_m
+    noisy = view.depth.copy()
+    rows, columns = np.nonzero(view.depth == 0)
+    torn = round(1.2 * MOST_DROPPED * np.count_nonzero(view.depth))
+    noisy[rows[:torn], columns[:torn]] = 300
+    assert cut_back(view.depth, view.depth, heights_m) is not None
+    assert cut_back(noisy, view.depth, heights_m) is None
