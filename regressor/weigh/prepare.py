@@ -95,9 +95,8 @@ def prepare_view(view: View) -> PreparedCloud:
     cut = cut_back(depth, kept, _heights_m(kept, view))
     if cut is not None:
         depth, kept = cut, clean_depth(cut, view.depth_scale_m)
-    cloud = _prepare_kept(
+    cloud = prepare_depth(
         depth,
-        kept,
         depth_scale_m=view.depth_scale_m,
         fx=view.intrinsics.fx,
         fy=view.intrinsics.fy,
@@ -105,6 +104,7 @@ def prepare_view(view: View) -> PreparedCloud:
         cy=view.intrinsics.cy - view.v0,
         belt_from_camera=view.belt_from_camera,
         resting_offset_m=view.resting_offset_m,
+        kept=kept,
     )
     return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
 
@@ -127,6 +127,7 @@ def prepare_depth(
     cy: float,
     belt_from_camera: NDArray[np.float64],
     resting_offset_m: float = 0.0,
+    kept: NDArray[np.uint16] | None = None,
 ) -> PreparedCloud:
     """The cloud of all non-zero pixels of `depth`.
 
@@ -135,37 +136,13 @@ def prepare_depth(
         fx, fy, cx, cy: intrinsics in pixels; cx, cy count from this crop's first pixel.
         belt_from_camera: (4, 4).
         resting_offset_m: how far the tuber's underside lies below that belt.
+        kept: `clean_depth` of it, where that is known already.
 
     Raises:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
     depth = np.ascontiguousarray(depth)
-    return _prepare_kept(
-        depth,
-        clean_depth(depth, depth_scale_m),
-        depth_scale_m=depth_scale_m,
-        fx=fx,
-        fy=fy,
-        cx=cx,
-        cy=cy,
-        belt_from_camera=belt_from_camera,
-        resting_offset_m=resting_offset_m,
-    )
-
-
-def _prepare_kept(
-    depth: NDArray[np.uint16],
-    kept: NDArray[np.uint16],
-    *,
-    depth_scale_m: float,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    belt_from_camera: NDArray[np.float64],
-    resting_offset_m: float,
-) -> PreparedCloud:
-    """As `prepare_depth`, of what was `kept` of a depth image."""
+    kept = clean_depth(depth, depth_scale_m) if kept is None else kept
     if np.count_nonzero(kept) < MIN_POINTS:
         raise RefusedCloud("empty_cloud" if not depth.any() else "too_few_points")
     filled = kept * np.float64(depth_scale_m)
