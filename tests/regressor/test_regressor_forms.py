@@ -38,6 +38,7 @@ from regressor.training.run import RunOptions, train
 from regressor.training.train import SWIFT, Training, predict
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
+from tests.regressor.training_step import check_same_step, readable_in_training
 
 LONG_M = (0.15, 0.035, 0.03)
 """Half axes of fruits that are wider than the smaller search radius."""
@@ -118,11 +119,7 @@ def test_the_general_form_equals_the_readable_network_in_training() -> None:
     """Clouds of 128 points, 0.24 m long: 64 centroids that the second stage reads all, each with 64 neighbours or more
     in its radius, so both forms see the same edges and the same statistics.
     """
-    torch.manual_seed(0)
-    readable = PointRaft(dropout=0.0).double().train()
-    for module in readable.modules():
-        if isinstance(module, torch.nn.BatchNorm1d):
-            torch.nn.init.normal_(module.bias, std=0.3)
+    readable = readable_in_training()
     general = copy.deepcopy(readable)
     rng = np.random.default_rng(0)
     clouds = [((rng.random((128, 3)) - 0.5) * [0.24, 0.03, 0.02]).astype(np.float32) for _ in range(4)]
@@ -142,16 +139,7 @@ def test_the_general_form_equals_the_readable_network_in_training() -> None:
     assert len(doubled) == 4
     expected = readable([torch.from_numpy(cloud).double() for cloud in clouds], heights)
     found = gathered_forward(general, doubled, heights)
-    assert found.detach().numpy() == pytest.approx(expected.detach().numpy(), rel=1e-10)
-    expected.square().sum().backward()
-    found.square().sum().backward()
-    for (name, a), (_, b) in zip(readable.named_parameters(), general.named_parameters(), strict=True):
-        if b.grad is None:
-            assert float(a.grad.norm()) < 1e-9, name  # a bias that batch norm cancels
-        else:
-            assert torch.allclose(a.grad, b.grad, rtol=1e-7, atol=1e-9), name
-    for (name, before), (_, after) in zip(readable.named_buffers(), general.named_buffers(), strict=True):
-        assert torch.allclose(before.double(), after.double(), rtol=1e-9), name
+    check_same_step(readable, expected, general, found)
 
 
 def test_the_readable_network_runs_where_its_tensors_are() -> None:

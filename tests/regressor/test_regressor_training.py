@@ -32,6 +32,7 @@ from regressor.weigh.blend import BlendRule
 from regressor.weigh.volume import fit_volume_rule
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
+from tests.regressor.training_step import check_same_step, readable_in_training
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
 
@@ -51,12 +52,7 @@ def data(packs: Path) -> CloudSet:
 
 def test_reduced_graph_equals_the_readable_network_in_training() -> None:
     """Clouds of 128 points have 64 and 16 centroids, so both forms see the same edges and the same statistics."""
-    torch.manual_seed(0)
-    readable = PointRaft(dropout=0.0).double().train()
-    for module in readable.modules():
-        if isinstance(module, torch.nn.BatchNorm1d):
-            # A fresh bias of 0 puts every point's edge to itself exactly on the kink of the ReLU.
-            torch.nn.init.normal_(module.bias, std=0.3)
+    readable = readable_in_training()
     reduced = copy.deepcopy(readable)
     rng = np.random.default_rng(0)
     clouds = [(rng.normal(size=(128, 3)) * 0.02).astype(np.float32) for _ in range(4)]
@@ -64,16 +60,7 @@ def test_reduced_graph_equals_the_readable_network_in_training() -> None:
     heights = torch.from_numpy(rng.uniform(0.02, 0.08, 4))
     expected = readable(points, heights)
     found = reduced_forward(reduced, torch.stack(points), heights, resolution=Resolution(64, 16))
-    assert found.detach().numpy() == pytest.approx(expected.detach().numpy(), rel=1e-10)
-    expected.square().sum().backward()
-    found.square().sum().backward()
-    for (name, a), (_, b) in zip(readable.named_parameters(), reduced.named_parameters(), strict=True):
-        if b.grad is None:
-            assert float(a.grad.norm()) < 1e-9, name  # a bias that batch norm cancels
-        else:
-            assert torch.allclose(a.grad, b.grad, rtol=1e-7, atol=1e-9), name
-    for (name, before), (_, after) in zip(readable.named_buffers(), reduced.named_buffers(), strict=True):
-        assert torch.allclose(before.double(), after.double(), rtol=1e-9), name
+    check_same_step(readable, expected, reduced, found)
 
 
 def test_reduced_graph_equals_the_readable_network_in_evaluation(data: CloudSet) -> None:
