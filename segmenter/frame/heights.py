@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import CEILING_MM, GAP_MM
+from segmenter.frame.marks import WORD, marked, row_of_marks
 
-WORD = 8
 ALL_SEEN = np.uint64(0x0101010101010101)
-"""So many cells of one byte are looked at as one word, and what it holds where all of them are seen."""
+"""What a word of marks holds where all of its cells are seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +92,8 @@ def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: i
     """
     rows, columns = height.shape
     padded = -(-columns // WORD) * WORD
-    here, above = np.zeros(padded, np.uint8), np.zeros(padded, np.uint8)
-    words, words_above = here.view(np.uint64), above.view(np.uint64)
+    here = np.zeros(padded, np.uint8)
+    words = here.view(np.uint64)
     for i in range(rows):
         own, row = seen[i], height[i]
         for j in range(columns):
@@ -112,19 +112,13 @@ def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: i
                             for k in range(last + 1, j):
                                 row[k] = low
                         last = j
-    here[:] = 0
-    for i in range(rows):
-        own = seen[i]
-        for j in range(columns):
-            above[j] = here[j]
-            here[j] = own[j]
-        if i == 0:
-            continue
-        for n in range(len(words)):
-            if words[n] & ~words_above[n]:
-                for j in range(n * WORD, min(n * WORD + WORD, columns)):
-                    if here[j] and not above[j]:
-                        _close_above(height, seen, i, j, longest)
+    marks, room = row_of_marks(columns)
+    for i in range(1, rows):
+        own, above = seen[i], seen[i - 1]
+        for j in range(columns):  # without a branch, so that the compiler takes several cells at once
+            marks[j] = (own[j] != 0) & (above[j] == 0)
+        for j in marked(marks, room):
+            _close_above(height, seen, i, j, longest)
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
