@@ -53,10 +53,7 @@ def fewest(weigher: Weigher, *, centroids: int | None = None) -> Form:
     Args:
         centroids: take so many, whatever they cost.
     """
-    if centroids is not None:
-        return Form(centroids=centroids)
-    near = _nearness(weigher)
-    return next(form for form in (Form(centroids=count) for count in FEWEST) if near(form))
+    return Form(centroids=centroids) if centroids is not None else _fewest(_nearness(weigher))
 
 
 def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
@@ -64,13 +61,18 @@ def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
 
     It is not tried where this processor does not multiply bfloat16: it is some thirty times as slow there.
     """
-    plain = fewest(weigher, centroids=centroids)
+    near = _nearness(weigher)
+    plain = Form(centroids=centroids) if centroids is not None else _fewest(near)
     if not multiplies_bfloat16():
         return plain
     rounded = Form("bfloat16", plain.centroids)
     cloud = prepare_view(made_up_view(*SIZES_M[0]))
     took_s, plain_s = (_seconds(weigher.in_form(form), cloud) for form in (rounded, plain))
-    return rounded if took_s < WORTH * plain_s and _nearness(weigher)(rounded) else plain
+    return rounded if took_s < WORTH * plain_s and near(rounded) else plain
+
+
+def _fewest(near: Callable[[Form], bool]) -> Form:
+    return next(form for form in (Form(centroids=count) for count in FEWEST) if near(form))
 
 
 def _nearness(weigher: Weigher) -> Callable[[Form], bool]:
