@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from aggregator.core import matching
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
 from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Batch
@@ -109,6 +110,8 @@ class AggregatorNode:
             if (began_s := self._began_s(opened_s if not restored.begun else None)) is not None:
                 self._core.cameras.began(began_s)
             self._reporter = Reporter(self._ledger, self._core, config=self._config, counters=self._node.counters)
+            if not self._settings.exit_when_final:
+                matching.make_ready()
             self._open_topics()
             self._stack = stack.pop_all()
         self._node.announce()

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, PlacedTrack, blocks, merge
@@ -108,6 +111,27 @@ def test_one_to_one_leaves_alone_what_costs_one_or_more() -> None:
     cost = np.array([[0.2, 0.9], [0.1, math.inf], [math.inf, 1.0]])
     assert one_to_one(cost) == [(0, 1), (1, 0)]
     assert one_to_one(np.empty((0, 3))) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_to_one_is_the_cheapest_whether_or_not_there_is_a_choice(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for share in (0.1, 0.3, 0.8):
+        cost = np.where(rng.random((5, 4)) < share, rng.random((5, 4)), math.inf)
+        assert one_to_one(cost) == cheapest(cost)
+
+
+def cheapest(cost: np.ndarray) -> list[tuple[int, int]]:
+    rows, columns = linear_sum_assignment(np.minimum(cost, 1.0))
+    return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < 1.0]
+
+
+def test_a_live_aggregator_loads_the_solver_before_its_first_choice() -> None:
+    """Half a second of every ledger's time otherwise, in the middle of a load."""
+    said = "import sys; from aggregator.core import matching; import numpy as np; "
+    said += "matching.one_to_one(np.array([[0.1, 2.0], [2.0, 0.1]])); assert 'scipy' not in sys.modules; "
+    said += "matching.make_ready(); assert 'scipy.optimize' in sys.modules"
+    subprocess.run([sys.executable, "-c", said], check=True, timeout=120)
 
 
 def curves(**samples: list[tuple[int, float]]) -> dict[str, TravelCurve]:
