@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.config import LineConfig
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
@@ -76,10 +78,18 @@ def _fewest(near: Callable[[Form], bool]) -> Form:
 
 
 def _nearness(weigher: Weigher) -> Callable[[Form], bool]:
-    """Whether a form is at most `MOST_OFF_G` off the exact one."""
-    clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
-    exact = _grams(weigher.in_form(EXACT), clouds)
-    return lambda form: bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - exact)) <= MOST_OFF_G)
+    """Whether a form is at most `MOST_OFF_G` off the exact one, which weighs once the first form is asked about."""
+
+    @cache
+    def exact() -> tuple[list[PreparedCloud], NDArray[np.float64]]:
+        clouds = [prepare_view(made_up_view(*half_axes_m)) for half_axes_m in SIZES_M]
+        return clouds, _grams(weigher.in_form(EXACT), clouds)
+
+    def near(form: Form) -> bool:
+        clouds, grams = exact()
+        return bool(np.mean(np.abs(_grams(weigher.in_form(form), clouds) - grams)) <= MOST_OFF_G)
+
+    return near
 
 
 def made_up_view(along_m: float, across_m: float, up_m: float) -> View:
@@ -111,7 +121,7 @@ def made_up_view(along_m: float, across_m: float, up_m: float) -> View:
     return View.decode(view.encode())
 
 
-def _grams(weigher: Weigher, clouds: Sequence[PreparedCloud]) -> np.ndarray:
+def _grams(weigher: Weigher, clouds: Sequence[PreparedCloud]) -> NDArray[np.float64]:
     return np.array([weigher.weigh(cloud).weight_g for cloud in clouds])
 
 

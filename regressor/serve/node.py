@@ -43,12 +43,11 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
     """
     torch.set_num_threads(config.regressor.threads)
     weigher = Weigher.load(config.regressor.weights)
-    warm_up(weigher)
     if config.regressor.device != "cpu":
         weigher = weigher.on(config.regressor.device)
-        warm_up(weigher)
     else:
         weigher = weigher.in_form(form_of(config, weigher))
+    warm_up(weigher)
     with Node("regressor", name, config=config, run=run, announce=False) as node:
         service = WeightsService(node, weigher)
         try:
