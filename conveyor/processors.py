@@ -23,6 +23,14 @@ class Busy:
     processors: int
 
 
+def usable() -> int:
+    """Processors that this process may run on."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # another system than Linux
+        return os.cpu_count() or 1
+
+
 class Processors:
     """Measures the processors that this process may run on, from call to call. Elsewhere than on Linux: nothing."""
 

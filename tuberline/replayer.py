@@ -18,6 +18,7 @@ from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
 from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
+from conveyor.processors import usable
 from conveyor.taken_port import check_port_free
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
@@ -36,6 +37,8 @@ FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regress
 """Sections of a replay that weighs as a busy live line does."""
 EXACT: dict[str, dict[str, Any]] = {"regressor": {"precision": "float32"}}
 """Sections of a replay that weighs with all of the network's centroids."""
+MOST_REGRESSORS = 2
+"""Of a replay that was not told how many; each holds half a gigabyte."""
 MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
@@ -46,7 +49,7 @@ def replay_recording(
     out: Path,
     speed: float = 0.0,
     weights: Path | None = None,
-    regressors: int = 2,
+    regressors: int | None = None,
     rrd: Path | None = None,
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
@@ -60,6 +63,7 @@ def replay_recording(
     """Run the graph on `recording` until every camera ended and the summary is written; returns the summary.
 
     Args:
+        regressors: number of weighing processes; None: `usual_regressors`.
         resting_offset_mm, resting_sd_mm: how far tubers' undersides lie below the belt, and how well that is known;
             None: what the recording states.
         contract: a buyer's classes of size (TOML).
@@ -73,7 +77,7 @@ def replay_recording(
     """
     from conveyor.formats import open_source
 
-    if regressors < 1:
+    if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
     cameras = recording_cameras(recording)
     if fast and exact:
@@ -94,7 +98,7 @@ def replay_recording(
         out=out,
         speed=speed,
         weights=weights,
-        regressors=regressors,
+        regressors=regressors or usual_regressors(cameras=len(cameras), processors=usable()),
         rrd=rrd,
         settings=sections,
         ignore_masks=ignore_masks,
@@ -102,6 +106,11 @@ def replay_recording(
     run = run_id(recording)
     _keep(config, out=out, run=run)
     return _count(config, out=out, run=run, show=show)
+
+
+def usual_regressors(*, cameras: int, processors: int) -> int:
+    """One for each processor that no camera needs, two at most: to start one takes five seconds of a processor."""
+    return min(MOST_REGRESSORS, max(1, processors - cameras))
 
 
 def _keep(config: LineConfig, *, out: Path, run: str) -> None:

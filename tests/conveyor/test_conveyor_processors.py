@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -22,6 +24,12 @@ def test_the_share_of_this_machine_is_one_of_its_own_processors() -> None:
     assert found is not None
     assert found.processors == len(os.sched_getaffinity(0))
     assert 0.5 / found.processors <= found.share <= 1.0
+
+
+def test_a_process_that_may_use_one_processor_knows() -> None:
+    said = "import os; from conveyor.processors import usable; "
+    said += "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); assert usable() == 1, usable()"
+    subprocess.run([sys.executable, "-c", said], check=True, timeout=60)
 
 
 def test_waiting_for_a_disk_is_not_work_and_guests_count_once(tmp_path: Path) -> None:

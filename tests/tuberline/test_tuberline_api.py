@@ -207,7 +207,7 @@ def test_simulate_and_replay_refuse_what_there_is_not(tmp_path: Path) -> None:
         for value in (*NO_NUMBERS, *((1.5,) if name in ("seed", "tubers") else ())):
             with pytest.raises(tuberline.TuberlineError, match=name):
                 tuberline.simulate(out, **{name: value})
-    for value in (*NO_NUMBERS, 0, 1.5, 65):
+    for value in (*(number for number in NO_NUMBERS if number is not None), 0, 1.5, 65):
         with pytest.raises(tuberline.TuberlineError, match=r"regressors is .* 1 to 64, a whole number"):
             tuberline.replay(tmp_path, out=out, regressors=value)
     assert not out.exists()

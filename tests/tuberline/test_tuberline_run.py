@@ -18,7 +18,7 @@ from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
 from tuberline.cli.config import check
 from tuberline.cli.run import run, summarise_late
-from tuberline.replayer import free_port
+from tuberline.replayer import free_port, usual_regressors
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
 
@@ -121,3 +121,12 @@ def test_a_line_whose_tickets_or_contract_cannot_be_read_is_refused_before_it_st
     assert warned[1].startswith("warning: aggregator.contract: ")
     with pytest.raises(ConfigError, match=r"(?s)aggregator\.tickets: .*; aggregator\.contract: .*count nothing"):
         run(file)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "processors", "expected"), [(1, 1, 1), (1, 2, 1), (4, 2, 1), (1, 4, 2), (2, 3, 1), (2, 16, 2)]
+)
+def test_a_replay_weighs_with_the_processors_that_its_cameras_leave(
+    cameras: int, processors: int, expected: int
+) -> None:
+    assert usual_regressors(cameras=cameras, processors=processors) == expected

@@ -50,7 +50,7 @@ def replay(
     *,
     out: str | Path,
     speed: float = 0.0,
-    regressors: int = 2,
+    regressors: int | None = None,
     weights: str | Path | None = None,
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
@@ -63,7 +63,8 @@ def replay(
         recording: of any known format; all its cameras are used.
         out: folder for ledger.db, summary.json and tubers.csv; must not hold a run yet.
         speed: times real time; 0 as fast as the line takes it. Nothing is lost at any speed.
-        regressors: number of weighing processes, 1 to 64.
+        regressors: number of weighing processes, 1 to 64; None: one for each processor that no camera needs, two at
+            most.
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
@@ -79,12 +80,13 @@ def replay(
     """
     from tuberline.replayer import replay_recording
 
-    in_range("regressors", regressors, REGRESSORS, whole=True)
+    if regressors is not None:
+        in_range("regressors", regressors, REGRESSORS, whole=True)
     replay_recording(
         Path(recording),
         out=Path(out),
         speed=speed,
-        regressors=int(regressors),
+        regressors=int(regressors) if regressors is not None else None,
         weights=Path(weights) if weights is not None else None,
         ignore_masks=ignore_masks,
         resting_offset_mm=resting_offset_mm,

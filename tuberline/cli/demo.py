@@ -11,7 +11,7 @@ from typing import Any
 from tuberline.replayer import replay_recording
 
 
-def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = False) -> None:
+def demo(*, out: Path = Path("out/demo"), regressors: int | None = None, json: bool = False) -> None:
     """Two overlapping cameras look at two lanes of potatoes; every process of a real line counts and weighs them.
 
     Parameters
@@ -19,7 +19,7 @@ def demo(*, out: Path = Path("out/demo"), regressors: int = 2, json: bool = Fals
     out
         Folder for the recording (made once) and the results of each run.
     regressors
-        Number of weighing processes.
+        Number of weighing processes; default: one for each processor that no camera needs, two at most.
     json
         Print the result as JSON on stdout.
     """

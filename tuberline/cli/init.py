@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from conveyor.errors import InputError
+from conveyor.processors import usable
 
 if TYPE_CHECKING:
     from tuberline.setup.found import Found
@@ -71,7 +71,7 @@ def init(
     cameras = named(chosen)
     if distance_m is not None:
         cameras = {camera: {**settings, "belt_distance_m": distance_m} for camera, settings in cameras.items()}
-    processes = min(8, max(1, (os.cpu_count() or 2) - len(cameras)))
+    processes = min(8, max(1, usable() - len(cameras)))
     belt = common_belt(chosen)
     text = line_file(line, cameras, file=file, distance_known=known, processes=processes, belt=belt)
     with whole_output(file) as partial:

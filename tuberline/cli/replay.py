@@ -19,7 +19,7 @@ def replay(
     out: Path,
     speed: str = "max",
     weights: Path | None = None,
-    regressors: int = 2,
+    regressors: int | None = None,
     rrd: Path | None = None,
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
@@ -43,7 +43,7 @@ def replay(
     weights
         PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
     regressors
-        Number of weighing processes.
+        Number of weighing processes; default: one for each processor that no camera needs, two at most.
     rrd
         Also write a Rerun recording to this file.
     ignore_masks
