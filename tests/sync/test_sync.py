@@ -81,6 +81,24 @@ def test_a_sync_brings_all_and_a_second_one_nothing(empty: Postgres, ledger: Pat
     assert total[3] < total[2] < total[4]
 
 
+def test_a_variety_is_one_however_it_is_typed(empty: Postgres, ledger: Path) -> None:
+    with connect(empty.url) as connection:
+        push(connection, ledger)
+    typed = (("Agria", 1), ("  agria ", 2), ("AGRIA", 4), ("Agria  Gold", 8), ("agria gold", 16))
+    with psycopg.connect(empty.url, autocommit=True) as connection:
+        for place, (variety, tubers) in enumerate(typed, start=100):
+            connection.execute(
+                "INSERT INTO tuberline.load SELECT line, ledger, %s, load, field, %s, day, %s, raw_kg, weight_kg,"
+                " low_kg, high_kg, coverage, ticket_kg FROM tuberline.load WHERE place < 100 ORDER BY place LIMIT 1",
+                (place, variety, tubers),
+            )
+        found = connection.execute(
+            "SELECT variety, loads, tubers FROM tuberline.totals_by_variety WHERE variety ILIKE 'agria%'"
+            " ORDER BY variety"
+        ).fetchall()
+    assert found == [("Agria", 3, 7), ("Agria  Gold", 2, 24)]
+
+
 def test_the_server_is_killed_in_the_middle(empty: Postgres, ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed while the third batch is copied: what was committed stays, the next sync goes on after it."""
     monkeypatch.setattr(push_module, "BATCH", 100)

@@ -7,6 +7,9 @@ VERSION = 1
 LOCK = 0x54554252
 """'TUBR': two machines that sync for the first time at once make the tables one after the other."""
 
+ONE_VARIETY = r"lower(regexp_replace(btrim(variety), '\s+', ' ', 'g'))"
+"""'Agria', 'agria' and ' AGRIA' are one, as in `conveyor.cultivar`; it is told as it was first given."""
+
 STATEMENTS: tuple[str, ...] = (
     f"CREATE SCHEMA IF NOT EXISTS {SCHEMA}",
     f"CREATE TABLE IF NOT EXISTS {SCHEMA}.version (one boolean PRIMARY KEY DEFAULT true CHECK (one), version integer)",
@@ -58,10 +61,16 @@ STATEMENTS: tuple[str, ...] = (
         PRIMARY KEY (ledger, place))""",
     *(
         f"""CREATE OR REPLACE VIEW {SCHEMA}.totals_by_{by} AS
-        SELECT {column}, count(*) AS loads, sum(tubers) AS tubers, sum(raw_kg) AS raw_kg, sum(weight_kg) AS weight_kg,
-            sum(low_kg) AS low_kg, sum(high_kg) AS high_kg, sum(ticket_kg) AS ticket_kg
-        FROM {SCHEMA}.load GROUP BY {column}"""
-        for by, column in (("field", "field"), ("variety", "variety"), ("day", "day"), ("line", "line"))
+        SELECT {told} AS {by}, count(*) AS loads, sum(tubers) AS tubers,
+            sum(raw_kg) AS raw_kg, sum(weight_kg) AS weight_kg, sum(low_kg) AS low_kg,
+            sum(high_kg) AS high_kg, sum(ticket_kg) AS ticket_kg
+        FROM {SCHEMA}.load GROUP BY {alike}"""
+        for by, told, alike in (
+            ("field", "field", "field"),
+            ("variety", "(array_agg(variety ORDER BY day, ledger, place))[1]", ONE_VARIETY),
+            ("day", "day", "day"),
+            ("line", "line", "line"),
+        )
     ),
 )
 """What makes the tables and views; each may be run again. The bounds of a sum are the sums of the bounds, as if all
