@@ -98,14 +98,18 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
         if ticket["ticket_g"] is None:
             return f"the {kind} ticket of {load.told} is withdrawn"
         return f"{load.told}: {ticket['ticket_g'] / 1000:.1f} kg {kind} on the scale"
-    words = {
-        Said.START: "has begun",
-        Said.RESUME: "goes on",
-        Said.END: "has ended",
-        Said.NOTE: "is noted",
-        Said.UNDO: "is as it was: the last change is undone",
-    }
+    if event.kind is Said.UNDO:
+        open_load = book.open_load(event.run)
+        now_open = "no load" if open_load is None else open_load.told
+        return f"the {_undone_kind(event, book)} of {load.told} is undone: {now_open} is open"
+    words = {Said.START: "has begun", Said.RESUME: "goes on", Said.END: "has ended", Said.NOTE: "is noted"}
     return f"{load.told} {words[event.kind]}"
+
+
+def _undone_kind(undo: LoadEvent, book: LoadBook) -> Said | str:
+    """What was taken back: 'start', 'resume' or 'end'."""
+    undone = undo.payload.get("event")
+    return next((event.kind for event in book.events.values() if event.n == undone), "last change")
 
 
 def find(book: LoadBook, wanted: str, run: str) -> Load:

@@ -86,13 +86,15 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
                     it.order("late", "undo", now_ns=round((101 + UNDO_WITHIN_S) * S))
                 with pytest.raises(InputError, match="set back by at least 90 s since the last change"):
                     it.order("back", "undo", now_ns=10 * S)
-                assert it.order("u", "undo", now_ns=110 * S).name == "B"
+                undone = it.order("u", "undo", now_ns=110 * S)
+                assert (undone.name, undone.text) == ("B", "the start of load 2 (B) is undone: load 1 (A) is open")
                 assert ledger.loads.loads[1].ended_ns is None
                 assert ledger.loads.loads[2].undone
                 assert it.order("n", "note", note="still A").name == "A"
             if n == 22:
                 it.order("e", "end", now_ns=200 * S, x_m=-1.7)
-                it.order("ue", "undo", now_ns=210 * S)
+                told = it.order("ue", "undo", now_ns=210 * S).text
+                assert told == "the end of load 1 (A) is undone: load 1 (A) is open"
                 assert it.order("n2", "note", note="open again").name == "A"
     assert set(by_span(path)) == {NO_LOAD, 1}
     assert sums_by_load(path)[1][0] == sum(tuber.x_m < -0.4 for tuber in story().seen())
