@@ -60,7 +60,7 @@ class Asking:
     request
         Id of this order, by which it is done once however often it is asked for; default: a new one.
     wait_s
-        How long to ask for an answer.
+        How long to wait for the line's router, and from then on for an answer.
     json
         For machines.
     """
@@ -244,13 +244,12 @@ def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: As
 
         answer = order_at_rest(ledger_file(ledger), order)
     else:
-        from conveyor.load_orders import send_order
-        from conveyor.session import open_client
+        from conveyor.load_orders import give_order
 
         link, name = address.link()
         order.check()
-        with open_client(link, name="loader") as session:
-            answer = send_order(session, name, order, within_s=asking.wait_s)
+        link = link.model_copy(update={"connect_timeout_s": asking.wait_s})
+        answer = give_order(link, name, order, within_s=asking.wait_s)
     if asking.json:
         sys.stdout.write(json_module.dumps(asdict(answer)) + "\n")
     if not answer.done:
