@@ -101,6 +101,21 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
     assert check_file(path) == []
 
 
+@pytest.mark.parametrize("step_s", [3600, -3600, 86400])
+def test_a_clock_that_is_set_says_nothing_of_how_long_ago_a_change_was(step_s: int) -> None:
+    """5 s after a start, an hour on by the clock, 'the last change was 3605 s ago' refused its undo."""
+    book, asked = LoadBook(), LoadOrder("a", "start", by="test", fields={"name": "A"})
+    book.apply(decide(asked, book, run="r", now_ns=100_000 * S, line={}, place_x_m=lambda _: -1.0))
+    undo, now_ns = LoadOrder("u", "undo", by="test"), (100_005 + step_s) * S
+    with pytest.raises(InputError, match="61 s ago"):
+        decide(undo, book, run="r", now_ns=now_ns, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: 61.0)
+    event = decide(undo, book, run="r", now_ns=now_ns, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: 5.0)
+    book.apply(event)
+    assert book.open_load("r") is None
+    again = decide(undo, book, run="r", now_ns=now_ns + S, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: None)
+    assert again is event, "asked again under its id it is done once"
+
+
 def test_an_undo_leaves_what_would_be_there_without_the_change() -> None:
     """Fields and notes that came with a load's going on, the offset it went on with and the note of its end stayed."""
     book = LoadBook()
