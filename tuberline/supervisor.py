@@ -283,7 +283,7 @@ class Supervisor:
         if code == 0 or (code == PERMANENT and not (child.spec.is_router and child.restarts)):
             child.done = True
             if code:
-                log.error("%s gave up with exit code %d", child.spec.name, code)
+                log.error("%s gave up with exit code %d%s", child.spec.name, code, self._why(child))
             return
         if now - child.started > HEALTHY_AFTER_S:
             child.backoff_s = BACKOFF_FIRST_S
