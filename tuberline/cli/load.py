@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING
 
 from cyclopts import App, Parameter
@@ -14,6 +17,9 @@ from tuberline.cli.address import NO_ADDRESS, LineAddress
 
 if TYPE_CHECKING:
     from conveyor.messages import LoadOrder
+
+SAY_AFTER_S = 3.0
+"""Without an answer for so long, a command about a load says that it waits."""
 
 load = App(name="load", help="Loads of a running line: start, end, note, ticket, undo, show.")
 
@@ -234,6 +240,22 @@ def show(
         print_loads(loads)
 
 
+@contextmanager
+def _told_while_waiting(router: str, wait_s: float) -> Iterator[None]:
+    """Who stands beside the belt learns that the order is under way, and that it is not late."""
+    text = (
+        f"tuberline: no answer by {router} yet; asking for {wait_s:g} s. The order is about the moment at which it was "
+        "given, whenever the answer comes\n"
+    )
+    word = Timer(SAY_AFTER_S, lambda: sys.stderr.write(text))
+    word.daemon = True
+    word.start()
+    try:
+        yield
+    finally:
+        word.cancel()
+
+
 def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: Asking) -> None:
     """Have `order` carried out by the line, or in a ledger at rest, and tell what became of it."""
     from conveyor.errors import InputError
@@ -249,7 +271,8 @@ def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: As
         link, name = address.link()
         order.check()
         link = link.model_copy(update={"connect_timeout_s": asking.wait_s})
-        answer = give_order(link, name, order, within_s=asking.wait_s)
+        with _told_while_waiting(link.router, asking.wait_s):
+            answer = give_order(link, name, order, within_s=asking.wait_s)
     if asking.json:
         sys.stdout.write(json_module.dumps(asdict(answer)) + "\n")
     if not answer.done:
