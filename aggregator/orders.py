@@ -42,6 +42,7 @@ class Orders:
         self._unused = unused
         self._stated_offset_mm = node.config.belt.resting_offset_mm
         self._lock = threading.Lock()
+        self._said_s: dict[int, float] = {}
         self._waiting: deque[tuple[float, LoadOrder, zenoh.Query]] = deque()
         for name in ("load_orders_done", "load_orders_refused", "load_orders_malformed"):
             node.counters.add(name, 0)
@@ -103,9 +104,11 @@ class Orders:
             place_x_m=lambda asked: order_place_x_m(
                 replace(asked, age_s=asked.age_s + now_s - came_s), self._ledger, self._core, now_s
             ),
+            ago_s=lambda event: now_s - self._said_s[event.n] if event.n in self._said_s else None,
         )
         if not known:
             self._ledger.say(event)
+            self._said_s[event.n] = now_s
             self._core.cameras.loads_change()
             self._node.counters.add("load_orders_done")
             self._told(event)

@@ -64,7 +64,7 @@ class FrameOutlet:
         elif not self._told and now_s - self._alone_since_s >= ALONE_S:
             self._told = True
             self._log.warning(
-                "no segmenter at %s for %.0f s: is it told the same (cameras.NAME.direct)?",
+                "no segmenter at %s for %.0f s: is it running, and told the same (cameras.NAME.direct)?",
                 self._endpoint,
                 ALONE_S,
             )

@@ -4,6 +4,8 @@
     with open_client(link, name="loader") as session:
         answer = send_order(session, line, order)
 
+`give_order` does both, and counts the time until the router is there as the order's.
+
 An order is answered when it is durable in the ledger. It may be sent any number of times: under one id it is done once,
 and it is about the moment at which it was first sent, however long the answer took.
 """
@@ -18,9 +20,12 @@ from typing import Any
 import zenoh
 
 from conveyor import topics
+from conveyor.config import LinkConfig
 from conveyor.errors import LinkError
 from conveyor.messages import LoadAnswer, LoadOrder
+from conveyor.session import open_client
 
+LOADER = "loader"
 TRY_S = 3.0
 AGAIN_S = 0.2
 LONGEST_S = 3600.0
@@ -29,6 +34,20 @@ LONGEST_S = 3600.0
 def new_request() -> str:
     """An id for an order, unique; one is kept for all tries of one order."""
     return f"order-{secrets.token_hex(12)}"
+
+
+def give_order(link: LinkConfig, line: str, order: LoadOrder, *, within_s: float = 20.0) -> LoadAnswer:
+    """Join `line` as a loader, and the answer to `order`. A router that is not there is waited for as well, for the
+    link's `connect_timeout_s`: meanwhile the belt moves on, and the order is about the moment of this call.
+
+    Raises:
+        ConfigError: no certificate of a loader.
+        LinkError: no router in that time, no answer within `within_s` of its coming, or no right to ask.
+    """
+    began_s = time.monotonic()
+    with open_client(link, name=LOADER) as session:
+        age_s = min(order.age_s + time.monotonic() - began_s, LONGEST_S)
+        return send_order(session, line, replace(order, age_s=age_s), within_s=within_s)
 
 
 def send_order(session: zenoh.Session, line: str, order: LoadOrder, *, within_s: float = 20.0) -> LoadAnswer:

@@ -232,9 +232,9 @@ class SegmenterNode:
         changed = camera_run.frames.dropped[FrameDrop.CAMERA_CHANGED]
         if _is_told(changed):
             self._node.log.error(
-                "refused frame %d, the %d. of run %s with intrinsics %s and depth unit %g m, unlike the first frame: "
-                "start a new run after changing a camera",
-                frame.seq, changed, frame.run, frame.intrinsics, frame.depth_scale_m,
+                "refused frame %d, the %d. of run %s unlike the first frame, with %s: put the camera back as it was, "
+                "or start a new run",
+                frame.seq, changed, frame.run, camera_run.core.camera_changed,
             )  # fmt: skip
 
     def _tell_hidden(self, camera_run: CameraRun, frame: Frame) -> None:

@@ -110,6 +110,11 @@ class Segmenter:
         return self._belts.hidden
 
     @property
+    def camera_changed(self) -> str:
+        """What of the newest frame is not as in the run's first one, in words; empty where all is."""
+        return self._gate.changed
+
+    @property
     def noise_px(self) -> float | None:
         """Local noise of the camera's depth, pixels of disparity at a baseline of 18 mm; None before it is known."""
         return self._running.noise.noise_px if self._running else None

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
 COMING_UP_LIMIT_S = 600.0
-"""First use compiles in each process, for minutes on a small or busy machine."""
+"""Times without any movement, in which no process waited for a processor. First use compiles in each process, for
+minutes on a small machine."""
 CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regressor": {"precision": "fastest"}}
@@ -332,7 +333,7 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
         config.link, line=config.name, meanwhile=lambda: _raise_failures(supervisor, out), within_s=START_LIMIT_S
     )
     with observing as observer, showing as table:
-        moved, last = time.monotonic(), -1
+        moved, last = supervisor.own_time_s, -1
         findings: dict[str, str] = {}
         while not supervisor.finished("aggregator"):
             _raise_failures(supervisor, out)
@@ -342,9 +343,9 @@ def _wait_until_counted(supervisor: Supervisor, config: LineConfig, *, show: boo
                 findings |= {f"{name} {finding}": text for finding, text in told.items()}
             done = sum(n.count("frames_processed") + n.count("entries_applied") for n in nodes.values())
             if done != last:
-                moved, last = time.monotonic(), done
+                moved, last = supervisor.own_time_s, done
             limit_s = QUIET_LIMIT_S if done else _start_limit_s(supervisor, observer)
-            if time.monotonic() - moved > limit_s:
+            if supervisor.own_time_s - moved > limit_s:
                 raise LinkError(_stands_still(supervisor, config, limit_s))
             if table is not None:
                 table(observer.totals(), nodes, observer.alive())

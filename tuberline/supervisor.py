@@ -20,6 +20,7 @@ from conveyor.files import unwritable
 from tuberline.direct_folder import DirectFolder
 from tuberline.heartbeat import Heartbeat
 from tuberline.orphan import ENVIRONMENT
+from tuberline.own_time import OwnTime
 
 log = logging.getLogger("supervisor")
 
@@ -30,6 +31,7 @@ PASSING_LIMIT_S = 30.0
 HEALTHY_AFTER_S = 30.0
 STOP_WITHIN_S = 4.0
 LOOK_EVERY_S = 0.1
+LOOK_AT_WAITS_EVERY_S = 1.0
 MOST_PATIENCE = 8
 """Each standstill doubles the time for the next one up to this factor: what only is slow gets done at last."""
 WORD = "tuberline: "
@@ -56,6 +58,7 @@ class _Child:
     spec: ProcessSpec
     process: subprocess.Popen[bytes] | None = None
     heartbeat: Heartbeat | None = None
+    own_time: OwnTime | None = None
     started: float = 0.0
     restarts: int = 0
     crashes: int = 0
@@ -70,7 +73,8 @@ class Supervisor:
     """Starts children in the order given, restarts the crashed and the stuck, stops all on exit. A context manager.
 
     A thread of its own watches from the first moment. A child that exits with 0 is done, one that exits with
-    `PERMANENT` gave up; every other one is started again.
+    `PERMANENT` gave up; every other one is started again. A standstill is one in the child's own time: what waits for a
+    processor on a busy machine is slow, and starting it again would only cost it what it has done.
 
     Args:
         specs: what to run.
@@ -84,6 +88,8 @@ class Supervisor:
         self._lock = threading.RLock()
         self._stopping = threading.Event()
         self._looked_s = 0.0
+        self._looked_at_waits_s = 0.0
+        self._waited_s = 0.0
         self._thread: threading.Thread | None = None
 
     def __enter__(self) -> Supervisor:
@@ -111,6 +117,7 @@ class Supervisor:
                 return
             now = time.monotonic()
             self._forgive(now)
+            self._look_at_waits(now)
             for child in self._children:
                 if child.process is not None and (code := child.process.poll()) is not None:
                     self._exited(child, code, now)
@@ -139,6 +146,11 @@ class Supervisor:
         """Children that ended with an exit code that no restart cures."""
         with self._lock:
             return {c.spec.name: c.exits[-1] for c in self._children if c.done and c.exits and c.exits[-1] != 0}
+
+    @property
+    def own_time_s(self) -> float:
+        """A steady clock that stands still while some child waits for a processor: slowness takes none of its time."""
+        return time.monotonic() - self._waited_s
 
     def finished(self, name: str) -> bool:
         """The named child exited with 0."""
@@ -200,12 +212,18 @@ class Supervisor:
         """No one heard the children while this process was stopped or its machine asleep."""
         if now - self._looked_s > NOT_LOOKED_S:
             for child in self._children:
-                if child.heartbeat is not None:
-                    child.heartbeat.forgive(now)
+                if child.heartbeat is not None and child.own_time is not None:
+                    child.heartbeat.forgive(child.own_time.at(now))
         self._looked_s = now
 
+    def _look_at_waits(self, now: float) -> None:
+        if now - self._looked_at_waits_s >= LOOK_AT_WAITS_EVERY_S:
+            self._looked_at_waits_s = now
+            own_times = [c.own_time for c in self._children if c.process is not None and c.own_time is not None]
+            self._waited_s += max((own_time.look() for own_time in own_times), default=0.0)
+
     def _watch_heartbeat(self, child: _Child, heartbeat: Heartbeat, now: float) -> None:
-        still = heartbeat.standstill(now)
+        still = heartbeat.standstill(now if child.own_time is None else child.own_time.at(now))
         if still and child.process is not None:
             log.error("%s %s: killed, to be started again", child.spec.name, still)
             child.standstills += 1
@@ -249,6 +267,7 @@ class Supervisor:
             path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
             stderr = stack.enter_context(path.open("ab")) if path else None
             child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
+        child.own_time = OwnTime(child.process.pid)
         child.started = time.monotonic()
 
     def _has_both_ends(self, spec: ProcessSpec) -> bool:
@@ -264,7 +283,7 @@ class Supervisor:
         if code == 0 or (code == PERMANENT and not (child.spec.is_router and child.restarts)):
             child.done = True
             if code:
-                log.error("%s gave up with exit code %d", child.spec.name, code)
+                log.error("%s gave up with exit code %d%s", child.spec.name, code, self._why(child))
             return
         if now - child.started > HEALTHY_AFTER_S:
             child.backoff_s = BACKOFF_FIRST_S

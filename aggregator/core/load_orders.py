@@ -25,6 +25,7 @@ def decide(
     now_ns: int,
     line: Mapping[str, float],
     place_x_m: Callable[[LoadOrder], float],
+    ago_s: Callable[[LoadEvent], float | None] = lambda event: None,
 ) -> LoadEvent:
     """The event that `order` comes to; the one it came to before, where it was carried out already.
 
@@ -34,6 +35,7 @@ def decide(
         now_ns: wall clock of the aggregator's machine; line: what a load keeps of the line as
             it is, 'utc_offset_s' and 'stated_offset_mm'.
         place_x_m: where on the belt an order that changes loads does so; may raise InputError.
+        ago_s: how long ago an event was said by a clock that no one sets; None where the wall clock has to tell.
 
     Raises:
         InputError: it cannot be carried out; the text says why, and what can. Or its id is another order's.
@@ -50,7 +52,7 @@ def decide(
         "end": lambda: _end(order, book, run, place_x_m),
         "note": lambda: _note(order, book, run),
         "ticket": lambda: _ticket(order, book, run),
-        "undo": lambda: _undo(book, run, now_ns),
+        "undo": lambda: _undo(book, run, now_ns, ago_s),
     }
     kind, load, place, payload = decisions[order.action]()
     return LoadEvent(book.last_n + 1, run, order.request, kind, load, place, now_ns, order.by, payload)
@@ -60,7 +62,15 @@ def _asked_before(order: LoadOrder, event: LoadEvent, book: LoadBook) -> bool:
     """Whether `order` comes to `event` by all that had been said before it."""
     before = LoadBook.of(each for each in book.events.values() if each.n < event.n)
     try:
-        found = decide(order, before, run=event.run, now_ns=event.said_ns, line={}, place_x_m=lambda _: 0.0)
+        found = decide(
+            order,
+            before,
+            run=event.run,
+            now_ns=event.said_ns,
+            line={},
+            place_x_m=lambda _: 0.0,
+            ago_s=lambda _: 0.0,  # it was in time
+        )
     except InputError:
         return False
     same = all(event.payload.get(name) == value for name, value in found.payload.items())
@@ -98,14 +108,18 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
         if ticket["ticket_g"] is None:
             return f"the {kind} ticket of {load.told} is withdrawn"
         return f"{load.told}: {ticket['ticket_g'] / 1000:.1f} kg {kind} on the scale"
-    words = {
-        Said.START: "has begun",
-        Said.RESUME: "goes on",
-        Said.END: "has ended",
-        Said.NOTE: "is noted",
-        Said.UNDO: "is as it was: the last change is undone",
-    }
+    if event.kind is Said.UNDO:
+        open_load = book.open_load(event.run)
+        now_open = "no load" if open_load is None else open_load.told
+        return f"the {_undone_kind(event, book)} of {load.told} is undone: {now_open} is open"
+    words = {Said.START: "has begun", Said.RESUME: "goes on", Said.END: "has ended", Said.NOTE: "is noted"}
     return f"{load.told} {words[event.kind]}"
+
+
+def _undone_kind(undo: LoadEvent, book: LoadBook) -> Said | str:
+    """What was taken back: 'start', 'resume' or 'end'."""
+    undone = undo.payload.get("event")
+    return next((event.kind for event in book.events.values() if event.n == undone), "last change")
 
 
 def find(book: LoadBook, wanted: str, run: str) -> Load:
@@ -187,20 +201,23 @@ def _ticket(order: LoadOrder, book: LoadBook, run: str) -> tuple[Said, int, None
     return Said.TICKET, load.number, None, said
 
 
-def _undo(book: LoadBook, run: str, now_ns: int) -> tuple[Said, int, None, dict[str, Any]]:
+def _undo(
+    book: LoadBook, run: str, now_ns: int, ago_s: Callable[[LoadEvent], float | None]
+) -> tuple[Said, int, None, dict[str, Any]]:
     change = book.last_change(run)
     if change is None:
         raise InputError("nothing to undo: no load was started or ended in this run")
-    ago_s = (now_ns - change.said_ns) / 1e9
-    if ago_s < -UNDO_WITHIN_S:
+    steady_s = ago_s(change)
+    passed_s = (now_ns - change.said_ns) / 1e9 if steady_s is None else steady_s
+    if passed_s < -UNDO_WITHIN_S:
         raise InputError(
-            f"the clock of the aggregator's machine was set back by at least {-ago_s:.0f} s since the last change "
+            f"the clock of the aggregator's machine was set back by at least {-passed_s:.0f} s since the last change "
             f"({change.kind} of {book.loads[change.load].told}), so it is not known how long ago that was; start or "
             "end the load again"
         )
-    if ago_s > UNDO_WITHIN_S:
+    if passed_s > UNDO_WITHIN_S:
         raise InputError(
-            f"the last change ({change.kind} of {book.loads[change.load].told}) was {ago_s:.0f} s ago, a change can be "
-            f"undone within {UNDO_WITHIN_S:.0f} s; start or end the load again"
+            f"the last change ({change.kind} of {book.loads[change.load].told}) was {passed_s:.0f} s ago, a change can "
+            f"be undone within {UNDO_WITHIN_S:.0f} s; start or end the load again"
         )
     return Said.UNDO, change.load, None, {"event": change.n}

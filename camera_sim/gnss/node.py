@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from camera_sim.gnss.day_clock import DayClock
 from camera_sim.gnss.receivers import Receiver, open_receiver
 from conveyor import topics
 from conveyor.config import LineConfig
@@ -18,7 +19,7 @@ from conveyor.node import Node
 BACK_OFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 SILENT_AFTER_S = 10.0
 """A receiver that says nothing for so long is opened again."""
-COUNTED = ("positions", "no_fix", "lines_refused", "receiver_lost", "receiver_silent")
+COUNTED = ("positions", "no_fix", "lines_refused", "receiver_lost", "receiver_silent", "clock_steps")
 
 
 class GnssNode:
@@ -29,6 +30,7 @@ class GnssNode:
         self._node = Node("gnss", settings.name, config=config, run=run)
         self._path = config.aggregator.out / POSITIONS_FILE
         self._fixes = NmeaFixes()
+        self._clock = DayClock()
         self._refused = 0
 
     def run(self) -> None:
@@ -81,7 +83,7 @@ class GnssNode:
             receiver=self._node.name,
             run=self._node.run,
             n=file.rows,
-            time_ns=time.time_ns(),
+            time_ns=self._time_ns(),
             fix_ns=fix.fix_ns,
             lat_deg=fix.lat_deg,
             lon_deg=fix.lon_deg,
@@ -98,6 +100,17 @@ class GnssNode:
         out.put(position)
         self._node.counters.add("positions")
         self._node.counters.add("no_fix", int(fix.quality == 0))
+
+    def _time_ns(self) -> int:
+        """The time of the day as the run's cameras have it: steps since the start are left out, and told."""
+        time_ns, step_ns = self._clock.now()
+        if step_ns:
+            self._node.counters.add("clock_steps")
+            self._node.log.warning(
+                "this machine's clock was set by %+.3f s: positions go on as if it had not, as the cameras do",
+                step_ns / 1e9,
+            )
+        return time_ns
 
     def _count_refused(self) -> None:
         refused = self._fixes.refused.total()

@@ -15,6 +15,9 @@ GATE_STRIDE = 4
 """Pixels between the samples of that share."""
 FROZEN_M = 0.001
 """Metres of travel. A shorter way need not change a single pixel; longer notices a frozen camera later."""
+SAME_POSE = 0.02
+"""Metres and sines by which entries of `belt_from_camera` may differ within a run: 20 mm, 1 degree. Two cameras of one
+belt hang farther apart. Higher places a moved camera's tubers wrongly, lower refuses poses that are measured."""
 
 # The belt plane (`plane`)
 SAMPLE_STRIDE = 8

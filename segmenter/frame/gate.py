@@ -6,13 +6,18 @@ import numpy as np
 
 from conveyor.messages import Frame
 from conveyor.reasons import FrameDrop
-from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME
+from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME, SAME_POSE
 
 
 class FrameGate:
-    """Checks each frame against the run's first one and the last one that was processed."""
+    """Checks each frame against the run's first one and the last one that was processed.
+
+    Attributes:
+        changed: what of the newest frame is not as in the first one, with both values; empty where all is.
+    """
 
     def __init__(self) -> None:
+        self.changed = ""
         self._first: Frame | None = None
         self._last: Frame | None = None
         self._last_had_load = False
@@ -20,11 +25,12 @@ class FrameGate:
     def drop(self, frame: Frame) -> FrameDrop | None:
         """Why a frame cannot be processed; None where it can.
 
-        Where it was taken with other intrinsics or in another depth unit than the first, its heights and places would
-        be wrong.
+        Where it was taken with other intrinsics, in another depth unit or from another pose than the first, its heights
+        and places would be wrong.
         """
         first = self._first = self._first or frame
-        if frame.intrinsics != first.intrinsics or frame.depth_scale_m != first.depth_scale_m:
+        self.changed = _changed(frame, first)
+        if self.changed:
             return FrameDrop.CAMERA_CHANGED
         if frame.mask is None and _is_blind(frame):
             return FrameDrop.BLIND
@@ -40,6 +46,19 @@ class FrameGate:
         if last is None or frame.travel_m is None or last.travel_m is None or not self._last_had_load:
             return False
         return abs(frame.travel_m - last.travel_m) >= FROZEN_M and np.array_equal(frame.depth, last.depth)
+
+
+def _changed(frame: Frame, first: Frame) -> str:
+    if frame.intrinsics != first.intrinsics:
+        return f"intrinsics {frame.intrinsics} and not {first.intrinsics}"
+    if frame.depth_scale_m != first.depth_scale_m:
+        return f"depth unit {frame.depth_scale_m:g} m and not {first.depth_scale_m:g} m"
+    pose, first_pose = frame.belt_from_camera, first.belt_from_camera
+    if pose is None or first_pose is None:
+        return "" if pose is first_pose else "a pose (belt_from_camera) in one of both only"
+    if np.abs(pose - first_pose).max() <= SAME_POSE:
+        return ""
+    return f"pose (belt_from_camera) {pose[:3].round(4).tolist()} and not {first_pose[:3].round(4).tolist()}"
 
 
 def _is_blind(frame: Frame) -> bool:

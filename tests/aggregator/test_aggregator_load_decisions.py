@@ -86,17 +86,34 @@ def test_an_undo_gives_the_belt_back(tmp_path: Path) -> None:
                     it.order("late", "undo", now_ns=round((101 + UNDO_WITHIN_S) * S))
                 with pytest.raises(InputError, match="set back by at least 90 s since the last change"):
                     it.order("back", "undo", now_ns=10 * S)
-                assert it.order("u", "undo", now_ns=110 * S).name == "B"
+                undone = it.order("u", "undo", now_ns=110 * S)
+                assert (undone.name, undone.text) == ("B", "the start of load 2 (B) is undone: load 1 (A) is open")
                 assert ledger.loads.loads[1].ended_ns is None
                 assert ledger.loads.loads[2].undone
                 assert it.order("n", "note", note="still A").name == "A"
             if n == 22:
                 it.order("e", "end", now_ns=200 * S, x_m=-1.7)
-                it.order("ue", "undo", now_ns=210 * S)
+                told = it.order("ue", "undo", now_ns=210 * S).text
+                assert told == "the end of load 1 (A) is undone: load 1 (A) is open"
                 assert it.order("n2", "note", note="open again").name == "A"
     assert set(by_span(path)) == {NO_LOAD, 1}
     assert sums_by_load(path)[1][0] == sum(tuber.x_m < -0.4 for tuber in story().seen())
     assert check_file(path) == []
+
+
+@pytest.mark.parametrize("step_s", [3600, -3600, 86400])
+def test_a_clock_that_is_set_says_nothing_of_how_long_ago_a_change_was(step_s: int) -> None:
+    """5 s after a start, an hour on by the clock, 'the last change was 3605 s ago' refused its undo."""
+    book, asked = LoadBook(), LoadOrder("a", "start", by="test", fields={"name": "A"})
+    book.apply(decide(asked, book, run="r", now_ns=100_000 * S, line={}, place_x_m=lambda _: -1.0))
+    undo, now_ns = LoadOrder("u", "undo", by="test"), (100_005 + step_s) * S
+    with pytest.raises(InputError, match="61 s ago"):
+        decide(undo, book, run="r", now_ns=now_ns, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: 61.0)
+    event = decide(undo, book, run="r", now_ns=now_ns, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: 5.0)
+    book.apply(event)
+    assert book.open_load("r") is None
+    again = decide(undo, book, run="r", now_ns=now_ns + S, line={}, place_x_m=lambda _: 0.0, ago_s=lambda _: None)
+    assert again is event, "asked again under its id it is done once"
 
 
 def test_an_undo_leaves_what_would_be_there_without_the_change() -> None:

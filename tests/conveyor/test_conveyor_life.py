@@ -127,6 +127,17 @@ def test_an_error_that_may_pass_is_tried_again_until_it_has_passed(link: LinkCon
                 wait_until(lambda: "aggregator/aggregator" in observer.alive(), what="the aggregator")
 
 
+def test_why_a_process_gave_up_is_said_where_the_line_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """'camera-left gave up with exit code 2' was all: the line went on, and the reason stood in a file."""
+    path = tmp_path / "line.toml"
+    path.write_text(dump_toml(LineConfig.model_validate({"cameras": {"left": {"path": tmp_path / "nowhere"}}})))
+    spec = ProcessSpec("camera-left", ("camera", "--config", str(path), "--camera", "left", "--run", "r1"))
+    with Supervisor([spec], log_dir=tmp_path / "logs") as supervisor:
+        wait_until(lambda: supervisor.failures, what="the camera's end")
+    assert f"camera-left gave up with exit code {PERMANENT}: " in caplog.text
+    assert "nowhere" in caplog.text
+
+
 def test_a_process_that_stands_still_is_killed_and_started_again(
     tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

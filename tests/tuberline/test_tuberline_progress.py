@@ -17,7 +17,7 @@ from aggregator.ledger.verified import TOLD_EVERY, told_rows
 from benchmarks.written_run import write_run
 from conveyor.messages import Counters
 from tuberline.cli import progress
-from tuberline.cli.live import nodes_tables
+from tuberline.cli.live import line_table, nodes_tables
 from tuberline.cli.markdown import print_markdown
 from tuberline.cli.replay_table import replay_table
 
@@ -142,3 +142,24 @@ def test_no_name_of_a_status_is_folded_in_eighty_columns() -> None:
     assert max(map(len, lines)) <= 80
     for words in (name, "processed 1234567", *(f"{key} {count}" for key, count in lost.items())):
         assert any(words in line for line in lines), words
+
+
+def test_a_node_of_the_config_that_is_gone_has_a_row() -> None:
+    """A camera that had given up was in no row of `tuberline status`: its last report goes with its process."""
+    there, silent = "segmenter/left", "aggregator/aggregator"
+    told = Counters("segmenter", "left", "r", 1, "h", "1", 5.0, {"frames_processed": 3}, {})
+    expected = {"camera/left", there, silent}
+
+    def rows(alive: set[str]) -> str:
+        out = io.StringIO()
+        nodes = {there: told} if alive else {}
+        Console(file=out, width=100, color_system=None).print(line_table(None, nodes, alive=alive, expected=expected))
+        return out.getvalue()
+
+    lines = rows({there, silent}).splitlines()
+    state_of = {words[0]: words[1] for words in map(str.split, lines) if len(words) > 1}
+    assert state_of["camera/left"] == "gone"
+    assert state_of[there] == "ok"
+    assert state_of["aggregator"] == "silent"
+    assert any("not there; `tuberline doctor` and its log say why" in line for line in lines)
+    assert "camera/left" not in rows(set()), "of a line that does not run one sentence is enough"

@@ -151,6 +151,11 @@ def test_a_dead_camera_is_told_by_the_belt_that_its_segmenter_no_longer_sees_mov
     assert alarms(silent) == (), "nothing is heard of its segmenter either: that is the link, and told as such"
     dropping = segmenter("left", growing_s={"frames_dropped_too_old": 1.0})
     assert alarms(with_node(heard, "segmenter/left", dropping)) == (), "frames come, too late"
+    fresh = segmenter("left")
+    assert fresh.report is not None
+    fresh = replace(fresh, report=replace(fresh.report, uptime_s=1.2))
+    away = good_state(frame_s={"left": 6.0})
+    assert alarms(with_node(away, "segmenter/left", fresh)) == (), "it was the segmenter that was away"
 
 
 def test_a_recorder_that_ended_on_purpose_is_no_trouble() -> None:
@@ -246,6 +251,22 @@ def test_no_contact_is_the_one_thing_to_say_and_nothing_flows() -> None:
     assert (shown["state"], shown["heard_s"], shown["flow"]) == ("no contact", 14.0, None)
     never = LineState("north", no_router="tcp/10.0.0.1:7447")
     assert alarms(never)[0].text == "No contact with line north. No router answers at tcp/10.0.0.1:7447."
+
+
+def test_a_router_that_dies_is_not_told_as_the_end_of_every_process() -> None:
+    """For 3 s the page said of each camera that it had stopped and lost frames, and that no regressor was running."""
+    state = good_state(heard_s=0.6)
+    cut = {name: replace(found, alive=False, gone_s=0.2) for name, found in state.nodes.items()}
+    (alarm,) = alarms(replace(state, nodes=cut))
+    assert (alarm.key, alarm.text) == ("no-contact", "No contact with line north for 0 s.")
+    assert snapshot(replace(state, nodes=cut))["state"] == "no contact"
+    one_left = {**cut, "camera/left": state.nodes["camera/left"]}
+    assert "Camera right stopped 0 s ago." in texts(replace(state, nodes=one_left), "trouble")
+    ended = {
+        name: replace(found, report=found.report and replace(found.report, status="ended"))
+        for name, found in cut.items()
+    }
+    assert "no-contact" not in {alarm.key for alarm in alarms(replace(state, nodes=ended))}, "they said goodbye"
 
 
 def test_a_complete_load_does_not_grow_old() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, Group, RenderResult
@@ -78,10 +78,16 @@ class Items:
 
 
 def line_table(
-    totals: Totals | None, nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None
+    totals: Totals | None,
+    nodes: Mapping[str, Counters],
+    *,
+    alive: set[str],
+    pace: Pace | None = None,
+    expected: Collection[str] = (),
 ) -> Group:
-    """What a person wants to see of a running line."""
-    return Group(totals_panel(totals), *nodes_tables(nodes, alive=alive, pace=pace), *_remarks(nodes, alive))
+    """What a person wants to see of a running line. `expected`: nodes that have a row, be they there or not."""
+    tables = nodes_tables(nodes, alive=alive, pace=pace, expected=expected if alive else ())
+    return Group(totals_panel(totals), *tables, *_remarks(nodes, alive))
 
 
 def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
@@ -135,18 +141,24 @@ def _load_title(load: LoadNow) -> Text:
     return Text(" · ".join(filter(None, (f"load {load.number}", *known))))
 
 
-def nodes_tables(nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None) -> Iterator[Table]:
+def nodes_tables(
+    nodes: Mapping[str, Counters], *, alive: set[str], pace: Pace | None = None, expected: Collection[str] = ()
+) -> Iterator[Table]:
     """One row a node, with its state and what it did; then what was lost, whose names are too long to stand beside."""
     table = Table("node", "state", "up", "did", box=SIMPLE_HEAD, expand=True, padding=(0, 1, 0, 0))
     lost = Table("node", "lost or refused", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     lost.columns[0].no_wrap = True
     for column, least in zip(table.columns[:3], (15, 7, 6), strict=True):
         column.no_wrap, column.min_width = True, least
-    names = sorted({*nodes, *alive}, key=lambda name: (name not in alive or name not in nodes, name))
+    there = alive & nodes.keys()
+    names = sorted({*nodes, *alive, *expected}, key=lambda name: (name not in there, name not in expected, name))
     for name in sorted(names[:MOST_ROWS]):
         counters = nodes.get(name)
-        if counters is None:
+        if counters is None and name in alive:
             table.add_row(short_name(name), "[red]silent[/]", "", "there, and has not reported yet")
+            continue
+        if counters is None:
+            table.add_row(short_name(name), "[red]gone[/]", "", "not there; `tuberline doctor` and its log say why")
             continue
         state = counters.status if name in alive else "gone"
         colour = "green" if state == "ok" else "red"

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import json as json_module
+import os
 import sys
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING
 
 from cyclopts import App, Parameter
@@ -14,6 +19,12 @@ from tuberline.cli.address import NO_ADDRESS, LineAddress
 
 if TYPE_CHECKING:
     from conveyor.messages import LoadOrder
+
+SAY_AFTER_S = 3.0
+"""Without an answer for so long, a command about a load says that it waits."""
+
+SLOWEST_START_S = 60.0
+"""A process that is older was not started for this order."""
 
 load = App(name="load", help="Loads of a running line: start, end, note, ticket, undo, show.")
 
@@ -60,7 +71,7 @@ class Asking:
     request
         Id of this order, by which it is done once however often it is asked for; default: a new one.
     wait_s
-        How long to ask for an answer.
+        How long to wait for the line's router, and from then on for an answer.
     json
         For machines.
     """
@@ -234,6 +245,34 @@ def show(
         print_loads(loads)
 
 
+def _since_typed_s() -> float:
+    """Since this process was started, seconds: on a busy machine Python alone takes some, and the belt runs on. 0 where
+    the system does not tell.
+    """
+    try:
+        started = Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]
+        age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - int(started) / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError, IndexError, ValueError):  # not Linux
+        return 0.0
+    return age_s if 0 <= age_s <= SLOWEST_START_S else 0.0
+
+
+@contextmanager
+def _told_while_waiting(router: str, wait_s: float) -> Iterator[None]:
+    """Who stands beside the belt learns that the order is under way, and that it is not late."""
+    text = (
+        f"tuberline: no answer by {router} yet; asking for {wait_s:g} s. The order is about the moment at which it was "
+        "given, whenever the answer comes\n"
+    )
+    word = Timer(SAY_AFTER_S, lambda: sys.stderr.write(text))
+    word.daemon = True
+    word.start()
+    try:
+        yield
+    finally:
+        word.cancel()
+
+
 def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: Asking) -> None:
     """Have `order` carried out by the line, or in a ledger at rest, and tell what became of it."""
     from conveyor.errors import InputError
@@ -244,13 +283,14 @@ def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: As
 
         answer = order_at_rest(ledger_file(ledger), order)
     else:
-        from conveyor.load_orders import send_order
-        from conveyor.session import open_client
+        from conveyor.load_orders import give_order
 
         link, name = address.link()
         order.check()
-        with open_client(link, name="loader") as session:
-            answer = send_order(session, name, order, within_s=asking.wait_s)
+        link = link.model_copy(update={"connect_timeout_s": asking.wait_s})
+        order = replace(order, age_s=_since_typed_s())
+        with _told_while_waiting(link.router, asking.wait_s):
+            answer = give_order(link, name, order, within_s=asking.wait_s)
     if asking.json:
         sys.stdout.write(json_module.dumps(asdict(answer)) + "\n")
     if not answer.done:

@@ -21,7 +21,10 @@ def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: flo
     wait_s
         How long to listen.
     """
+    from tuberline.doctor.line import expected_nodes
+
     link, name = address.link()
+    expected = expected_nodes(address.loaded()) if address.config else set()
     with Observer(link, line=name) as observer:
         time.sleep(wait_s)
         totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()
@@ -30,6 +33,7 @@ def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: flo
             "line": name,
             "totals": asdict(totals) if totals else None,
             "nodes": {key: {**asdict(value), "alive": key in alive} for key, value in sorted(nodes.items())},
+            "missing": sorted(expected - alive),
         }
         sys.stdout.write(json_module.dumps(report, indent=2) + "\n")
         return
@@ -37,4 +41,4 @@ def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: flo
 
     from tuberline.cli.live import line_table
 
-    Console().print(line_table(totals, nodes, alive=alive))
+    Console().print(line_table(totals, nodes, alive=alive, expected=expected))

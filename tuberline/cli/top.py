@@ -21,7 +21,9 @@ def top(*, address: LineAddress = NO_ADDRESS) -> None:
     from rich.live import Live
 
     from tuberline.cli.live import Pace, line_table
+    from tuberline.doctor.line import expected_nodes
 
+    expected = expected_nodes(address.loaded()) if address.config else set()
     link, name = address.link()
     pace, console = Pace(), Console()
     drawn = Live(console=console, refresh_per_second=4, screen=True) if console.is_terminal else None
@@ -30,7 +32,7 @@ def top(*, address: LineAddress = NO_ADDRESS) -> None:
             observer.wait_totals(0.5)
             nodes = observer.nodes()
             pace.update(nodes)
-            table = line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace)
+            table = line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace, expected=expected)
             if drawn:
                 drawn.update(table)
             else:

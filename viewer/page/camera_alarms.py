@@ -68,10 +68,14 @@ def _gauge(segmenter: NodeState) -> Iterator[Found]:
 
 
 def _frame_s(camera: str, state: LineState) -> float:
-    """Since the camera's last frame, where its segmenter has reported since; 0 where nothing is known of it."""
+    """Since the camera's last frame, where its segmenter has reported since, and as long as that has been there to see
+    one; 0 where nothing is known of it.
+    """
     since_s = state.frame_s.get(camera, 0.0)
     segmenter = state.role("segmenter").get(camera)
-    return since_s if segmenter is not None and segmenter.age_s < since_s else 0.0
+    if segmenter is None or segmenter.report is None or segmenter.age_s >= since_s:
+        return 0.0
+    return min(since_s, segmenter.report.uptime_s)
 
 
 def _frames(source: NodeState | None, segmenter: NodeState, *, waits: bool, frame_s: float) -> Iterator[Found]:

@@ -5,17 +5,14 @@ A session lives as long as its order: a page that no one acts on holds no rights
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 from conveyor.config import LinkConfig
 from conveyor.errors import ConfigError
-from conveyor.load_orders import LONGEST_S, send_order
+from conveyor.load_orders import LOADER, give_order
 from conveyor.messages import LoadAnswer, LoadOrder
-from conveyor.session import client_settings, open_client
+from conveyor.session import client_settings
 
-LOADER = "loader"
 ANSWER_WITHIN_S = 12.0
 CONNECT_WITHIN_S = 5.0
 
@@ -36,10 +33,7 @@ class Orders:
             ConfigError: no certificate of a loader.
             LinkError: no router, no answer, or no right to ask.
         """
-        began_s = time.monotonic()
-        with open_client(self._links[line], name=LOADER) as session:
-            age_s = min(order.age_s + time.monotonic() - began_s, LONGEST_S)
-            answer = send_order(session, line, replace(order, age_s=age_s), within_s=ANSWER_WITHIN_S)
+        answer = give_order(self._links[line], line, order, within_s=ANSWER_WITHIN_S)
         self._asked(line)
         return answer
 

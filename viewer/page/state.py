@@ -156,8 +156,14 @@ class LineState:
 
     @property
     def in_contact(self) -> bool:
-        """Something was heard of the line just now."""
-        return self.heard_s is not None and self.heard_s <= STALE_S
+        """Something was heard of the line just now, and it is not the link that went since."""
+        return self.heard_s is not None and self.heard_s <= STALE_S and not self._cut_off
+
+    @property
+    def _cut_off(self) -> bool:
+        """Every process went at once without a goodbye: so it looks where the router or the link to it went."""
+        known = [node for node in self.nodes.values() if node.gone_s is not None]
+        return len(known) > 1 and not any(node.alive for node in known) and any(n.state == "gone" for n in known)
 
     @property
     def final(self) -> bool:
