@@ -10,7 +10,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
 
     Args:
         camera: its name.
-        gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards.
+        gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, encoder_off,
+            encoder_told_m, encoder_seen_m.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -27,6 +28,13 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "tubers do not cross as expected. Give a belt_from_camera whose x points along the travel: negate its "
             "first two rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in "
             "metres); an encoder must count upwards"
+        )
+    if gauges.get("encoder_off"):
+        told_m, seen_m = gauges.get("encoder_told_m", 0.0), gauges.get("encoder_seen_m", 0.0)
+        found["encoder_off"] = (
+            f"camera '{camera}': the load moved {seen_m:.2f} m while the encoder told {told_m:.2f} m: tubers are "
+            "counted several times or not at all. Correct the encoder: its metres a pulse, its cable (travel_m of a "
+            "recording is in metres); or leave it out, and travel is taken from the frames"
         )
     cause = _CAUSES.get(gauges.get("gauge_cause", 0.0))
     if cause is not None:

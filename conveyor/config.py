@@ -307,7 +307,7 @@ def load_config(path: Path) -> LineConfig:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         said = error.strerror or error
         if path.is_dir():

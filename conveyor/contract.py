@@ -92,7 +92,7 @@ def read_contract(path: Path) -> Contract:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"contract {path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:

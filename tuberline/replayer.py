@@ -20,6 +20,7 @@ from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.taken_port import check_port_free
+from conveyor.topics import check_name
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
@@ -80,12 +81,10 @@ def replay_recording(
 
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
-    cameras = recording_cameras(recording)
+    cameras = line_names(recording, recording_cameras(recording))
     if fast and exact:
         raise InputError("--fast and --exact: a replay weighs in one form; give one of them, or none")
     _refuse_early(weights, contract)
-    prepare_out(out)
-    take_positions(recording, out)
     told = (open_source(recording, camera=name).description for name in cameras)
     belt = stated_belt(told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
@@ -104,6 +103,8 @@ def replay_recording(
         settings=sections,
         ignore_masks=ignore_masks,
     )
+    prepare_out(out)
+    take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
     return _count(config, out=out, run=run, show=show)
@@ -212,15 +213,32 @@ def _summary(out: Path) -> dict[str, Any]:
 
 
 def recording_cameras(recording: Path) -> list[str]:
-    """Names of the cameras in a recording of any known format. Each camera's first frame is read, so that a recording
-    that cannot be used is refused before anything is started or written.
+    """Names of the cameras in a recording of any known format. Each camera is read up to its first readable frame, so
+    that a recording that cannot be used is refused before anything is started or written.
     """
-    from conveyor.formats import camera_names, open_source
+    from conveyor.formats import camera_names
+    from conveyor.formats.cameras import open_cameras
 
-    names = list(camera_names(recording))
-    for name in names:
-        next(iter(open_source(recording, camera=name).frames(run="check")), None)
-    return names
+    for camera in open_cameras(recording):
+        next(iter(camera))
+    return list(camera_names(recording))
+
+
+def line_names(recording: Path, cameras: list[str]) -> list[str]:
+    """The cameras of a recording, each of which can be a line's, for its name becomes part of topics and files.
+
+    Raises:
+        InputError: one cannot; says which, and what to rename.
+    """
+    for name in cameras:
+        try:
+            check_name(name, what="camera")
+        except TuberlineError as error:
+            raise InputError(
+                f"{recording}: {error}; rename the camera's folder, and its entry in line.json where there is one "
+                "(of an .mcap file: `tuberline convert` it to a folder first)"
+            ) from error
+    return cameras
 
 
 def prepare_out(out: Path) -> None:

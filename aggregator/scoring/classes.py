@@ -25,7 +25,7 @@ def true_percents(truth: Path, contract: Contract) -> list[float]:
     """
     key = TRUE_KEYS[contract.measure]
     try:
-        rows = json.loads(truth.read_text(encoding="utf-8"))["tubers"]
+        rows = json.loads(truth.read_text(encoding="utf-8-sig"))["tubers"]
         tubers = [(float(row[key]), float(row["weight_g"])) for row in rows]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(

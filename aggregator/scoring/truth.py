@@ -31,7 +31,7 @@ def read_truth(path: Path) -> list[TrueTuber]:
         InputError: no such file, not JSON, or a key is missing or of the wrong kind; the text names it.
     """
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        raw = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(f"truth {path} cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, a number of 5000 digits, lists in lists in ...

@@ -194,16 +194,31 @@ def _open(path: Path, kind: Kind, camera: str, part: int | None) -> RecordedSour
 def _folders(path: Path) -> dict[str, Path]:
     """Camera folders by camera name."""
     if (path / "camera.json").is_file():
-        return {path.name: path}
+        return {path.resolve().name: path}
     line = path / "line.json"
     if not line.is_file():
         return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
-    try:
-        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8-sig"))["cameras"]]
-    except (ValueError, RecursionError, KeyError, TypeError) as error:
-        raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
+    names = _named_in(line)
     for name in names:
         plain_name(name, where=line)
         if not (path / name / "camera.json").is_file():
             raise InputError(f"{line} names camera '{name}', but {path / name / 'camera.json'} does not exist")
     return {name: path / name for name in names}
+
+
+def _named_in(line: Path) -> list[str]:
+    """The cameras that a line.json names."""
+    try:
+        raw = json.loads(line.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{line} cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}} and is not JSON: {error}') from error
+    names = raw.get("cameras") if isinstance(raw, dict) else None
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        given = names if isinstance(raw, dict) else raw
+        raise InputError(
+            f'{line} must read {{"cameras": ["<name>", ...], ...}} with the name of each camera\'s folder, got '
+            f"{str(given)[:200]!a}; correct it, or remove it: all folders with a camera.json are taken then"
+        )
+    return names

@@ -112,3 +112,15 @@ BACKWARDS_SHARE = 0.8
 """Tubers that must have voted, and share of them, before the belt is said to run backwards."""
 BACKWARDS_M = -0.2
 """Metres; an estimated travel this far back is no shaking belt."""
+
+# Watching the encoder (`encoder_watch`)
+SHIFT_SAME_M = 0.005
+"""Metres along and across the belt within which two pairs of tubers moved alike. Less loses tubers that rock, more
+takes neighbours for one another."""
+SHIFT_AREA = 0.35
+"""Logarithm of two visible areas that may be one tuber's: it is seen from another side, or touches another one."""
+SHIFT_KEPT, SHIFT_LEAST, SHIFT_LEAST_M = 60, 15, 0.25
+"""Moves that are kept, and moves and metres of them that are needed to say anything: a jolt is no finding."""
+SHIFT_OFF, SHIFT_OFF_SHARE = 0.12, 0.6
+"""Share of the way seen by which the way told must differ, over all moves kept and in so many of them. On simulated
+belts an encoder that is 10 % off changes places and no count, one that is 20 % off counts half of the tubers twice."""

@@ -45,6 +45,10 @@ def contract(tmp_path: Path, text: str = WARE) -> Contract:
     return read_contract(path)
 
 
+def test_a_contract_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    assert contract(tmp_path, "\ufeff" + WARE) == contract(tmp_path)
+
+
 def sizes(mesh_mm: float, sd_mm: float = 2.0) -> Sizes:
     return Sizes(1.4 * mesh_mm, mesh_mm, 0.9 * mesh_mm, mesh_mm, 2 * sd_mm, sd_mm, sd_mm, sd_mm)
 

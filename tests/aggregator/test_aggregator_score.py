@@ -13,8 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aggregator.scoring.align import align
+from aggregator.scoring.classes import true_percents
 from aggregator.scoring.score import Score, score_run, score_tubers
 from aggregator.scoring.truth import TrueTuber, read_truth
+from conveyor.contract import Contract, SizeClass
 from conveyor.errors import InputError, LedgerError
 from conveyor.messages import Tuber
 from tests.aggregator.belt_story import scatter
@@ -125,6 +127,16 @@ def test_further_keys_are_allowed(tmp_path: Path) -> None:
         '{"tubers": [{"id": 1, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "kind": "x"}], "distractors": 3}'
     )
     assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 0.0)]
+
+
+def test_a_truth_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    """All other text files of a recording might begin with one; this was refused as no JSON."""
+    path = tmp_path / "truth.json"
+    tubers = [{"id": 1, "place_x_m": 0, "place_y_m": 0, "weight_g": 5, "length_mm": 60}]
+    path.write_text(json.dumps({"tubers": tubers}), encoding="utf-8-sig")
+    assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 60.0)]
+    contract = Contract(measure="length", classes=(SizeClass(name="all"),))
+    assert true_percents(path, contract) == [100.0]
 
 
 def test_a_folder_without_a_ledger_is_named(tmp_path: Path) -> None:

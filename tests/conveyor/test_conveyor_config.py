@@ -73,6 +73,11 @@ def test_relative_paths_start_at_the_file(tmp_path: Path) -> None:
     assert config.aggregator.out == Path("/abs")
 
 
+def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    """As some editors save it: it was refused as "Invalid statement (at line 1, column 1)"."""
+    assert load_config(write(tmp_path, '\ufeffname = "left"')).name == "left"
+
+
 def test_effective_config_reads_back_equal() -> None:
     config = parse_config(
         {"name": "x", "cameras": {"front": {"path": '/a "b"\\c', "speed": 0}}, "viewer": {"rrd": "/x.rrd"}}, where="t"

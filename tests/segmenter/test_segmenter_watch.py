@@ -88,3 +88,33 @@ def test_a_belt_that_backs_up_a_little_is_no_finding() -> None:
     travels = np.cumsum([0.0] + [STEP_M] * 20 + [-0.005] * 20 + [STEP_M] * 20)
     _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))
     assert levels["belt_backwards"] == 0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.8, 1.25, 3.28, 100.0, 1000.0])
+def test_an_encoder_that_tells_another_travel_is_said_with_both_numbers(share: float) -> None:
+    """One that stood still lost all tubers, one in millimetres counted each sixteen times, and nothing was said."""
+    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=share * i * STEP_M) for i in range(40))
+    assert levels["encoder_off"] == 1
+    assert levels["encoder_told_m"] == pytest.approx(share * levels["encoder_seen_m"], rel=0.02)
+    text = belt_findings("front", levels)["encoder_off"]
+    assert f"moved {levels['encoder_seen_m']:.2f} m while the encoder told {levels['encoder_told_m']:.2f} m" in text
+
+
+@pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
+def test_an_encoder_that_is_off_by_less_than_a_count_shows_is_no_finding(share: float) -> None:
+    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=share * i * STEP_M) for i in range(40))
+    assert levels["encoder_off"] == 0
+
+
+def test_a_fast_belt_that_runs_the_other_way_is_said_too() -> None:
+    """Of steps longer than 30 mm nothing was said."""
+    frames = (scene().frame(i, 0.6 - i * 0.04) for i in range(28))
+    _, levels = watched(replace(frame, travel_m=0.04 * frame.seq) for frame in frames)
+    assert levels["belt_backwards"] == 1
+    assert levels["encoder_off"] == 0
+
+
+def test_the_load_stands_when_the_encoder_stands() -> None:
+    travels = np.cumsum([0.0] + [STEP_M] * 15 + [0.0] * 15 + [STEP_M / 3] * 15)
+    _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))
+    assert belt_findings("front", levels) == {}

@@ -73,8 +73,8 @@ class Recording:
         if not beside.is_file():
             return None
         try:
-            truth = json.loads(beside.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            truth = json.loads(beside.read_text(encoding="utf-8-sig"))
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(f"truth {beside} cannot be read: {error}") from error
         if not isinstance(truth, dict):
             raise InputError(f"truth {beside} cannot be used: it must be a JSON object, got {type(truth).__name__}")

@@ -36,8 +36,8 @@ class CameraFile(BaseModel):
     belt_distance_m: float | None = Field(None, gt=0, le=10)
     belt_from_camera: list[list[float]] | None = None
     fps: float = Field(30.0, gt=0, le=1000)
-    resting_offset_mm: float | None = Field(None, ge=-50, le=50)
-    resting_sd_mm: float | None = Field(None, ge=0, le=50)
+    resting_offset_mm: float | None = Field(None, ge=-20, le=40)
+    resting_sd_mm: float | None = Field(None, ge=0, le=20)
 
     @field_validator("belt_from_camera", mode="before")
     @classmethod

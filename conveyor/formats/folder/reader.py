@@ -21,6 +21,7 @@ from conveyor.formats.folder.layout import (
 )
 from conveyor.formats.png16 import Refusal, read_png16
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
+from conveyor.formats.within import plain_name
 from conveyor.messages import Frame
 
 
@@ -30,21 +31,25 @@ class FolderSource:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._rows, set_back = travel_going_on(read_frame_rows(folder / "frames.csv"))
-        self._description = describe(
+        described = describe(
             read_camera_file(folder / "camera.json"), origin=f"folder {folder}", frames=len(self._rows)
         )
+        notes = []
+        name = folder.resolve().name
+        if plain_name(described.name, where=folder / "camera.json") != name:
+            notes.append(f"camera.json names it '{described.name}': it is called '{name}', as its folder is")
         if set_back:
-            told = (
+            notes.append(
                 f"frames.csv sets travel_m back at seq {', '.join(map(str, set_back[:5]))}: it is taken to go on there "
                 "at the belt's usual speed"
             )
-            self._description = replace(self._description, notes=(told,))
+        self._description = replace(described, name=name, notes=tuple(notes))
         if not (folder / "depth").is_dir():
             raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
 
     @property
     def description(self) -> CameraDescription:
-        """From camera.json."""
+        """From camera.json, with the name of its folder: two that were copied may say the same name."""
         return self._description
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:

@@ -1,0 +1,160 @@
+"""A camera of a folder recording is called as its folder is; what a line cannot be called is refused before it runs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import tuberline
+from conveyor.errors import InputError
+from conveyor.formats import camera_names, describe_recording
+from conveyor.formats.conversion import convert_recording
+from conveyor.formats.folder.writer import FolderWriter
+from conveyor.formats.inspection import inspect_recording
+from conveyor.formats.source import CameraDescription
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.messages import Frame
+from tuberline.replayer import replay_recording
+
+K = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+FRAMES = 4
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """One camera, 'front', over a bare belt at 0.46 m."""
+    told = CameraDescription("front", "t", K, 0.001, 0.46, None, 30.0, FRAMES)
+    with FolderWriter(tmp_path / "r", told) as writer:
+        for seq in range(FRAMES):
+            depth = np.full((48, 64), 460, np.uint16)
+            writer.write(Frame("front", "r", seq, seq * 33_000_000, None, 0.001, K, 0.46, depth))
+    return tmp_path / "r"
+
+
+def edit(recording: Path, **changes: Any) -> None:
+    path = recording / "front" / "camera.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+def test_two_cameras_whose_files_say_one_name_are_two(recorded: Path, tmp_path: Path) -> None:
+    """A camera.json that was copied: `convert` wrote both cameras' frames over one another and said nothing."""
+    shutil.copytree(recorded / "front", recorded / "rear")
+    for target in (tmp_path / "out.mcap", tmp_path / "out"):
+        assert convert_recording(recorded, target).frames == 2 * FRAMES
+        cameras = inspect_recording(target).cameras
+        assert [(camera.name, camera.frames, camera.gaps) for camera in cameras] == [
+            ("front", FRAMES, 0),
+            ("rear", FRAMES, 0),
+        ]
+    assert inspect_recording(recorded).cameras[1].warnings == (
+        "camera.json names it 'front': it is called 'rear', as its folder is",
+    )
+
+
+def test_the_names_that_a_recording_lists_are_those_it_takes(recorded: Path) -> None:
+    """A camera.json with a serial number for a name: that was listed, and refused when it was asked for."""
+    edit(recorded, name="123622270136")
+    opened = tuberline.open_recording(recorded)
+    assert [camera.name for camera in opened.cameras] == ["front"]
+    assert [frame.camera for frame in opened.frames("front")] == ["front"] * FRAMES
+
+
+def test_a_camera_folder_may_be_the_current_one(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was refused for its camera's name ''."""
+    monkeypatch.chdir(recorded / "front")
+    assert camera_names(Path()) == ("front",)
+    assert describe_recording(Path()).cameras[0].name == "front"
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('{"cameras": "front"}', r"with the name of each camera's folder, got 'front'"),
+        ('{"cameras": []}', r"got '\[\]'; correct it, or remove it"),
+        ('{"cameras": [1]}', r"got '\[1\]'"),
+        ("[]", r"got '\[\]'"),
+        ('{"cameras":', r"is not JSON: Expecting value"),
+    ],
+)
+def test_a_line_file_that_names_no_cameras_is_refused_with_what_it_must_read(
+    recorded: Path, line: str, said: str
+) -> None:
+    (recorded / "line.json").write_text(line)
+    with pytest.raises(InputError, match=r"line\.json must read .*" + said):
+        camera_names(recorded)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "said"),
+    [
+        ("left cam", {}, r"camera name 'left cam' cannot be used: 1 to 64 letters.*; rename the camera's folder"),
+        ("front", {"resting_offset_mm": 45}, r"camera\.json cannot be used:\n  resting_offset_mm: .* \(got 45\)"),
+        ("front", {"resting_sd_mm": 25}, r"camera\.json cannot be used:\n  resting_sd_mm: .* \(got 25\)"),
+    ],
+)
+def test_what_no_line_can_take_is_refused_and_nothing_is_made(
+    recorded: Path, tmp_path: Path, name: str, changes: dict[str, Any], said: str
+) -> None:
+    """It was refused as a fault of a config that no one had written, and left an empty folder of results."""
+    edit(recorded, **changes)
+    (recorded / "front").rename(recorded / name)
+    with pytest.raises(InputError, match=said) as caught:
+        replay_recording(recorded, out=tmp_path / "out")
+    assert str(recorded) in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_setting_that_is_refused_leaves_nothing(recorded: Path, tmp_path: Path) -> None:
+    """The folder of results stayed, empty."""
+    with pytest.raises(tuberline.TuberlineError, match="views_per_tuber"):
+        replay_recording(recorded, out=tmp_path / "out", settings={"segmenter": {"views_per_tuber": 0}})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_without_a_readable_frame_is_refused_with_the_first_fault(recorded: Path, tmp_path: Path) -> None:
+    """The whole line was started for it, and said at the end that no frame had arrived."""
+    for file in (recorded / "front" / "depth").iterdir():
+        cv2.imwrite(str(file), np.full((48, 64), 115, np.uint8))
+    with pytest.raises(InputError, match=r"no frame can be read; the first: frame 0: .*000000\.png is no 16-bit"):
+        replay_recording(recorded, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("pose", [np.diag([1.0, 1, 1, 1]), np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0.4]])])
+def test_a_camera_that_does_not_look_down_is_refused_with_its_file(recorded: Path, pose: np.ndarray) -> None:
+    """The text did not say which file of which camera."""
+    full = np.vstack([pose[:3], [0, 0, 0, 1]])
+    edit(recorded, belt_from_camera=full.tolist())
+    with pytest.raises(InputError, match=r"front/camera\.json: .* does not look down on the belt: .*tuberline cali"):
+        describe_recording(recorded)
+
+
+def test_a_pose_in_millimetres_is_told_so(recorded: Path, tmp_path: Path) -> None:
+    """It said that depth_scale_m should be 1, which is refused as well."""
+    edit(recorded, belt_from_camera=straight_down_belt_from_camera(460.0).tolist())
+    said = r"belt is said to be 460 m away: that seems to be in millimetres; .* are in metres"
+    with pytest.raises(InputError, match=said):
+        replay_recording(recorded, out=tmp_path / "out")
+
+
+@pytest.mark.parametrize(("distance_m", "warnings"), [(0.46, 0), (0.56, 1)])
+def test_a_belt_distance_that_is_told_twice_is_warned_of(recorded: Path, distance_m: float, warnings: int) -> None:
+    edit(recorded, belt_from_camera=straight_down_belt_from_camera(0.46).tolist(), belt_distance_m=distance_m)
+    told = inspect_recording(recorded).cameras[0].warnings
+    assert len(told) == warnings
+    assert all("belt_distance_m says 0.560 m along the optical axis, belt_from_camera 0.460 m" in text for text in told)
+
+
+@pytest.mark.parametrize(("per_ns", "warnings"), [(1, 0), (1_000_000, 1)])
+def test_capture_times_in_another_unit_are_warned_of(recorded: Path, per_ns: int, warnings: int) -> None:
+    rows = [f"{seq},{seq * 33_000_000 // per_ns}," for seq in range(FRAMES)]
+    (recorded / "front" / "frames.csv").write_text("\n".join(["seq,captured_ns,travel_m", *rows]) + "\n")
+    told = inspect_recording(recorded).cameras[0].warnings
+    assert len(told) == warnings
+    assert all("3.3e-08 s apart but 30 frames a second are given: captured_ns must be in nano" in text for text in told)
