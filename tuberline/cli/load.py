@@ -6,11 +6,12 @@ import json as json_module
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from tuberline.cli.address import NO_ADDRESS, LineAddress
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from conveyor.messages import LoadOrder
@@ -67,7 +68,7 @@ class Asking:
 
     by: str | None = None
     request: str | None = None
-    wait_s: float = 20.0
+    wait_s: Annotated[float, within(0, 3600, "s")] = 20.0
     json: bool = False
 
     def order(self, action: str, **values: object) -> LoadOrder:
@@ -206,7 +207,7 @@ def show(
     *,
     ledger: Path | None = None,
     address: LineAddress = NO_ADDRESS,
-    limit: int = 20,
+    limit: Annotated[int, within(1, 100_000)] = 20,
     json: bool = False,
 ) -> None:
     """Print the loads of a running line, or of a ledger, the newest first; or one load with all that was said of it.
