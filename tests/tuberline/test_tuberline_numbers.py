@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Literal, get_args, get_origin
 
 import pytest
@@ -10,6 +12,8 @@ from cyclopts import App, Argument
 from cyclopts.exceptions import CycloptsError
 
 from tuberline.cli import build_app
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def numbers(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str, type]]:
@@ -102,3 +106,11 @@ def test_what_is_allowed_is_taken() -> None:
     assert given.arguments == {"connect": "tcp/127.0.0.1:1", "hub_port": 0, "page_port": 65535}
     _, given, _ = build_app().parse_args(["import-checkpoint", "a.pth", "--out", "b", "--seed", "3.0"])
     assert given.arguments["seed"] == 3
+
+
+def test_every_option_says_what_it_is() -> None:
+    """`ablate --compute` and `--device` shared one entry of the docstring, and had no words in the help."""
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    options = re.findall(r"^\* `([^`]*)`: *(.*)$", page, flags=re.MULTILINE)
+    assert len(options) > 400
+    assert [name for name, words in options if not re.sub(r"\*+\[[^]]*\]\*+", "", words).strip()] == []

@@ -46,7 +46,9 @@ def ablate(
         Per variant, by the clock.
     lr
         First learning rate (1e-3).
-    compute, device
+    compute
+        As for `train`.
+    device
         As for `train`.
     max_views
         Compare on the first so many.
