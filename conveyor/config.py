@@ -6,7 +6,6 @@ A config is refused, never corrected: unknown keys with the nearest known one, v
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -22,6 +21,7 @@ from conveyor.config_yield import ForeignConfig, GnssConfig
 from conveyor.errors import ConfigError
 from conveyor.gauge import Gauge
 from conveyor.resting import RestingLevel
+from conveyor.text_files import read_toml
 
 
 class LinkConfig(Section):
@@ -306,15 +306,12 @@ def load_config(path: Path) -> LineConfig:
     Raises:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        said = error.strerror or error
-        if path.is_dir():
-            said = "it is a folder. `tuberline replay` counts a recording, `tuberline init` writes a line's file for it"
-        raise ConfigError(f"config {path} cannot be read: {said}") from error
-    except (ValueError, RecursionError) as error:  # among them numbers too long and lists too deep to read
-        raise ConfigError(f"config {path} is not TOML: {error}") from error
+    if path.is_dir():
+        raise ConfigError(
+            f"config {path} cannot be read: it is a folder. `tuberline replay` counts a recording, `tuberline init` "
+            "writes a line's file for it"
+        )
+    raw = read_toml(path, what="config", error=ConfigError)
     return parse_config(raw, where=str(path), base=path.resolve().parent)
 
 

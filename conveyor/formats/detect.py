@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +10,7 @@ from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import has_images
 from conveyor.formats.source import CameraDescription, RecordedSource
 from conveyor.formats.within import check_within, plain_name
+from conveyor.text_files import read_json
 
 if TYPE_CHECKING:
     from conveyor.formats.prepared import PreparedSource
@@ -198,9 +198,10 @@ def _folders(path: Path) -> dict[str, Path]:
     line = path / "line.json"
     if not line.is_file():
         return {folder.parent.name: folder.parent for folder in sorted(path.glob("*/camera.json"))}
+    told = read_json(line)
     try:
-        names = [str(name) for name in json.loads(line.read_text(encoding="utf-8-sig"))["cameras"]]
-    except (ValueError, RecursionError, KeyError, TypeError) as error:
+        names = [str(name) for name in told["cameras"]]
+    except (KeyError, TypeError) as error:
         raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}}: {error!r}') from error
     for name in names:
         plain_name(name, where=line)

@@ -20,6 +20,7 @@ from safetensors.torch import save as save_safetensors
 from torch import Tensor
 
 from conveyor.errors import InputError
+from conveyor.text_files import read_text
 from regressor.network.pointraft import PointRaft
 from regressor.network.unwrap import objects_within, state_dict_within
 from regressor.weigh.blend import BlendRule
@@ -205,8 +206,8 @@ def _sidecar(path: Path, digest: str) -> Sidecar:
         name = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in path.stem) or "weights"
         return Sidecar(name=name[:64], sha256=digest, start=StartPolicy(kind="random"))
     try:
-        sidecar = Sidecar.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ValidationError) as error:
+        sidecar = Sidecar.model_validate_json(read_text(file, what="sidecar"))
+    except ValidationError as error:
         raise InputError(f"sidecar {file} is refused: {error}") from error
     if sidecar.sha256 != digest:
         raise InputError(

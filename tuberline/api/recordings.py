@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from conveyor.errors import InputError
 from conveyor.formats import CameraDescription, Refused, camera_names, describe_recording, open_source
 from conveyor.formats.merged import in_time
 from conveyor.messages import Frame
+from conveyor.text_files import read_json
 from tuberline.api.values import holds
 
 SCENE_RANGES = {
@@ -72,10 +72,7 @@ class Recording:
         beside = self.path.with_suffix(".truth.json") if self.path.is_file() else self.path / "truth.json"
         if not beside.is_file():
             return None
-        try:
-            truth = json.loads(beside.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise InputError(f"truth {beside} cannot be read: {error}") from error
+        truth = read_json(beside, what="truth")
         if not isinstance(truth, dict):
             raise InputError(f"truth {beside} cannot be used: it must be a JSON object, got {type(truth).__name__}")
         return truth

@@ -111,7 +111,7 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
     """
     try:
         said: Any = json.loads(body)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError("the order is no JSON; load the page again") from error
     if not isinstance(said, dict) or not set(said) <= GIVEN:
         raise InputError(f"an order has the keys {', '.join(sorted(GIVEN))} and no others; load the page again")
