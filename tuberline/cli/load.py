@@ -162,9 +162,9 @@ def ticket(
     load: str = "",
     /,
     *,
-    kg: float | None = None,
+    kg: Annotated[float | None, within(0, 1e6, "kg")] = None,
     gross: bool = False,
-    scale_error_kg: float | None = None,
+    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
     withdraw: bool = False,
     note: str = "",
     ledger: Path | None = None,
@@ -245,11 +245,11 @@ def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: As
 
         answer = order_at_rest(ledger_file(ledger), order)
     else:
-        from conveyor.load_orders import send_order
+        from conveyor.load_orders import check_order, send_order
         from conveyor.session import open_client
 
         link, name = address.link()
-        order.check()
+        check_order(order)
         with open_client(link, name="loader") as session:
             answer = send_order(session, name, order, within_s=asking.wait_s)
     if asking.json:
