@@ -98,7 +98,7 @@ def simulate(
     tubers: int = 60,
     scene: str = "touching",
     camera: Literal["d405-848", "d405-1280"] = "d405-848",
-    preset: Literal["easy", "field"] = "easy",
+    preset: Literal["easy", "field", "harsh"] = "easy",
     fps: float = 30.0,
     speed_mps: float = 0.31,
     belt_distance_m: float = 0.46,
@@ -114,8 +114,8 @@ def simulate(
         scene: 'singulated', 'touching', 'crowded', 'piled', 'distractors', 'two-cameras' and others, see `tuberline
             simulate --help`.
         camera: resolution of the camera.
-        preset: tubers at rest under a good camera (easy), or odd poses, a belt height that is not well known and a
-            worse camera (field).
+        preset: tubers at rest under a good camera (easy), odd poses, a belt height that is not well known and a worse
+            camera (field), or a camera, a belt and a cultivar drawn from all that real ones showed (harsh).
         fps: frames per second and camera, 1 to 120.
         speed_mps: of the belt, metres per second, 0.01 to 5.
         belt_distance_m: from the camera to the belt along the optical axis, metres, 0.25 to 1.5.
