@@ -29,7 +29,6 @@ BETWEEN_SDS = (0.003, 0.015)
 """What loads of one line differ by beside sizes: with the bars, and five times as much."""
 STAGES = ("nothing", "1 bucket of 50", "50 single weights", "1 ticket", "3 tickets", "bucket and 3 tickets")
 BARS = {"1 bucket of 50": 2.5, "3 tickets": 1.0}
-LEAST_HELD = 90.0
 MODEL = "m"
 
 

@@ -5,7 +5,6 @@ Everything is drawn from one seed; what a load's belt looks like is drawn from t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -160,8 +159,3 @@ def belt_settings(plan: LoadPlan, seed: int) -> tuple[SceneSettings, Layout]:
         conditions=Conditions(preset, stock=plan.stock, scatter_m=SCATTER_M),
     )
     return settings, layout
-
-
-def true_cells(lifted_m: Sequence[NDArray[np.float64]], kg: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """(M, 3) metres east and north, and kilograms, of all tubers of the day."""
-    return np.concatenate([np.column_stack(pair) for pair in zip(lifted_m, kg, strict=True)])

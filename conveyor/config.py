@@ -6,7 +6,6 @@ A config is refused, never corrected: unknown keys with the nearest known one, v
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -15,13 +14,14 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
-from conveyor.config_base import Metres, Section, checked_endpoint, checked_name
+from conveyor.config_base import BeltSd, Metres, RestingOffset, RestingSd, Section, checked_endpoint, checked_name
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
 from conveyor.errors import ConfigError
 from conveyor.gauge import Gauge
 from conveyor.resting import RestingLevel
+from conveyor.text_files import read_toml
 
 
 class LinkConfig(Section):
@@ -110,11 +110,11 @@ class BeltConfig(GaugeSection):
     )
     rod_pitch_mm: float = Field(40.0, ge=20, le=120, description="rods: centre to centre")
     rod_diameter_mm: float = Field(11.0, ge=4, le=40, description="rods: of one, with its coat")
-    resting_offset_mm: float = Field(
-        0.0, ge=-20, le=40, description="undersides lie this far below the plane the cameras see (rods: the rods' tops)"
+    resting_offset_mm: RestingOffset = Field(
+        0.0, description="undersides lie this far below the plane the cameras see (rods: the rods' tops)"
     )
-    resting_sd_mm: float | None = Field(
-        None, ge=0, le=20, description="how well that offset is known (standard deviation); not given: not known"
+    resting_sd_mm: RestingSd | None = Field(
+        None, description="how well that offset is known (standard deviation); not given: not known"
     )
 
     @property
@@ -155,8 +155,8 @@ class SegmenterConfig(Section):
     reject_below: float = Field(
         0.3, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )
-    belt_sd_mm: float = Field(
-        2.0, ge=0, le=100, description="how well the belt's height is known (standard deviation): widens intervals"
+    belt_sd_mm: BeltSd = Field(
+        2.0, description="how well the belt's height is known (standard deviation): widens intervals"
     )
     belt_follow_mm: float = Field(
         6.0, ge=0, le=15, description="a given belt moves to where it is seen, by this much at most; 0: never"
@@ -306,15 +306,12 @@ def load_config(path: Path) -> LineConfig:
     Raises:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        said = error.strerror or error
-        if path.is_dir():
-            said = "it is a folder. `tuberline replay` counts a recording, `tuberline init` writes a line's file for it"
-        raise ConfigError(f"config {path} cannot be read: {said}") from error
-    except (ValueError, RecursionError) as error:  # among them numbers too long and lists too deep to read
-        raise ConfigError(f"config {path} is not TOML: {error}") from error
+    if path.is_dir():
+        raise ConfigError(
+            f"config {path} cannot be read: it is a folder. `tuberline replay` counts a recording, `tuberline init` "
+            "writes a line's file for it"
+        )
+    raw = read_toml(path, what="config", error=ConfigError)
     return parse_config(raw, where=str(path), base=path.resolve().parent)
 
 

@@ -7,9 +7,13 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field
 
 from conveyor.errors import TuberlineError
+from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
 from conveyor.topics import check_name
 
 Metres = Annotated[float, Field(gt=0, le=10)]
+BeltSd = Annotated[float, Field(ge=BELT_SD_MM[0], le=BELT_SD_MM[1])]
+RestingOffset = Annotated[float, Field(ge=RESTING_OFFSET_MM[0], le=RESTING_OFFSET_MM[1])]
+RestingSd = Annotated[float, Field(ge=RESTING_SD_MM[0], le=RESTING_SD_MM[1])]
 
 
 class Section(BaseModel):

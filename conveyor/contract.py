@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import itertools
 import math
-import tomllib
 from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from conveyor.errors import ConfigError
+from conveyor.text_files import read_toml
 
 LARGEST_MM = 256.0
 MOST_CLASSES = 32
@@ -91,12 +91,7 @@ def read_contract(path: Path) -> Contract:
     Raises:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ConfigError(f"contract {path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"contract {path} is not TOML: {error}") from error
+    raw = read_toml(path, what="contract", error=ConfigError)
     try:
         return Contract.model_validate(raw)
     except ValidationError as error:

@@ -21,7 +21,7 @@ import zenoh
 
 from conveyor import topics
 from conveyor.config import LinkConfig
-from conveyor.errors import LinkError
+from conveyor.errors import InputError, LinkError, UnsendableError
 from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.session import open_client
 
@@ -34,6 +34,19 @@ LONGEST_S = 3600.0
 def new_request() -> str:
     """An id for an order, unique; one is kept for all tries of one order."""
     return f"order-{secrets.token_hex(12)}"
+
+
+def check_order(order: LoadOrder) -> None:
+    """For what a person typed: find out before a line is asked.
+
+    Raises:
+        InputError: no line would take it; with the value and what is allowed.
+    """
+    try:
+        order.check()
+    except UnsendableError as error:
+        said = str(error).removeprefix("not sent: LoadOrder.")
+        raise InputError(f"such an order cannot be given: {said}") from error
 
 
 def give_order(link: LinkConfig, line: str, order: LoadOrder, *, within_s: float = 20.0) -> LoadAnswer:

@@ -7,6 +7,14 @@ from pathlib import Path
 from conveyor.config import LineConfig
 from tuberline.supervisor import ProcessSpec
 
+MOST_REGRESSORS = 2
+"""Of a replay that was not told how many; each holds half a gigabyte."""
+
+
+def usual_regressors(*, cameras: int, processors: int) -> int:
+    """One for each processor that no camera needs, two at most: to start one takes five seconds of a processor."""
+    return min(MOST_REGRESSORS, max(1, processors - cameras))
+
 
 def line_processes(
     config: LineConfig, *, config_path: Path, run: str, router: bool = True, positions: bool = False

@@ -21,7 +21,7 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.taken_port import check_port_free
 from conveyor.topics import check_name
-from tuberline.processes import line_processes
+from tuberline.processes import line_processes, usual_regressors
 from tuberline.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -31,16 +31,13 @@ if TYPE_CHECKING:
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
 COMING_UP_LIMIT_S = 600.0
-"""Times without any movement, in which no process waited for a processor. First use compiles in each process, for
-minutes on a small machine."""
+"""Without any movement, in which no process waited for a processor. First use compiles, for minutes on some machines."""
 CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regressor": {"precision": "fastest"}}
 """Sections of a replay that weighs as a busy live line does."""
 EXACT: dict[str, dict[str, Any]] = {"regressor": {"precision": "float32"}}
 """Sections of a replay that weighs with all of the network's centroids."""
-MOST_REGRESSORS = 2
-"""Of a replay that was not told how many; each holds half a gigabyte."""
 MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
@@ -108,11 +105,6 @@ def replay_recording(
     run = run_id(recording)
     _keep(config, out=out, run=run)
     return _count(config, out=out, run=run, show=show)
-
-
-def usual_regressors(*, cameras: int, processors: int) -> int:
-    """One for each processor that no camera needs, two at most: to start one takes five seconds of a processor."""
-    return min(MOST_REGRESSORS, max(1, processors - cameras))
 
 
 def _keep(config: LineConfig, *, out: Path, run: str) -> None:

@@ -18,6 +18,7 @@ from aggregator.calibration.part import Part
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.ledger.files import write_whole
 from conveyor.errors import InputError
+from conveyor.text_files import read_json
 
 RATIO_RANGE = (0.75, 1.35)
 """A ticket outside of it is of other tubers, in other units, or the line did not see most of the belt."""
@@ -209,12 +210,7 @@ def read_tickets(path: Path) -> tuple[Ticket, ...]:
     Raises:
         InputError: unreadable, of another format, or with a ticket that cannot be one.
     """
-    try:
-        raw: Any = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"tickets {path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"tickets {path} are not JSON: {error}") from error
+    raw = read_json(path, what="file of tickets")
     version = raw.get("format") if isinstance(raw, dict) else None
     if version not in (OLD_FORMAT, FORMAT) or not isinstance(raw.get("tickets"), list):
         raise InputError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
 from conveyor.contract import Contract
 from conveyor.errors import InputError
 from conveyor.messages.base import plain
+from conveyor.text_files import read_json
 
 TRUE_KEYS = {"mesh": "square_mesh_mm", "length": "length_mm"}
 
@@ -24,10 +24,10 @@ def true_percents(truth: Path, contract: Contract) -> list[float]:
         InputError: the truth does not say how large its tubers are by that measure.
     """
     key = TRUE_KEYS[contract.measure]
+    told = read_json(truth, what="truth")
     try:
-        rows = json.loads(truth.read_text(encoding="utf-8-sig"))["tubers"]
-        tubers = [(float(row[key]), float(row["weight_g"])) for row in rows]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        tubers = [(float(row[key]), float(row["weight_g"])) for row in told["tubers"]]
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"truth {truth} says no '{key}' of each tuber ({error!r}), so its classes are not known; record it again "
             "with `tuberline simulate`"

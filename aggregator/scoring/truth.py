@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.text_files import read_json
 
 LARGEST = 1e9
 """Beyond it is no place in metres, no weight in grams and no length in millimetres."""
@@ -30,12 +30,7 @@ def read_truth(path: Path) -> list[TrueTuber]:
     Raises:
         InputError: no such file, not JSON, or a key is missing or of the wrong kind; the text names it.
     """
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"truth {path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:  # no JSON, no UTF-8, a number of 5000 digits, lists in lists in ...
-        raise InputError(f"truth {path} is not JSON: {error}") from error
+    raw = read_json(path, what="truth")
     if not isinstance(raw, dict) or not isinstance(raw.get("tubers"), list):
         raise InputError(f"truth {path} has no list 'tubers'; see docs/formats.md")
     tubers = [_tuber(item, path, at) for at, item in enumerate(raw["tubers"])]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +10,7 @@ from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import has_images
 from conveyor.formats.source import CameraDescription, RecordedSource
 from conveyor.formats.within import check_within, plain_name
+from conveyor.text_files import read_json
 
 if TYPE_CHECKING:
     from conveyor.formats.prepared import PreparedSource
@@ -208,12 +208,7 @@ def _folders(path: Path) -> dict[str, Path]:
 
 def _named_in(line: Path) -> list[str]:
     """The cameras that a line.json names."""
-    try:
-        raw = json.loads(line.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{line} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f'{line} must read {{"cameras": ["<name>", ...], ...}} and is not JSON: {error}') from error
+    raw = read_json(line)
     names = raw.get("cameras") if isinstance(raw, dict) else None
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         given = names if isinstance(raw, dict) else raw

@@ -11,6 +11,7 @@ import io
 import math
 import os
 import zlib
+from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -57,7 +58,7 @@ def read_positions(path: Path) -> list[Place]:
         InputError: not readable, no known format, damaged, or no position in it.
     """
     try:
-        data = path.read_bytes()
+        data = path.read_bytes().removeprefix(BOM_UTF8)  # which spreadsheets of Windows write
     except OSError as error:
         raise InputError(f"track {told(error, path)}") from error
     if path.suffix.lower() == ".gpx" or data.lstrip()[:5] == b"<?xml" or data.lstrip()[:4] == b"<gpx":

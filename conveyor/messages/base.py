@@ -186,10 +186,11 @@ def _checked(
     try:
         message: T = _adapter(cls).validate_python({**header, **arrays}, extra=extra)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        first, *others = error.errors(include_url=False)
+        more = f"; {len(others)} more like it" if others else ""
         where = shown(".".join(str(part)[:60] for part in first["loc"])).strip("'\"")
         raise MessageError(
-            f"{cls.__name__}.{where}: {first['msg']} (got {shown(first.get('input'))}; {error.error_count()} faults)",
+            f"{cls.__name__}.{where}: {first['msg']} (got {shown(first.get('input'))}{more})",
             reason=Refusal.RANGE if first["type"] in _OUT_OF_RANGE else Refusal.FIELD,
         ) from error
     except MessageError:

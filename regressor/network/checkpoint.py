@@ -11,16 +11,18 @@ import json
 import os
 import pickle
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from safetensors.torch import load as load_safetensors
 from safetensors.torch import save as save_safetensors
 from torch import Tensor
 
 from conveyor.errors import InputError
-from regressor.network.pointraft import PointRaft
+from conveyor.text_files import read_text
+from regressor.network.grouping import CLOUD_POINTS, stage_counts
+from regressor.network.pointraft import NEIGHBOURS, RADIUS_1_M, RADIUS_2_M, PointRaft
 from regressor.network.unwrap import objects_within, state_dict_within
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule
@@ -36,18 +38,36 @@ class _Part(BaseModel):
 
 
 class InputSpec(_Part):
-    """What the network takes. Fixed by the architecture; written down so that no one has to guess."""
+    """What the network takes. Fixed by the architecture; written down so that no one has to guess.
 
-    points: int = 1024
+    Numbers that are not those of this program's networks are refused: tensors do not show them.
+    """
+
+    points: int = Field(CLOUD_POINTS, ge=64, le=8192)
     frame: str = "level: z away from the camera along the belt's normal, metres, centred on the mean of all points"
     order: str = "farthest-point sampling in selection order, lowest index on ties"
     height: str = "clamp(belt distance - min z, 0, max_height_m) metres, before centring"
     max_height_m: float = Field(0.08, gt=0)
-    radii_m: tuple[float, float] = (0.2, 0.4)
-    neighbours: int = 64
+    radii_m: tuple[float, float] = (RADIUS_1_M, RADIUS_2_M)
+    neighbours: int = NEIGHBOURS
     neighbour_rule: str = "first 64 in index order with squared distance < radius squared"
-    centroids: tuple[int, int] = (512, 128)
+    centroids: tuple[int, int] = stage_counts(CLOUD_POINTS)
     height_embedding: bool = True
+
+    @model_validator(mode="after")
+    def _as_built(self) -> Self:
+        built = {
+            "radii_m": (RADIUS_1_M, RADIUS_2_M),
+            "neighbours": NEIGHBOURS,
+            "centroids": stage_counts(self.points),
+        }
+        for name, value in built.items():
+            if getattr(self, name) != value:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}, and this program's networks have {value}: weights of another "
+                    "network would weigh wrong"
+                )
+        return self
 
 
 class StartPolicy(_Part):
@@ -205,8 +225,8 @@ def _sidecar(path: Path, digest: str) -> Sidecar:
         name = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in path.stem) or "weights"
         return Sidecar(name=name[:64], sha256=digest, start=StartPolicy(kind="random"))
     try:
-        sidecar = Sidecar.model_validate_json(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, ValidationError) as error:
+        sidecar = Sidecar.model_validate_json(read_text(file, what="sidecar"))
+    except ValidationError as error:
         raise InputError(f"sidecar {file} is refused: {error}") from error
     if sidecar.sha256 != digest:
         raise InputError(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.text_files import read_json
 from regressor.network.checkpoint import read_checkpoint
 from regressor.studies.alone import load_scale
 from regressor.studies.evaluate import (
@@ -150,10 +151,10 @@ def read_table(out: Path) -> tuple[Table, str]:
     Raises:
         InputError: none there.
     """
+    stored = read_json(out / "ablation.json", what="table of `tuberline ablate`")
     try:
-        stored = json.loads((out / "ablation.json").read_text(encoding="utf-8"))
         return stored["table"], stored["recipe"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise InputError(f"{out} holds no ablation.json of `tuberline ablate`: {error!r}") from error
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.text_files import read_json
 from regressor.network.checkpoint import SHIPPED, Sidecar, read_checkpoint
 from regressor.studies import report
-from regressor.studies.saved import Saved, read_json
+from regressor.studies.saved import Saved
 
 MEASURED = "<!-- measured -->"
 SETS = {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from conveyor.text_files import read_json, read_text
 from regressor.studies import ablate, drift, report, worlds
-from regressor.studies.saved import Saved, read_json, read_text
+from regressor.studies.saved import Saved
 
 INTRODUCTION = """# Evaluation of the shipped weights
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from conveyor.errors import InputError
+from conveyor.text_files import read_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,27 +29,3 @@ class Saved:
     def real(self) -> Path:
         """What `tuberline weigh --json` said of real clouds, each with its true_g."""
         return self.folder / "real" / "weighed.json"
-
-
-def read_json(path: Path) -> Any:
-    """A saved result.
-
-    Raises:
-        InputError: unreadable, or no JSON.
-    """
-    try:
-        return json.loads(read_text(path))
-    except ValueError as error:
-        raise InputError(f"{path} is not JSON: {error}") from error
-
-
-def read_text(path: Path) -> str:
-    """A saved text.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}; make it first, see --help") from error

@@ -69,11 +69,6 @@ class FileResult:
         }
 
 
-def weigh_files(paths: Sequence[Path], options: FileOptions, weigher: Weigher) -> list[FileResult]:
-    """One result per file, in order; a depth image and its mask given both are one."""
-    return [weigh_file(path, options, weigher) for path in once_per_pair(paths)]
-
-
 def files_within(paths: Sequence[Path]) -> list[Path]:
     """The same paths, with the clouds in a folder and the folders below it in place of the folder; where there are
     none, its pairs of images.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from conveyor.errors import InputError
 from conveyor.formats.beside import recording_files
+from conveyor.text_files import json_of
 
 WITHIN_M = 0.025
 
@@ -76,15 +76,15 @@ def load_truth(recording: Path, camera: str) -> LoadTruth | None:
     text = recording_files(recording).get("truth.json")
     if text is None:
         return None
+    truth = json_of(text, where=f"truth.json of {recording}")
     try:
-        truth = json.loads(text)
         others = truth.get("distractor_places", [] if truth.get("distractors", 0) == 0 else None)
         if others is None:
             return None
         tubers = [row for row in truth["tubers"] if camera in row.get("cameras", [camera])]
         others = [row for row in others if camera in row.get("cameras", [camera])]
         return LoadTruth(_places(tubers), _places(others), tuple(str(row["kind"]) for row in others))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"truth.json of {recording} cannot be read as the truth of a recording: {error}") from error
 
 

@@ -21,7 +21,7 @@ from conveyor.resting import POTATOTWIN
 from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
 from regressor.network.pointraft import PointRaft
 from regressor.training.labelled import read_labelled
-from regressor.weigh.files import FileOptions, weigh_files
+from regressor.weigh.files import FileOptions, once_per_pair, weigh_file
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, ellipsoid_view
 from tuberline.cli.checkpoints import import_checkpoint
@@ -122,10 +122,10 @@ def test_a_pair_gives_the_same_weight_from_either_file(twin: Path) -> None:
     weigher = Weigher(None, Sidecar(name="none"))
     options = FileOptions(belt_distance_m=0.345)
     depth, rgb = images / "R1-1_depth_365.png", images / "R1-1_rgb_365.png"
-    (from_depth,), (from_rgb,) = (weigh_files([path], options, weigher) for path in (depth, rgb))
+    from_depth, from_rgb = (weigh_file(path, options, weigher) for path in (depth, rgb))
     assert from_depth.weighed == from_rgb.weighed
     assert from_depth.weighed is not None
-    assert len(weigh_files([depth, rgb], options, weigher)) == 1
+    assert once_per_pair([depth, rgb]) == [depth]
 
 
 @pytest.mark.parametrize("scale_m", [0.0, -0.001, float("nan"), 2.0])
@@ -158,10 +158,10 @@ def test_broken_pairs_are_named(twin: Path) -> None:
     images = twin / "1_rgbd" / "1_image" / "R1-1"
     depth, rgb = images / "R1-1_depth_365.png", images / "R1-1_rgb_365.png"
     wrong_scale = FileOptions(belt_distance_m=0.345, depth_scale_m=0.0001)
-    (result,) = weigh_files([depth], wrong_scale, Weigher(None, Sidecar(name="none")))
+    result = weigh_file(depth, wrong_scale, Weigher(None, Sidecar(name="none")))
     assert "--depth-scale-m" in result.error
     depth.write_bytes(depth.read_bytes()[:2000])
-    (result,) = weigh_files([depth], FileOptions(belt_distance_m=0.345), Weigher(None, Sidecar(name="none")))
+    result = weigh_file(depth, FileOptions(belt_distance_m=0.345), Weigher(None, Sidecar(name="none")))
     assert result.weighed is None
     rgb.unlink()
     with pytest.raises(InputError, match=r"partner R1-1_rgb_365.png or R1-1_rgba_365.png is not beside it"):
@@ -177,7 +177,7 @@ def test_the_real_cloud_and_its_image_agree(shared: Path) -> None:
     weigher = Weigher(None, Sidecar(name="none"))
     options = FileOptions(belt_distance_m=0.345, intrinsics=folder / "realsense_d405_intrinsic.json")
     paths = [folder / "R9-9_pcd_365.ply", folder / "derived" / "R9-9_pcd_365_depth_z16_mm.png"]
-    cloud, image = weigh_files(paths, options, weigher)
+    cloud, image = (weigh_file(path, options, weigher) for path in paths)
     assert cloud.height_mm == pytest.approx(57.0, abs=0.01)
     assert image.height_mm == pytest.approx(57.0, abs=0.01)
     assert cloud.weighed is not None

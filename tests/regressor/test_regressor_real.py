@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from conveyor.formats.clouds import read_cloud
 from conveyor.resting import POTATOTWIN
 from regressor.studies.resting import measure_resting
-from regressor.weigh.files import FileOptions, prepare_file, weigh_files
+from regressor.weigh.files import FileOptions, prepare_file, weigh_file
 from regressor.weigh.weigher import Weigher
 
 SAMPLE = Path(os.environ.get("TUBERLINE_SHARED", "../shared")) / "data" / "potatotwin_sample"
@@ -49,11 +49,11 @@ def test_with_its_resting_level_it_weighs_right() -> None:
         0.345, intrinsics=OPTIONS.intrinsics, resting_offset_m=level.offset_m, resting_sd_m=level.sd_m
     )
     for path in (CLOUD, DEPTH):
-        weighed = weigh_files([path], options, Weigher.load())[0].weighed
+        weighed = weigh_file(path, options, Weigher.load()).weighed
         assert weighed is not None
         assert weighed.weight_g == pytest.approx(TRUE_G, rel=0.08)
         assert weighed.low_g < TRUE_G < weighed.high_g
-        on_belt = weigh_files([path], OPTIONS, Weigher.load())[0].weighed
+        on_belt = weigh_file(path, OPTIONS, Weigher.load()).weighed
         assert on_belt is not None
         assert on_belt.weight_g < weighed.weight_g
 

@@ -48,6 +48,27 @@ def test_a_parcel_gives_back_file_and_sidecar(tmp_path: Path) -> None:
         read_parcel(tmp_path / "model.onnx")
 
 
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"radii_m": [0.1, 0.2]}, r"radii_m is \(0.1, 0.2\), and this program's networks have \(0.2, 0.4\)"),
+        ({"neighbours": 32}, "neighbours is 32, and this program's networks have 64"),
+        ({"points": 512}, r"centroids is \(512, 128\), and this program's networks have \(256, 64\)"),
+        ({"points": -5}, "greater than or equal to 64"),
+    ],
+)
+def test_weights_of_a_network_that_groups_otherwise_are_refused(
+    tmp_path: Path, changed: dict[str, object], told: str
+) -> None:
+    """The tensors are the same, so they were taken, and weighed with this program's radii."""
+    path = scaled_weights(tmp_path / "other.safetensors", 1.0)
+    said = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    said["input"] |= changed
+    path.with_suffix(".json").write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        load_checkpoint(path)
+
+
 @pytest.mark.parametrize("name", ["../../etc/passwd.pth", ".pth", "a/b.pth", "x.exe", "a" * 90 + ".pth"])
 def test_a_parcel_cannot_name_a_file_elsewhere(name: str) -> None:
     with pytest.raises(MessageError, match="not the name of a"):

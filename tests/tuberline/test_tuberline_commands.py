@@ -160,6 +160,21 @@ def test_one_command_is_named_export(tmp_path: Path) -> None:
     assert "must end in .onnx" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("ticket", "--kg", "-4"), 'Invalid value "-4.0" for --kg. Allowed is 0 to 1000000 kg.'),
+        (("start", "trailer\n7"), "such an order cannot be given: fields.name: "),
+        (("end", "--request", "no id!"), "such an order cannot be given: request: "),
+    ],
+)
+def test_an_order_that_no_line_takes_is_the_askers_mistake(words: tuple[str, ...], told: str, free_port: int) -> None:
+    """'not sent: LoadOrder.kg: ...; 1 faults' was said, with the exit code of a fault of the program."""
+    done = tuberline("load", *words, "--connect", f"tcp/127.0.0.1:{free_port}")
+    assert done.returncode == 2
+    assert told in " ".join(done.stderr.replace("│", " ").split()), done.stderr
+
+
 def test_health_says_as_json_why_not(free_port: int) -> None:
     done = tuberline("health", "--connect", f"tcp/127.0.0.1:{free_port}", "--timeout-s", "0.5", "--json")
     assert done.returncode == 75

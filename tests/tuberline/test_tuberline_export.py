@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from html import escape
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -245,6 +246,22 @@ def test_time_logs_of_other_terminals_are_read(shared: Path) -> None:
     assert read_time_logs(folder / "task_with_grid.zip") == {}
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"format": "pdf", "what": "loads"}, "--what loads chooses the rows of a table; pdf has all it needs"),
+        ({"format": "isoxml", "what": "cells"}, "--what cells chooses the rows of a table; isoxml has all it needs"),
+        ({"format": "csv", "day": "2026-09-21"}, "--day is of the report: give it with --format html or pdf; csv"),
+        ({"format": "xlsx", "contract": Path("buyer.toml")}, "--contract is of the report: give it with --format html"),
+    ],
+)
+def test_what_would_do_nothing_is_refused(run: Path, given: dict[str, Any], told: str, tmp_path: Path) -> None:
+    """`--what loads` left the map out of a report, and a table held all days whichever was asked for."""
+    with pytest.raises(InputError, match=told):
+        export([run], **given, out=tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("name", ["duplicate-xmlid.zip", "grid-without-binary.zip", "task_full.zip", "test1.zip"])
 def test_broken_archives_are_read_or_told(shared: Path, name: str) -> None:
     path = shared / "data" / "isoxml_examples" / name
@@ -278,7 +295,7 @@ def test_what_needs_a_place_says_so_and_nothing_is_left(
     for form, what in (("geojson", "tubers"), ("isoxml", "tubers"), ("csv", "cells")):
         with pytest.raises(InputError, match="needs to know where the machine was"):
             export([bare], format=form, what=what, out=tmp_path / "out")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"needs to know|have none"):
+    with pytest.raises(InputError, match=r"geojson holds places, loads have none: export tubers or cells"):
         export([run], format="geojson", what="loads", out=tmp_path / "out", **HOW)  # type: ignore[arg-type]
     assert not list(tmp_path.glob("*out*"))
     export([bare], format="csv", out=tmp_path / "tubers.csv")

@@ -18,7 +18,8 @@ from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
 from tuberline.cli.config import check
 from tuberline.cli.run import run, summarise_late
-from tuberline.replayer import free_port, usual_regressors
+from tuberline.processes import usual_regressors
+from tuberline.replayer import free_port
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
 

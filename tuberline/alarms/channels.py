@@ -14,6 +14,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from conveyor.config_alarms import AlarmsConfig
 from conveyor.errors import ConfigError
 from conveyor.extras import install_hint
+from conveyor.text_files import read_text
 from tuberline.alarms.message import AlarmMessage
 
 log = logging.getLogger("alarms")
@@ -136,12 +137,8 @@ def tls_context(root_ca: Path | None) -> ssl.SSLContext:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        text = path.read_text(encoding="utf-8")
-        mode = path.stat().st_mode
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"alarms.channels_file {path} cannot be read: {error}") from error
-    if mode & (stat.S_IRGRP | stat.S_IROTH):
+    text = read_text(path, what="alarms.channels_file", error=ConfigError)
+    if path.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
         log.warning("%s holds secrets and others may read it: chmod 600", path)
     return [line for raw in text.splitlines() if (line := raw.strip()) and not line.startswith("#")]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from conveyor.errors import InputError
 from conveyor.formats import CameraDescription, Refused, camera_names, describe_recording, open_source
 from conveyor.formats.merged import in_time
 from conveyor.messages import Frame
+from conveyor.text_files import read_json
 from tuberline.api.values import holds
 
 SCENE_RANGES = {
@@ -72,10 +72,7 @@ class Recording:
         beside = self.path.with_suffix(".truth.json") if self.path.is_file() else self.path / "truth.json"
         if not beside.is_file():
             return None
-        try:
-            truth = json.loads(beside.read_text(encoding="utf-8-sig"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"truth {beside} cannot be read: {error}") from error
+        truth = read_json(beside, what="truth")
         if not isinstance(truth, dict):
             raise InputError(f"truth {beside} cannot be used: it must be a JSON object, got {type(truth).__name__}")
         return truth
@@ -101,7 +98,7 @@ def simulate(
     tubers: int = 60,
     scene: str = "touching",
     camera: Literal["d405-848", "d405-1280"] = "d405-848",
-    preset: Literal["easy", "field"] = "easy",
+    preset: Literal["easy", "field", "harsh"] = "easy",
     fps: float = 30.0,
     speed_mps: float = 0.31,
     belt_distance_m: float = 0.46,
@@ -117,8 +114,8 @@ def simulate(
         scene: 'singulated', 'touching', 'crowded', 'piled', 'distractors', 'two-cameras' and others, see `tuberline
             simulate --help`.
         camera: resolution of the camera.
-        preset: tubers at rest under a good camera (easy), or odd poses, a belt height that is not well known and a
-            worse camera (field).
+        preset: tubers at rest under a good camera (easy), odd poses, a belt height that is not well known and a worse
+            camera (field), or a camera, a belt and a cultivar drawn from all that real ones showed (harsh).
         fps: frames per second and camera, 1 to 120.
         speed_mps: of the belt, metres per second, 0.01 to 5.
         belt_distance_m: from the camera to the belt along the optical axis, metres, 0.25 to 1.5.

@@ -15,6 +15,7 @@ from conveyor.formats.clouds import read_cloud
 from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.geometry import belt_distance_m as distance_of
+from conveyor.stated import BELT_DISTANCE_M, BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
 from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import groups_tensor
 from regressor.network.grouping import SharedGroups, group_prefix, group_random
@@ -25,10 +26,6 @@ from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tuberline.api.values import holds, in_range
 
-BELT_DISTANCE_M = (0.05, 5.0)
-BELT_SD_MM = (0.0, 100.0)
-RESTING_OFFSET_MM = (-20.0, 40.0)
-RESTING_SD_MM = (0.0, 20.0)
 DEPTH_SCALE_M = (1e-6, 0.01)
 
 

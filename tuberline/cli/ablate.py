@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Literal
 
+from tuberline.cli.numbers import Many, Seed
+
 
 def ablate(
     *names: str,
@@ -19,9 +21,9 @@ def ablate(
     lr: float | None = None,
     compute: Literal["float32", "bfloat16"] = "float32",
     device: Literal["cpu", "cuda"] = "cpu",
-    max_views: int | None = None,
+    max_views: Many | None = None,
     cache: Path | None = None,
-    seed: int = 133,
+    seed: Seed = 133,
 ) -> None:
     """Train the paper's ablations and the other networks with one recipe and compare them in one table.
 
@@ -44,7 +46,9 @@ def ablate(
         Per variant, by the clock.
     lr
         First learning rate (1e-3).
-    compute, device
+    compute
+        As for `train`.
+    device
         As for `train`.
     max_views
         Compare on the first so many.

@@ -6,9 +6,10 @@ import json as json_module
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from segmenter.calibration_verdict import Verdict
 
 
-def calibrate_belt(recording: Path, /, *, frames: int = 30, json: bool = False) -> None:
+def calibrate_belt(recording: Path, /, *, frames: Annotated[int, within(1, 100_000)] = 30, json: bool = False) -> None:
     """Measure where the belt is, from a recording of it, empty or running, and judge the measurement by its limits.
 
     Exits with 2, and gives no pose, where what was measured can be no belt.

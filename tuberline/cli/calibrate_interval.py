@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from tuberline.cli.numbers import Many
+
 if TYPE_CHECKING:
     import torch
 
@@ -16,7 +18,7 @@ def calibrate_interval(
     *,
     data: Path,
     cache: Path | None = None,
-    max_views: int | None = None,
+    max_views: Many | None = None,
     compute: Literal["float32", "bfloat16"] = "float32",
 ) -> None:
     """Calibrate the intervals of saved weights on views with known weights; rewrites the sidecar, not the tensors.

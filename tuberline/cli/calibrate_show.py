@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tuberline.cli.numbers import RestingOffset
+
 
 def show(
-    tickets: Path, /, *, model: str | None = None, resting_offset_mm: float | None = None, json: bool = False
+    tickets: Path, /, *, model: str | None = None, resting_offset_mm: RestingOffset | None = None, json: bool = False
 ) -> None:
     """Each ticket against what all others expect of it, and what accuracy more tickets would bring.
 

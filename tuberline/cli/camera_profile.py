@@ -5,9 +5,10 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from segmenter.profile.recording import ProfiledCamera
@@ -21,8 +22,8 @@ def profile(
     *,
     out: Path | None = None,
     weights: Path | None = None,
-    frames: int = 12,
-    baseline_mm: float | None = None,
+    frames: Annotated[int, within(1, 100_000)] = 12,
+    baseline_mm: Annotated[float | None, within(1, 1000, "mm")] = None,
     json: bool = False,
 ) -> None:
     """Measure each camera's noise, disparity step, holes, islands of mismatch and bow; say what follows for weights.
@@ -51,10 +52,6 @@ def profile(
     from segmenter.profile.recording import profile_recording
     from tuberline.cli.progress import frames_bar
 
-    if frames < 1:
-        raise InputError(f"--frames is {frames}; at least 1 is needed")
-    if baseline_mm is not None and not 1 <= baseline_mm <= 1000:
-        raise InputError(f"--baseline-mm is {baseline_mm:g}; allowed are 1 to 1000")
     if out is not None and importlib.util.find_spec("matplotlib") is None:
         raise InputError(f"the picture needs matplotlib; {install_hint('train')}")
     if out is not None:

@@ -6,7 +6,7 @@ import json as json_module
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App
 
@@ -14,16 +14,19 @@ from conveyor.access import line_identities
 from conveyor.config import LineConfig, load_config
 from conveyor.errors import ConfigError
 from conveyor.identity import CA_FILE, Identity
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from tuberline.certs import CertificateInfo
+
+Days = Annotated[int, within(1, 3650, "days")]
 
 certs = App(name="certs", help="A site's own certificates: make them, add one, show when they expire.")
 
 
 @certs.command
 def make(
-    config: Path, *, out: Path | None = None, host: tuple[str, ...] = (), days: int = 730, renew: bool = False
+    config: Path, *, out: Path | None = None, host: tuple[str, ...] = (), days: Days = 730, renew: bool = False
 ) -> None:
     """Make what a line lacks: an authority, the router's certificate and one for every node that may connect.
 
@@ -57,7 +60,7 @@ def make(
 
 
 @certs.command
-def add(node: str, config: Path, *, out: Path | None = None, days: int = 730, renew: bool = False) -> None:
+def add(node: str, config: Path, *, out: Path | None = None, days: Days = 730, renew: bool = False) -> None:
     """Make the certificate of one more node, e.g. regressor/barn or viewer/office.
 
     Parameters

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Seed, within
 
 
 def import_checkpoint(
-    path: Path, /, *, out: Path, name: str | None = None, start: Literal["random", "prefix"] = "random", seed: int = 0
+    path: Path, /, *, out: Path, name: str | None = None, start: Literal["random", "prefix"] = "random", seed: Seed = 0
 ) -> None:
     """Take over the authors' checkpoint (pointraft_potato.pth) as .safetensors with a sidecar.
 
@@ -39,7 +40,9 @@ def import_checkpoint(
     sys.stderr.write(f"{out}: {written.model_id}, {len(model.state_dict())} entries, start policy '{start}'\n")
 
 
-def export_onnx(*, out: Path, weights: Path | None = None, batch: int | None = None) -> None:
+def export_onnx(
+    *, out: Path, weights: Path | None = None, batch: Annotated[int | None, within(1, 4096)] = None
+) -> None:
     """Export all that makes a weight to one ONNX file: network, volume rule, blend, interval; the sidecar beside it.
 
     Parameters

@@ -11,6 +11,7 @@ from cyclopts import App, Group, Parameter
 from conveyor import __version__
 from tuberline.cli.help import PlainHelp
 from tuberline.cli.mistakes import mistake
+from tuberline.cli.numbers import as_written
 
 Commands = Mapping[str, tuple[str, str]]
 """By name: 'module:function' and what help says of it."""
@@ -171,7 +172,9 @@ def _app(name: str, about: str, **settings: Any) -> App:
         help_formatter=PlainHelp(),
         error_formatter=mistake,
         # A flag that is off needs no second one that leaves it off; what can be turned off says so where it is defined.
-        default_parameter=Parameter(negative_bool=(), negative_iterable=(), show_default=_told_default),
+        default_parameter=Parameter(
+            negative_bool=(), negative_iterable=(), show_default=_told_default, converter=as_written
+        ),
     )
 
 

@@ -6,12 +6,15 @@ import json as json_module
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from tuberline.cli.numbers import within
 from tuberline.replayer import replay_recording
 
 
-def demo(*, out: Path = Path("out/demo"), regressors: int | None = None, json: bool = False) -> None:
+def demo(
+    *, out: Path = Path("out/demo"), regressors: Annotated[int, within(1, 64)] | None = None, json: bool = False
+) -> None:
     """Two overlapping cameras look at two lanes of potatoes; every process of a real line counts and weighs them.
 
     Parameters

@@ -10,6 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many, Seed
 
 
 def drift(
@@ -18,8 +19,8 @@ def drift(
     out: Path,
     also: Annotated[list[str] | None, Parameter(consume_multiple=True)] = None,
     weights: Path | None = None,
-    max_views: int | None = 600,
-    seed: int = 0,
+    max_views: Many | None = 600,
+    seed: Seed = 0,
     json: bool = False,
 ) -> None:
     """Evaluate weights on views that drift from their training: belt height, noise, kinds of tuber, belt distance.

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many
 
 
 def evaluate(
@@ -20,7 +21,7 @@ def evaluate(
     weights: Path | None = None,
     split: str | None = None,
     season: str | None = None,
-    max_views: int | None = None,
+    max_views: Many | None = None,
     by: tuple[str, ...] = (),
     resting: Literal["calibrated", "stated"] = "calibrated",
     plots: Annotated[bool, Parameter(negative="--no-plots")] = True,

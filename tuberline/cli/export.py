@@ -73,6 +73,11 @@ def export(
     from tuberline.export.write import export as write
 
     form = Format(format)
+    if form in (*REPORTS, Format.ISOXML) and what != "tubers":
+        raise InputError(f"--what {what} chooses the rows of a table; {form.value} has all it needs: leave it out")
+    if form not in REPORTS and (day is not None or contract is not None):
+        option = "--day" if day is not None else "--contract"
+        raise InputError(f"{option} is of the report: give it with --format html or pdf; {form.value} holds all rows")
     # Read once: the map is made of the same tubers as the rows.
     with ledger_bar(form.value):
         tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 from conveyor.errors import ConfigError
 from conveyor.messages import Counters
@@ -15,6 +16,7 @@ from conveyor.observer import Observer
 from conveyor.topics import COUNTERS, TOPICS, Delivery, Topic
 from tuberline.cli.address import NO_ADDRESS, LineAddress
 from tuberline.cli.live import Items, duration, losses, short_name
+from tuberline.cli.numbers import within
 
 NAMED_AFTER_CAMERA = ("camera", "segmenter")
 SENT = {
@@ -70,7 +72,7 @@ def graph(
     json: bool = False,
     dot: bool = False,
     every: bool = False,
-    wait_s: float = 3.5,
+    wait_s: Annotated[float, within(0, 3600, "s")] = 3.5,
 ) -> None:
     """Show a running line as a graph: nodes, what they send to whom, rates, ages, drops, versions.
 

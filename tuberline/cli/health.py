@@ -5,15 +5,21 @@ from __future__ import annotations
 import json as json_module
 import sys
 import time
+from typing import Annotated
 
 from conveyor.errors import LinkError
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.cli.address import NO_ADDRESS, LineAddress
+from tuberline.cli.numbers import within
 
 
 def health(
-    *, address: LineAddress = NO_ADDRESS, node: str | None = None, timeout_s: float = 5.0, json: bool = False
+    *,
+    address: LineAddress = NO_ADDRESS,
+    node: str | None = None,
+    timeout_s: Annotated[float, within(0.1, 3600, "s")] = 5.0,
+    json: bool = False,
 ) -> None:
     """Say whether the router answers and, if named, one node is alive and makes progress; 75 (try again) if not.
 

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import BeltDistance, within
 
 if TYPE_CHECKING:
     from conveyor.formats.plain.reader import PlainFrames
-
-FPS = (0.01, 1000.0)
 
 
 def import_frames(
@@ -23,8 +22,8 @@ def import_frames(
     *,
     intrinsics: Path | None = None,
     depth_unit: Annotated[float | None, Parameter(name=["--depth-unit"])] = None,
-    fps: float | None = None,
-    belt_distance_m: float | None = None,
+    fps: Annotated[float | None, within(0.01, 1000)] = None,
+    belt_distance_m: BeltDistance | None = None,
     out: Path | None = None,
     camera: str = "front",
     pattern: str = "*",
@@ -69,10 +68,8 @@ def import_frames(
             'give --intrinsics K.json, a file like {"fx": 612.4, "fy": 612.1, "cx": 320.0, "cy": 240.0}: without them '
             "depth says nothing of sizes"
         )
-    if fps is None or not FPS[0] <= fps <= FPS[1]:
-        raise InputError(f"give --fps, frames per second ({FPS[0]:g} to {FPS[1]:g}); it is {fps or 'not given'}")
-    if belt_distance_m is not None and not 0.05 <= belt_distance_m <= 5.0:
-        raise InputError(f"--belt-distance-m is {belt_distance_m}; allowed are 0.05 to 5 metres")
+    if fps is None:
+        raise InputError("give --fps, frames per second: the files do not say when they were taken")
     target = out or Path("recordings") / frames.resolve().stem
     if target.exists():
         raise InputError(f"{target} exists; recordings are not overwritten, choose another name with --out")

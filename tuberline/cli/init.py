@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from conveyor.errors import InputError
 from conveyor.processors import usable
+from conveyor.stated import BELT_DISTANCE_M
+from tuberline.cli.numbers import BeltDistance, within
 
 if TYPE_CHECKING:
     from tuberline.setup.found import Found
@@ -21,8 +23,8 @@ def init(
     recording: tuple[Path, ...] = (),
     realsense: bool = False,
     ros_router: str | None = None,
-    ros_domain: int = 0,
-    belt_distance_m: float | None = None,
+    ros_domain: Annotated[int, within(0, 232)] = 0,
+    belt_distance_m: BeltDistance | None = None,
 ) -> None:
     """Write a line's file, with remarks, for what it finds: RealSense cameras, recordings, ROS 2 depth topics.
 
@@ -121,6 +123,7 @@ def _choose(found: list[Found], where_none: str) -> list[Found]:
 def _ask_distance() -> float | None:
     if not sys.stdin.isatty():
         return None
+    low_m, high_m = BELT_DISTANCE_M
     while True:
         text = _ask("camera to belt along the optical axis, metres [fit it to what is seen]: ")
         if not text:
@@ -129,9 +132,9 @@ def _ask_distance() -> float | None:
             distance_m = float(text)
         except ValueError:
             distance_m = 0.0
-        if 0.05 <= distance_m <= 5.0:
+        if low_m <= distance_m <= high_m:
             return distance_m
-        sys.stderr.write("a number from 0.05 to 5, e.g. 0.46\n")
+        sys.stderr.write(f"a number from {low_m:g} to {high_m:g}, e.g. 0.46\n")
 
 
 def _ask(question: str) -> str:

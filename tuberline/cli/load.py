@@ -11,11 +11,12 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
 from tuberline.cli.address import NO_ADDRESS, LineAddress
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from conveyor.messages import LoadOrder
@@ -78,7 +79,7 @@ class Asking:
 
     by: str | None = None
     request: str | None = None
-    wait_s: float = 20.0
+    wait_s: Annotated[float, within(0, 3600, "s")] = 20.0
     json: bool = False
 
     def order(self, action: str, **values: object) -> LoadOrder:
@@ -172,9 +173,9 @@ def ticket(
     load: str = "",
     /,
     *,
-    kg: float | None = None,
+    kg: Annotated[float | None, within(0, 1e6, "kg")] = None,
     gross: bool = False,
-    scale_error_kg: float | None = None,
+    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
     withdraw: bool = False,
     note: str = "",
     ledger: Path | None = None,
@@ -217,7 +218,7 @@ def show(
     *,
     ledger: Path | None = None,
     address: LineAddress = NO_ADDRESS,
-    limit: int = 20,
+    limit: Annotated[int, within(1, 100_000)] = 20,
     json: bool = False,
 ) -> None:
     """Print the loads of a running line, or of a ledger, the newest first; or one load with all that was said of it.
@@ -283,10 +284,10 @@ def _ask(order: LoadOrder, address: LineAddress, ledger: Path | None, asking: As
 
         answer = order_at_rest(ledger_file(ledger), order)
     else:
-        from conveyor.load_orders import give_order
+        from conveyor.load_orders import check_order, give_order
 
         link, name = address.link()
-        order.check()
+        check_order(order)
         link = link.model_copy(update={"connect_timeout_s": asking.wait_s})
         order = replace(order, age_s=_since_typed_s())
         with _told_while_waiting(link.router, asking.wait_s):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from conveyor.errors import ConfigError
+from conveyor.text_files import read_text
 from tuberline.cli.address import LineAddress
 
 if TYPE_CHECKING:
@@ -127,10 +128,7 @@ def _token(file: Path | None) -> str:
     """
     if file is None:
         return secrets.token_urlsafe(12) if sys.stdout.isatty() else ""
-    try:
-        token = file.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"--token-file {file} cannot be read: {error}; give a text file with the token") from error
+    token = read_text(file, what="--token-file", error=ConfigError).strip()
     if (token and not 16 <= len(token) <= 256) or not token.isascii():
         raise ConfigError(f"--token-file {file} holds {len(token)} characters; give 16 to 256 ASCII ones")
     return token

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import BeltDistance, within
 
 TargetFormat = Literal["auto", "folder", "mcap", "ros2", "foxglove"]
 
@@ -78,8 +79,8 @@ def convert(
     format: TargetFormat = "auto",
     recording: Path | None = None,
     run: str | None = None,
-    belt_distance_m: float | None = None,
-    depth_scale_m: float | None = None,
+    belt_distance_m: BeltDistance | None = None,
+    depth_scale_m: Annotated[float | None, within(1e-6, 1, "m per unit")] = None,
     part: int | None = None,
     json: bool = False,
 ) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
+from typing import Annotated
 
 from conveyor.errors import InputError, TuberlineError
 from conveyor.files import check_place, unwritable
-from tuberline.cli.weigh import check_resting
+from tuberline.cli.numbers import RestingOffset, RestingSd, within
 from tuberline.replayer import replay_recording, resume_replay
 
 
@@ -19,11 +20,11 @@ def replay(
     out: Path,
     speed: str = "max",
     weights: Path | None = None,
-    regressors: int | None = None,
+    regressors: Annotated[int, within(1, 64)] | None = None,
     rrd: Path | None = None,
     ignore_masks: bool = False,
-    resting_offset_mm: float | None = None,
-    resting_sd_mm: float | None = None,
+    resting_offset_mm: RestingOffset | None = None,
+    resting_sd_mm: RestingSd | None = None,
     contract: Path | None = None,
     fast: bool = False,
     exact: bool = False,
@@ -67,7 +68,6 @@ def replay(
     factor = parse_speed(speed)
     if rrd is not None:
         check_place(rrd, option="--rrd")
-    check_resting(resting_offset_mm or 0.0, resting_sd_mm or 0.0)
     if resume:
         summary = resume_replay(recording, out=out, show=not json)
     else:

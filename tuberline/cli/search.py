@@ -7,20 +7,22 @@ import sys
 from pathlib import Path
 from typing import Literal
 
+from tuberline.cli.numbers import Many, Seed
+
 
 def search(
     *,
     data: Path,
     val: Path,
     out: Path,
-    trials: int = 25,
+    trials: Many = 25,
     epochs: float | None = None,
     minutes: float | None = None,
     recipe: Literal["tuberline", "paper"] = "tuberline",
     compute: Literal["float32", "bfloat16"] = "float32",
     cache: Path | None = None,
-    max_validation_views: int = 2000,
-    seed: int = 133,
+    max_validation_views: Many = 2000,
+    seed: Seed = 133,
     json: bool = False,
 ) -> None:
     """Search for learning rate, weight decay, batch size and the loss's beta with Optuna, as in the paper.

@@ -6,7 +6,9 @@ import json as json_module
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,7 +45,7 @@ def segment(
     /,
     *,
     picture: Path | None = None,
-    frame: int | None = None,
+    frame: Annotated[int | None, within(0, 2**53)] = None,
     masks: bool = False,
     json: bool = False,
 ) -> None:
@@ -94,7 +96,7 @@ def evaluate_segmentation(
     recording: Path,
     /,
     *,
-    every: int = 1,
+    every: Annotated[int, within(1, 100_000)] = 1,
     method: Literal["classical", "classes"] | None = None,
     weights: Path | None = None,
     json: bool = False,

@@ -6,16 +6,17 @@ import sys
 from pathlib import Path
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many, Seed
 
 
 def simulate_belts(
     *,
     out: Path,
-    belts: int = 300,
-    frames: int = 8,
-    tubers: int = 20,
+    belts: Many = 300,
+    frames: Many = 8,
+    tubers: Many = 20,
     hard_negatives: bool = False,
-    seed: int = 1,
+    seed: Seed = 1,
     force: bool = False,
 ) -> None:
     """Make labelled frames of belts that differ in all that varies, for `tuberline train-classifier`.
@@ -45,9 +46,6 @@ def simulate_belts(
     from conveyor.files import whole_output
     from tuberline.cli.progress import progress_bar
 
-    for name, value in (("--belts", belts), ("--frames", frames), ("--tubers", tubers)):
-        if value < 1:
-            raise InputError(f"{name} {value}: must be at least 1")
     if any(out.glob("belts-*.npz")) and not force:
         raise InputError(f"{out} already holds a pack of belts; choose another folder or add --force")
     with whole_output(out) as partial, progress_bar() as progress:

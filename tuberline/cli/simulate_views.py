@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many, Seed
 
 Preset = Literal["field", "easy", "harsh", "mixed", "worlds", "exact"]
 ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
@@ -16,9 +17,9 @@ ViewCamera = Literal["mixed", "d405-1280", "d405-848"]
 def simulate_views(
     *,
     out: Path,
-    tubers: int = 300,
-    views: int = 4,
-    seed: int = 1,
+    tubers: Many = 300,
+    views: Many = 4,
+    seed: Seed = 1,
     preset: Preset = "mixed",
     camera: ViewCamera = "mixed",
     distances: tuple[float, ...] = (0.345, 0.460, 0.465),

@@ -5,8 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from tuberline.cli.numbers import Seed
 
-def split(folder: Path, /, *, seed: int = 20, force: bool = False) -> None:
+
+def split(folder: Path, /, *, seed: Seed = 20, force: bool = False) -> None:
     """Share the tubers of a 3DPotatoTwin folder out 60/20/20 over training, validation and test; writes splits.csv.
 
     Stratified by ten weight classes of equal size, as in the paper. The draw is our own: keep the splits.csv of the

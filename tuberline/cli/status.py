@@ -6,12 +6,16 @@ import json as json_module
 import sys
 import time
 from dataclasses import asdict
+from typing import Annotated
 
 from conveyor.observer import Observer
 from tuberline.cli.address import NO_ADDRESS, LineAddress
+from tuberline.cli.numbers import within
 
 
-def status(*, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: float = 1.5) -> None:
+def status(
+    *, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: Annotated[float, within(0, 3600, "s")] = 1.5
+) -> None:
     """Print totals and nodes of a running line.
 
     Parameters

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
+from tuberline.cli.numbers import RestingOffset
+
 if TYPE_CHECKING:
     from aggregator.calibration.part import Part
     from aggregator.calibration.tickets import Ticket
@@ -36,7 +38,7 @@ class TicketOptions:
     run: str | None = None
     again: bool = False
     cultivar: str = ""
-    resting_offset_mm: float | None = None
+    resting_offset_mm: RestingOffset | None = None
 
     def add(self, ticket: Ticket) -> tuple[Ticket, ...]:
         """All tickets of the file, which is made where it does not exist, with one more.

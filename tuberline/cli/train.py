@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many, Seed, within
 
 if TYPE_CHECKING:
     from regressor.network.checkpoint import Sidecar
@@ -22,24 +23,24 @@ def train(
     out: Path,
     recipe: Literal["tuberline", "paper", "fine-tune"] = "tuberline",
     start: Path | None = None,
-    start_share: float | None = None,
+    start_share: Annotated[float | None, within(0, 1)] = None,
     epochs: float | None = None,
     minutes: float | None = None,
     resume: bool = False,
     batch: int | None = None,
     lr: float | None = None,
-    weight_decay: float | None = None,
-    dropout: float | None = None,
+    weight_decay: Annotated[float | None, within(0, 1)] = None,
+    dropout: Annotated[float | None, within(0, 0.95)] = None,
     height_embedding: Annotated[bool, Parameter(negative="--no-height-embedding")] = True,
-    shear: float | None = None,
+    shear: Annotated[float | None, within(0, 1)] = None,
     balanced: Annotated[bool | None, Parameter(negative="--no-balanced")] = None,
     compute: Literal["float32", "bfloat16"] = "float32",
     device: Literal["cpu", "cuda"] = "cpu",
-    threads: int = 1,
-    seed: int = 133,
-    save_minutes: float = 2.0,
-    validate_minutes: float = 5.0,
-    max_validation_views: int = 2000,
+    threads: Annotated[int, within(1, 64)] = 1,
+    seed: Seed = 133,
+    save_minutes: Annotated[float, within(0.01, 1e9, "min")] = 2.0,
+    validate_minutes: Annotated[float, within(0.01, 1e9, "min")] = 5.0,
+    max_validation_views: Many = 2000,
     name: str = "pointraft",
     target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g",
 ) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import Many, Seed
 
 
 def make_patches(*, data: list[Path], out: Path, force: bool = False) -> None:
@@ -58,9 +59,9 @@ def train_classifier(
     out: Path,
     start: Path | None = None,
     start_share: float | None = None,
-    epochs: int = 40,
+    epochs: Many = 40,
     rate: float = 4e-3,
-    seed: int = 1,
+    seed: Seed = 1,
     name: str = "tuberline-classifier",
     json: bool = False,
 ) -> None:
@@ -94,8 +95,6 @@ def train_classifier(
     from segmenter.training.run import TrainingRun, make_classifier
     from tuberline.cli.progress import work_bar
 
-    if epochs < 1:
-        raise InputError(f"--epochs {epochs}: at least 1 is needed")
     if not 0 < rate <= 1:
         raise InputError(f"--rate {rate}: above 0, at most 1")
     if start_share is not None and (start is None or not 0 <= start_share <= 1):

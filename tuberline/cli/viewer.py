@@ -8,11 +8,12 @@ import socket
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from conveyor.config import LineConfig, ViewerConfig, load_config
 from conveyor.errors import ConfigError
 from tuberline.cli.address import LineAddress
+from tuberline.cli.numbers import within
 from viewer.scene.profiles import PROFILES, ProfileName
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from viewer.sink import Sink
 
 DEFAULT_LIMIT_MB = 2048
+Port = Annotated[int, within(0, 65535)]
 
 
 def viewer(
@@ -32,9 +34,9 @@ def viewer(
     profile: ProfileName | None = None,
     serve: bool = False,
     foxglove: str | None = None,
-    hub_port: int = 9876,
-    page_port: int = 9090,
-    rrd_limit_mb: int = DEFAULT_LIMIT_MB,
+    hub_port: Port = 9876,
+    page_port: Port = 9090,
+    rrd_limit_mb: Annotated[int, within(1, 1_000_000, "MB")] = DEFAULT_LIMIT_MB,
 ) -> None:
     """Show a line in Rerun or Foxglove until stopped: in a file, in a running viewer, on a web page, in the app.
 
@@ -97,8 +99,8 @@ def watch(
     line: str | None = None,
     profile: ProfileName = "light",
     web: bool = False,
-    hub_port: int = 0,
-    page_port: int = 0,
+    hub_port: Port = 0,
+    page_port: Port = 0,
 ) -> None:
     """Watch a running line from here: opens Rerun's window, or a web page where there is no display. Changes nothing.
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from conveyor.stated import BELT_SD_MM
+from tuberline.cli.numbers import BeltDistance, RestingOffset, RestingSd, within
 from tuberline.cli.progress import progress_bar
 from tuberline.cli.stoppable import leave, stoppable
 
@@ -24,10 +26,10 @@ def weigh(
     paths: Annotated[list[Path], Parameter(consume_multiple=True)],
     /,
     *,
-    belt_distance_m: float,
-    belt_sd_mm: float = 2.0,
-    resting_offset_mm: float = 0.0,
-    resting_sd_mm: float = 0.0,
+    belt_distance_m: BeltDistance,
+    belt_sd_mm: Annotated[float, within(*BELT_SD_MM, "mm")] = 2.0,
+    resting_offset_mm: RestingOffset = 0.0,
+    resting_sd_mm: RestingSd = 0.0,
     instances: Path | None = None,
     weights: Path | None = None,
     depth_scale_m: Annotated[float | None, Parameter(name=["--depth-scale-m", "--depth-unit"])] = None,
@@ -67,8 +69,6 @@ def weigh(
     csv
         Print a table of comma-separated values on stdout.
     """
-    check_belt(belt_distance_m, belt_sd_mm)
-    check_resting(resting_offset_mm, resting_sd_mm)
     if json and csv:
         raise InputError("give --json or --csv, not both")
     if instances is not None and (len(paths) != 1 or paths[0].is_dir()):
@@ -152,27 +152,3 @@ def _show(results: list[FileResult], form: str) -> None:
     from rich.console import Console
 
     Console().print(weight_table(results))
-
-
-def check_belt(distance_m: float, sd_mm: float) -> None:
-    """Refuse a belt that no camera looks at.
-
-    Raises:
-        InputError: with the option, the value and what is allowed.
-    """
-    if not 0.05 <= distance_m <= 5.0:
-        raise InputError(f"--belt-distance-m is {distance_m}; allowed are 0.05 to 5 metres (the paper: 0.345)")
-    if not 0 <= sd_mm <= 100:
-        raise InputError(f"--belt-sd-mm is {sd_mm}; allowed are 0 to 100 millimetres (a calibrated belt: 0.5 to 2)")
-
-
-def check_resting(offset_mm: float, sd_mm: float) -> None:
-    """Refuse a resting level that no belt has.
-
-    Raises:
-        InputError: with the option, the value and what is allowed.
-    """
-    if not -20 <= offset_mm <= 40:
-        raise InputError(f"--resting-offset-mm is {offset_mm:g}; allowed are -20 to 40 mm, positive below the belt")
-    if not 0 <= sd_mm <= 20:
-        raise InputError(f"--resting-sd-mm is {sd_mm:g}; allowed are 0 to 20 mm")

@@ -58,7 +58,8 @@ def check_processors(config: LineConfig, *, cores: int | None = None) -> list[Fi
     """Enough cores for the processes this line starts on one machine."""
     have = cores if cores is not None else len(os.sched_getaffinity(0))
     segmenters, workers = len(config.cameras), config.regressor.processes * config.regressor.threads
-    text = f"{have} cores for {segmenters} segmenters and {workers} regressor threads"
+    looks, weighs = "segmenter" + "s" * (segmenters != 1), "regressor thread" + "s" * (workers != 1)
+    text = f"{have} cores for {segmenters} {looks} and {workers} {weighs}"
     if segmenters + workers > have:
         fitting = max(1, have - segmenters)
         lower = f"lower regressor.processes to {fitting}, or run" if config.regressor.processes > fitting else "run"

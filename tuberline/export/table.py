@@ -36,8 +36,3 @@ class Table:
         """All values of one column."""
         at = [column.name for column in self.columns].index(name)
         return [row[at] for row in self.rows]
-
-    @property
-    def placed(self) -> bool:
-        """Its rows have a place on the earth."""
-        return self.polygons is not None or any(column.name == "lat_deg" for column in self.columns)

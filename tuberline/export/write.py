@@ -51,6 +51,8 @@ def export(
     Raises:
         InputError: the format needs places and none are known, or a package for it is not installed.
     """
+    if what == "loads" and form in NEED_PLACES:
+        raise InputError(f"{form.value} holds places, loads have none: export tubers or cells, or choose csv")
     if field is None and (form in NEED_PLACES or what == "cells"):
         wanted = "a map" if what == "cells" else form.value
         raise InputError(f"{wanted} needs to know where the machine was: give --track FILE")
@@ -81,7 +83,6 @@ def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> None
     elif form is Format.GEOJSON:
         from tuberline.export.text_files import write_geojson
 
-        _check_placed(table, form)
         write_geojson(table, path)
     elif form is Format.XLSX:
         from tuberline.export.binary_files import write_xlsx
@@ -90,11 +91,4 @@ def _write(table: Table, runs: Sequence[Path], path: Path, form: Format) -> None
     else:
         from tuberline.export.binary_files import write_parquet
 
-        if form is Format.GEOPARQUET:
-            _check_placed(table, form)
         write_parquet(table, path, geometry=form is Format.GEOPARQUET)
-
-
-def _check_placed(table: Table, form: Format) -> None:
-    if not table.placed:
-        raise InputError(f"{form} holds places, {table.name} have none: export tubers or cells, or choose csv")

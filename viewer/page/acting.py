@@ -15,6 +15,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 
 from conveyor.errors import InputError, TuberlineError
+from conveyor.load_orders import check_order
 from conveyor.messages import LoadAnswer, LoadOrder
 from conveyor.messages.loads import FIELDS
 
@@ -106,12 +107,11 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
     """(line, order) of a browser's JSON.
 
     Raises:
-        InputError: no JSON object, keys that no order has, or no operator.
-        MessageError: a value that an order does not allow.
+        InputError: no JSON object, keys that no order has, no operator, or a value that an order does not allow.
     """
     try:
         said: Any = json.loads(body)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError("the order is no JSON; load the page again") from error
     if not isinstance(said, dict) or not set(said) <= GIVEN:
         raise InputError(f"an order has the keys {', '.join(sorted(GIVEN))} and no others; load the page again")
@@ -137,7 +137,7 @@ def read_order(body: bytes) -> tuple[str, LoadOrder]:
         net=said.get("net", True),
         note=said.get("note", ""),
     )
-    order.check()
+    check_order(order)
     return str(said.get("line", "")), order
 
 

@@ -36,11 +36,6 @@ class TravelLog:
         self._travels.append(travel_m)
         return True
 
-    @property
-    def newest_m(self) -> float | None:
-        """The newest travel, metres."""
-        return self._travels[-1] if self._travels else None
-
     def at(self, captured_ns: int) -> float | None:
         """Travel at a capture time, metres, interpolated; None where it was not recorded."""
         i = bisect_left(self._moments, captured_ns, key=lambda m: m.captured_ns)

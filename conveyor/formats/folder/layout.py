@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
 from conveyor.ranges import INT64_MAX, MAX_COUNT
+from conveyor.text_files import read_json
 
 COLUMNS = ["seq", "captured_ns", "travel_m"]
 
@@ -67,13 +67,7 @@ def read_camera_file(path: Path) -> CameraFile:
         InputError: missing, not JSON, or without what it takes to read depth; names every fault.
     """
     try:
-        raw = json.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not JSON: {error}") from error
-    try:
-        camera = CameraFile.model_validate(raw)
+        camera = CameraFile.model_validate(read_json(path))
     except ValidationError as error:
         raise InputError(f"{path} cannot be used:\n{_faults(error)}") from error
     fault = None if camera.belt_from_camera is None else pose_fault(camera.belt_from_camera)

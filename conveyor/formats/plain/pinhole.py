@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics
+from conveyor.text_files import json_of, read_text
 
 MATRICES = ("k", "intrinsic_matrix", "intrinsicmatrix", "camera_matrix", "cameramatrix", "matrix", "intrinsics")
 DISTORTIONS = ("d", "distortion_coefficients", "distortioncoeff", "dist_coeffs", "coeffs", "distortion")
@@ -66,18 +66,10 @@ def read_pinhole(path: Path) -> Pinhole:
     Raises:
         InputError: unreadable, none of these, or several cameras of which none is named after depth.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"intrinsics {path} cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"intrinsics {path} is no text; expected {EXPECTED}") from error
+    text = read_text(path, what="intrinsics")
     if not text.lstrip().startswith(("{", "[")):
         return _of_text(text, path)
-    try:
-        found = dict(_cameras(json.loads(text), path.stem, 0))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"intrinsics {path} is not JSON: {error}") from error
+    found = dict(_cameras(json_of(text, where=f"intrinsics {path}"), path.stem, 0))
     if len(found) > 1:
         found = {name: camera for name, camera in found.items() if "depth" in name.lower()} or found
     if len(found) == 1:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from conveyor.errors import InputError
 from conveyor.formats.plain.pinhole import read_pinhole
 from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD
 from conveyor.geometry import Intrinsics
+from conveyor.text_files import read_json
 
 FOLDERS_ABOVE = 4
 """An image lies three folders below the one that holds `0_camera_intrinsics`, at most."""
@@ -67,10 +67,7 @@ def intrinsics_json(k: Intrinsics) -> dict[str, Any]:
 def _with_matrix(folder: Path) -> Path | None:
     """The first JSON file that has a matrix: the data set's folder holds the camera's settings too."""
     for file in sorted(folder.glob("*.json")):
-        try:
-            raw = json.loads(file.read_text(encoding="utf-8-sig"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise InputError(f"intrinsics {file} cannot be read as JSON: {error}") from error
+        raw = read_json(file, what="intrinsics")
         if isinstance(raw, dict) and "intrinsic_matrix" in raw:
             return file
     return None

@@ -1,0 +1,74 @@
+"""What a number on the command line may be: finite, whole where whole ones are asked for, and within its range."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args
+
+from cyclopts import CoercionError, Parameter, Token, convert
+
+from conveyor.stated import BELT_DISTANCE_M, RESTING_OFFSET_MM, RESTING_SD_MM
+
+EXAMPLES = {float: "8.61", int: "12"}
+
+
+def as_written(kind: Any, tokens: Sequence[Token] | dict[str, Any]) -> Any:
+    """The words of an option as its type. Cyclopts alone reads 1.5 as 2 where a whole number is asked for.
+
+    Raises:
+        CoercionError: a number that is none, with the word and how it is written.
+    """
+    asked = next((number for number in (float, int) if number in (kind, *get_args(kind))), None)
+    for token in tokens if not isinstance(tokens, dict) else ():
+        if asked is not None and not _is_number(token.value, asked):
+            raise CoercionError(msg=_no_number(token.value, asked), token=token, target_type=asked)
+    return convert(kind, tokens)
+
+
+def _no_number(given: str, kind: type) -> str:
+    """Why `given` is no float or int, and how it is written."""
+    with_point = given.strip().replace(",", ".")
+    example = with_point if _is_number(with_point, kind) else EXAMPLES[kind]
+    told = "number" if kind is float else "whole number"
+    return f'"{given}" is no {told}; write it like {example}.'
+
+
+def _is_number(text: str, kind: type) -> bool:
+    if kind is int:
+        return re.fullmatch(r"[+-]?\d+(\.0*)?", text.strip()) is not None
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """Refuses a number outside of `low` to `high`, both allowed."""
+
+    low: float
+    high: float
+    unit: str
+
+    def __call__(self, _kind: Any, value: float | None) -> None:
+        """Raises ValueError, which cyclopts tells with the option and the value."""
+        if value is not None and not self.low <= value <= self.high:
+            unit = f" {self.unit}" if self.unit else ""
+            raise ValueError(f"Allowed is {self.low:.15g} to {self.high:.15g}{unit}.")
+
+
+def within(low: float, high: float, unit: str = "") -> Parameter:
+    """For the annotation of an option: `frames: Annotated[int, within(1, 1000)]`."""
+    return Parameter(validator=Within(low, high, unit))
+
+
+Many = Annotated[int, within(1, 10**9)]
+"""How many of something there must be some of."""
+Seed = Annotated[int, within(0, 10**18)]
+"""The same seed gives the same."""
+BeltDistance = Annotated[float, within(*BELT_DISTANCE_M, "m")]
+RestingOffset = Annotated[float, within(*RESTING_OFFSET_MM, "mm, positive below the belt")]
+RestingSd = Annotated[float, within(*RESTING_SD_MM, "mm")]
