@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
 COMING_UP_LIMIT_S = 600.0
-"""Without any movement, in which no process waited for a processor. First use compiles, for minutes on some machines."""
+"""Without movement, in which no process waited for a processor. First use compiles, for minutes on a small machine."""
 CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regressor": {"precision": "fastest"}}
