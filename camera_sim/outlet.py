@@ -56,17 +56,18 @@ class FrameOutlet:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def _watch(self, to_direct: bool) -> None:
+    def _watch(self, has_listener: bool) -> None:
         """Frames that no segmenter gets are told once, and again when it was there."""
         now_s = time.monotonic()
-        if self._direct is None or to_direct:
+        if has_listener:
             self._alone_since_s, self._told = now_s, False
         elif not self._told and now_s - self._alone_since_s >= ALONE_S:
             self._told = True
             self._log.warning(
-                "no segmenter at %s for %.0f s: is it running, and told the same (cameras.NAME.direct)?",
-                self._endpoint,
+                "no segmenter takes frames %s for %.0f s: is it running, and told the same (cameras.NAME.direct)?%s",
+                f"at {self._endpoint}" if self._endpoint else "by the router",
                 ALONE_S,
+                "" if self._endpoint else " That of a `tuberline run` takes those of that run's camera alone",
             )
 
     @property
@@ -79,7 +80,7 @@ class FrameOutlet:
         to_router = self._by_router.has_listener
         to_direct = self._direct is not None and self._direct.has_listener
         to_few = self._few.has_listener and self._is_first(frame.captured_ns)
-        self._watch(to_direct)
+        self._watch(to_router if self._direct is None else to_direct)
         if not (to_router or to_direct or to_few):
             return
         data = frame.encode(codec=self._codec)

@@ -52,6 +52,19 @@ class ProcessSpec:
         """It is the line's router."""
         return self.args[0] == "router"
 
+    @property
+    def config(self) -> Path | None:
+        """The file that it reads when it starts."""
+        return Path(self.args[self.args.index("--config") + 1]) if "--config" in self.args else None
+
+    @property
+    def config_changed_ns(self) -> int:
+        """When that file was written last, nanoseconds; 0 where it is not there."""
+        try:
+            return self.config.stat().st_mtime_ns if self.config is not None else 0
+        except OSError:
+            return 0
+
 
 @dataclass(slots=True)
 class _Child:
@@ -66,6 +79,7 @@ class _Child:
     backoff_s: float = BACKOFF_FIRST_S
     not_before: float = 0.0
     done: bool = False
+    config_ns: int = 0
     exits: list[int] = field(default_factory=list)
 
 
@@ -73,8 +87,8 @@ class Supervisor:
     """Starts children in the order given, restarts the crashed and the stuck, stops all on exit. A context manager.
 
     A thread of its own watches from the first moment. A child that exits with 0 is done, one that exits with
-    `PERMANENT` gave up; every other one is started again. A standstill is one in the child's own time: what waits for a
-    processor on a busy machine is slow, and starting it again would only cost it what it has done.
+    `PERMANENT` gave up until its config changes; every other one is started again. A standstill is one in the child's
+    own time: what waits for a processor is slow, and starting it again would only cost it what it has done.
 
     Args:
         specs: what to run.
@@ -124,6 +138,10 @@ class Supervisor:
                 elif child.process is not None and child.heartbeat is not None:
                     self._watch_heartbeat(child, child.heartbeat, now)
                 elif not child.done and now >= child.not_before:
+                    self._start_again(child, now)
+                elif child.done and child.exits[-1:] != [0] and child.spec.config_changed_ns != child.config_ns:
+                    log.warning("%s is started again: %s was changed", child.spec.name, child.spec.config)
+                    child.done = False
                     self._start_again(child, now)
 
     @property
@@ -263,6 +281,7 @@ class Supervisor:
         direct = str(self._direct.path) if self._direct is not None and self._has_both_ends(child.spec) else ""
         environment |= {**child.heartbeat.environment, DIRECT: direct}
         command = [sys.executable, "-m", "tuberline", *child.spec.args]
+        child.config_ns = child.spec.config_changed_ns
         with contextlib.ExitStack() as stack:
             path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
             stderr = stack.enter_context(path.open("ab")) if path else None
@@ -283,7 +302,8 @@ class Supervisor:
         if code == 0 or (code == PERMANENT and not (child.spec.is_router and child.restarts)):
             child.done = True
             if code:
-                log.error("%s gave up with exit code %d%s", child.spec.name, code, self._why(child))
+                again = f"; it is started again when {child.spec.config} changes" if child.spec.config else ""
+                log.error("%s gave up with exit code %d%s%s", child.spec.name, code, self._why(child), again)
             return
         if now - child.started > HEALTHY_AFTER_S:
             child.backoff_s = BACKOFF_FIRST_S

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from camera_sim import outlet
 from conveyor import topics
 from conveyor.config import CameraConfig, LineConfig, LinkConfig, parse_config
 from conveyor.delivery import LatestSubscriber
@@ -17,6 +18,7 @@ from conveyor.errors import ConfigError
 from conveyor.formats import describe_recording, open_source
 from conveyor.frame_ring import IN_MEMORY, ring_path
 from conveyor.messages import Frame
+from conveyor.node import Node
 from tests.camera_sim.camera_process import RUN, OtherSide, line, other_side, process
 from tests.conftest import start_router, wait_until
 from tuberline.processes import line_processes
@@ -157,3 +159,27 @@ def test_a_supervisor_gives_its_folder_to_cameras_whose_segmenter_it_runs_too(tm
     apart = Supervisor([specs["camera-front"], specs["segmenter-rear"]])
     assert not apart._has_both_ends(specs["camera-front"])
     assert not apart._has_both_ends(specs["segmenter-rear"])
+
+
+def test_a_camera_whose_frames_no_one_takes_says_so(
+    link: LinkConfig, small_recording: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """One started by hand beside a `run` published for ever: the segmenter of a run hears that run's camera."""
+    monkeypatch.setattr(outlet, "ALONE_S", 0.0)
+    config = line(link, path=small_recording, direct="off")
+    frame = next(iter(open_source(small_recording, camera="front").frames(run=RUN)))
+    assert isinstance(frame, Frame)
+    with Node("camera", "front", config=config, run=RUN) as node, outlet.FrameOutlet(node, config, codec="raw") as out:
+        out.put(frame)
+        out.put(frame)
+        told = [text for text in caplog.messages if "no segmenter takes frames" in text]
+        assert len(told) == 1
+        assert told[0].startswith("no segmenter takes frames by the router for 0 s: is it running")
+        assert told[0].endswith("That of a `tuberline run` takes those of that run's camera alone")
+        heard = LatestSubscriber(node, topics.FRAME, Frame, capacity=4, camera="front")
+        wait_until(lambda: out.put(frame) or len(heard), what="a frame at the listener")  # type: ignore[func-returns-value]
+        heard.leave()
+        wait_until(
+            lambda: out.put(frame) or len([t for t in caplog.messages if "takes frames" in t]) == 2,  # type: ignore[func-returns-value]
+            what="the word again, after it was there",
+        )

@@ -34,7 +34,10 @@ def test_a_node_waits_for_a_router_that_comes_later(free_port: int) -> None:
     link = LinkConfig(router=f"tcp/127.0.0.1:{free_port}")
     waiting, stopped = start_node(link, "works"), start_node(link, "works")
     assert waiting.stderr is not None
-    time.sleep(6.0)  # the first word about it comes after 5 s
+    assert stopped.stderr is not None
+    for node in (waiting, stopped):  # the first word about it
+        said = node.stderr.readline().decode()
+        assert f"no router answers at {link.router} for 5 s: waiting for it" in said
     stopped.send_signal(signal.SIGTERM)
     assert stopped.wait(10) == 0
     assert waiting.poll() is None
@@ -45,7 +48,6 @@ def test_a_node_waits_for_a_router_that_comes_later(free_port: int) -> None:
         waiting.send_signal(signal.SIGTERM)
         said = waiting.communicate(timeout=20)[1].decode()
         assert waiting.returncode == 0, said
-        assert f"no router answers at {link.router} for 5 s: waiting for it" in said
     finally:
         router.terminate()
         router.wait(30)
@@ -127,15 +129,27 @@ def test_an_error_that_may_pass_is_tried_again_until_it_has_passed(link: LinkCon
                 wait_until(lambda: "aggregator/aggregator" in observer.alive(), what="the aggregator")
 
 
-def test_why_a_process_gave_up_is_said_where_the_line_runs(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """'camera-left gave up with exit code 2' was all: the line went on, and the reason stood in a file."""
+def test_what_gave_up_says_why_and_is_started_again_when_its_config_changes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """'camera-left gave up with exit code 2' was all. A camera that was then started by hand sent its frames to no one:
+    the segmenter of a `run` hears the camera of that `run`.
+    """
     path = tmp_path / "line.toml"
-    path.write_text(dump_toml(LineConfig.model_validate({"cameras": {"left": {"path": tmp_path / "nowhere"}}})))
+
+    def look_in(folder: str) -> None:
+        path.write_text(dump_toml(LineConfig.model_validate({"cameras": {"left": {"path": tmp_path / folder}}})))
+
+    look_in("nowhere")
     spec = ProcessSpec("camera-left", ("camera", "--config", str(path), "--camera", "left", "--run", "r1"))
     with Supervisor([spec], log_dir=tmp_path / "logs") as supervisor:
-        wait_until(lambda: supervisor.failures, what="the camera's end")
-    assert f"camera-left gave up with exit code {PERMANENT}: " in caplog.text
-    assert "nowhere" in caplog.text
+        for restarts, folder in enumerate(("nowhere", "elsewhere")):
+            look_in(folder)
+            said = f"camera-left gave up with exit code {PERMANENT}: {tmp_path / folder} does not exist"
+            wait_until(lambda said=said: said in caplog.text, what=said)  # type: ignore[misc]
+            assert supervisor.failures == {"camera-left": PERMANENT}
+            assert supervisor.restarts["camera-left"] >= restarts
+    assert f"; it is started again when {path} changes" in caplog.text
 
 
 def test_a_process_that_stands_still_is_killed_and_started_again(
