@@ -12,21 +12,15 @@ def configured_source(config: LineConfig, camera: str) -> Source:
     """The source of `camera`, named as the line names it.
 
     Raises:
-        ConfigError: the camera's section contradicts itself.
+        ConfigError: a recording without its path.
         InputError: the recording or device cannot be used.
     """
     settings = config.camera(camera)
     if settings.source == "realsense":
-        if settings.path is not None:
-            raise ConfigError(
-                f"cameras.{camera}: source 'realsense' takes no path ({settings.path}); remove one of both"
-            )
         from camera_sim.live.realsense import RealSenseSource
 
         return RealSenseSource.connect(camera, settings)
     if settings.source == "ros2":
-        if settings.path is not None:
-            raise ConfigError(f"cameras.{camera}: source 'ros2' takes no path ({settings.path}); remove one of both")
         from camera_sim.live.ros2 import Ros2Source
 
         return Ros2Source.connect(camera, settings, config.link)

@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
-from conveyor.config_base import BeltSd, Metres, RestingOffset, RestingSd, Section, checked_endpoint, checked_name
+from conveyor.config_base import BeltSd, Endpoint, Metres, RestingOffset, RestingSd, Section, checked_name
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
@@ -27,8 +27,8 @@ from conveyor.text_files import read_toml
 class LinkConfig(Section):
     """How this line's processes reach each other."""
 
-    router: str = Field("tcp/127.0.0.1:7447", description="endpoint of the router, e.g. tcp/10.0.0.1:7447")
-    listen: tuple[str, ...] = Field((), description="what the router listens on; default: the endpoint above")
+    router: Endpoint = Field("tcp/127.0.0.1:7447", description="endpoint of the router, e.g. tcp/10.0.0.1:7447")
+    listen: tuple[Endpoint, ...] = Field((), description="what the router listens on; default: the endpoint above")
     lease_ms: int = Field(2000, ge=200, le=60000, description="a frozen host is noticed after this")
     connect_timeout_s: float = Field(
         20.0, ge=0.1, le=3600, description="a command that looks at a line gives up by then; its nodes wait for ever"
@@ -39,11 +39,6 @@ class LinkConfig(Section):
     certs: Path | None = Field(
         None, description="TLS: folder from `tuberline certs`, where every process finds its own three files"
     )
-
-    @field_validator("router")
-    @classmethod
-    def _endpoint(cls, router: str) -> str:
-        return checked_endpoint(router)
 
 
 class CameraConfig(Section):
@@ -74,7 +69,9 @@ class CameraConfig(Section):
     topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
     info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
     ros_domain: int = Field(0, ge=0, le=232, description="ros2: ROS_DOMAIN_ID of the publishing nodes")
-    ros_router: str | None = Field(None, description="ros2: endpoint of their rmw_zenohd; default: the line's router")
+    ros_router: Endpoint | None = Field(
+        None, description="ros2: endpoint of their rmw_zenohd; default: the line's router"
+    )
     belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
     depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
     ignore_masks: bool = Field(False, description="find tubers though the recording has masks of its own")
@@ -86,7 +83,7 @@ class CameraConfig(Section):
 
     @field_validator("path")
     @classmethod
-    def _absolute(cls, path: Path | None) -> Path | None:
+    def _at_home(cls, path: Path | None) -> Path | None:
         return path.expanduser() if path else None
 
     @model_validator(mode="after")
@@ -97,6 +94,8 @@ class CameraConfig(Section):
 
     @model_validator(mode="after")
     def _settings_of_that_source(self) -> Self:
+        if self.source != "recording" and self.path is not None:
+            raise ValueError(f"source '{self.source}' takes no path ({self.path}); remove one of both")
         if self.source != "realsense" and self.realsense != RealSenseConfig():
             raise ValueError(f"a section realsense is for source = 'realsense'; the source is '{self.source}'")
         return self

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from conveyor.errors import TuberlineError
 from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
@@ -22,13 +23,22 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
+WITH_PORT = ("tcp", "tls", "udp", "quic", "ws")
+"""Protocols whose addresses are HOST:PORT."""
+
+
 def checked_endpoint(text: str) -> str:
     """`text` where it names a protocol and an address, as 'tcp/10.0.0.1:7447'; raises ValueError else."""
     protocol, slash, address = text.partition("/")
-    if slash and address and protocol.replace("-", "").isalnum():
+    host, _, port = re.split("[?#]", address)[0].rpartition(":")
+    whole = host and port.isdecimal() and int(port) <= 65535 if protocol in WITH_PORT else address
+    if slash and whole and protocol.replace("-", "").isalnum():
         return text
-    host = "HOST" if slash or not text else text.split(":")[0]
-    raise ValueError(f"'{text}' is no router's endpoint: write it like tcp/{host}:7447")
+    host = (host if slash else text.split(":")[0]) or "HOST"
+    raise ValueError(f"'{text}' is no router's endpoint: write it like {protocol if slash else 'tcp'}/{host}:7447")
+
+
+Endpoint = Annotated[str, AfterValidator(checked_endpoint)]
 
 
 def checked_name(name: str, what: str) -> str:

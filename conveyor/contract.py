@@ -15,7 +15,7 @@ from __future__ import annotations
 import itertools
 import math
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -95,8 +95,12 @@ def read_contract(path: Path) -> Contract:
     try:
         return Contract.model_validate(raw)
     except ValidationError as error:
-        faults = [
-            f"  {'.'.join(map(str, fault['loc'])) or 'contract'}: {fault['msg']} (got {fault.get('input')!r})"
-            for fault in error.errors()
-        ]
-        raise ConfigError(f"contract {path} is refused:\n" + "\n".join(faults)) from error
+        raise ConfigError(f"contract {path} is refused:\n" + "\n".join(map(_fault, error.errors()))) from error
+
+
+def _fault(fault: Any) -> str:
+    where = ".".join(map(str, fault["loc"])) or "contract"
+    if fault["type"] != "extra_forbidden":
+        return f"  {where}: {fault['msg']} (got {fault.get('input')!r})"
+    known = (Contract if len(fault["loc"]) == 1 else SizeClass).model_fields
+    return f"  {where}: unknown key; known here: {', '.join(known)}"

@@ -81,8 +81,11 @@ def check_place(target: Path, *, option: str) -> None:
     """Refuse before minutes of work what could not be written after them; the folder of `target` is made.
 
     Raises:
-        InputError: the folder cannot be made, or there is no room on its disk; named by `option`.
+        InputError: a folder is there, its own folder cannot be made, or there is no room on its disk; named by
+            `option`.
     """
+    if target.is_dir():
+        raise InputError(f"{option} {target} is a folder: name a file")
     folder = target.absolute().parent
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -26,6 +26,21 @@ class Delivery(StrEnum):
     TOKEN = "liveliness token"
     QUERY = "query"
 
+    @property
+    def promise(self) -> str:
+        """What it is, for docs/topics.md."""
+        return _PROMISES[self]
+
+
+_PROMISES = {
+    Delivery.LATEST: "dropped on a full link, overwritten in a small ring at the receiver; gaps show in the numbers",
+    Delivery.KEPT: "the newest value of each key; who joins later gets it too",
+    Delivery.NEVER_LOST: "all, in order, after a cut link too, from a sender that lives and still has them",
+    Delivery.DISPATCHED: "to one receiver, which the sender chooses; to another one where no answer comes in time",
+    Delivery.TOKEN: "no message: there while a process and its link live",
+    Delivery.QUERY: "a question, which the receiver answers",
+}
+
 
 class Priority(StrEnum):
     """Which message goes first on a full link. Names follow Zenoh's own priorities."""

@@ -44,8 +44,50 @@ def test_a_fault_is_named_with_its_mend(tmp_path: Path, text: str, said: str) ->
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["link.listen", "cameras.front.ros_router"])
+def test_every_endpoint_of_a_config_is_checked(text: str) -> None:
+    """`certs make` ended with a traceback where `link.listen` named none."""
+    section, _, key = text.rpartition(".")
+    value: object = ["edge"] if key == "listen" else "edge"
+    raw: dict[str, object] = {key: value}
+    for name in reversed(section.split(".")):
+        raw = {name: raw}
+    with pytest.raises(ConfigError, match=rf"{text}[.0]*: 'edge' is no router's endpoint: write it like tcp/edge:7447"):
+        parse_config(raw, where="test")
+
+
 @pytest.mark.parametrize(
-    ("router", "mend"), [("edge", "tcp/edge:7447"), ("10.0.0.1:7447", "tcp/10.0.0.1:7447"), ("tcp/", "tcp/HOST:7447")]
+    "endpoint",
+    [
+        "tls/0.0.0.0:7447",
+        "tcp/[::]:7447",
+        "tcp/10.0.0.1:7447#iface=eth0",
+        "udp/a.b:1?rel=0",
+        "unixsock-stream//run/a.sock",
+    ],
+)
+def test_what_zenoh_calls_an_endpoint_is_taken(endpoint: str) -> None:
+    link = parse_config({"link": {"router": endpoint, "listen": [endpoint]}}, where="test").link
+    assert (link.router, link.listen) == (endpoint, (endpoint,))
+
+
+@pytest.mark.parametrize("source", ["realsense", "ros2"])
+def test_a_device_takes_no_path(source: str) -> None:
+    """`config check` said that it is fine; the camera said at its start that it is not."""
+    with pytest.raises(ConfigError, match=rf"cameras.front: source '{source}' takes no path \(belt\)"):
+        parse_config({"cameras": {"front": {"source": source, "path": "belt"}}}, where="test")
+
+
+@pytest.mark.parametrize(
+    ("router", "mend"),
+    [
+        ("edge", "tcp/edge:7447"),
+        ("10.0.0.1:7447", "tcp/10.0.0.1:7447"),
+        ("tcp/", "tcp/HOST:7447"),
+        ("tcp/10.0.0.1", "tcp/HOST:7447"),
+        ("tls/edge:99999", "tls/edge:7447"),
+        ("tcp/[::1]:x", "tcp/[::1]:7447"),
+    ],
 )
 def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router: str, mend: str) -> None:
     """`config check` said that it is fine, and `tuberline watch edge` ended in a traceback of Zenoh."""

@@ -159,6 +159,12 @@ def test_a_full_disk_under_the_log_lets_a_process_end(command: tuple[str, ...], 
     assert done.returncode == code
 
 
+def test_a_folder_is_no_file_to_write(tmp_path: Path) -> None:
+    """`replay --rrd FOLDER` started the whole line, ended with its viewer's last words and left a run begun."""
+    with pytest.raises(InputError, match=f"--rrd {tmp_path} is a folder: name a file"):
+        check_place(tmp_path, option="--rrd")
+
+
 def test_a_disk_without_room_is_known_before_the_work(tiny_disk: Path) -> None:
     assert unwritable(tiny_disk) == ""
     ballast = tiny_disk / "ballast"

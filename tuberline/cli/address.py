@@ -49,12 +49,15 @@ class LineAddress:
 
     def _router(self) -> dict[str, str]:
         """The router that was given beside the config; raises ConfigError where it is none."""
-        if self.connect is None:
-            return {}
-        try:
-            return {"router": checked_endpoint(self.connect)}
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
+        return {} if self.connect is None else {"router": endpoint(self.connect)}
+
+
+def endpoint(text: str) -> str:
+    """`text` where it is one of a router; raises ConfigError where it is none."""
+    try:
+        return checked_endpoint(text)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
 
 
 NO_ADDRESS = LineAddress()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from conveyor.errors import InputError
 from conveyor.processors import usable
 from conveyor.stated import BELT_DISTANCE_M
+from tuberline.cli.address import endpoint
 from tuberline.cli.numbers import BeltDistance, within
 
 if TYPE_CHECKING:
@@ -65,7 +66,9 @@ def init(
     if recording:
         chosen = [found_recording(path) for path in recording]
     elif ros_router is not None:
-        chosen = _choose(found_ros2(ros_router, ros_domain), f"no depth topic is published through {ros_router}")
+        chosen = _choose(
+            found_ros2(endpoint(ros_router), ros_domain), f"no depth topic is published through {ros_router}"
+        )
     else:
         chosen = _choose(*_look(realsense))
     known = all(one.distance_known for one in chosen)

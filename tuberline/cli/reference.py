@@ -10,14 +10,13 @@ from cyclopts import App
 from tuberline.cli import build_app
 from tuberline.cli.api_page import api_page, shown
 from tuberline.cli.config_page import config_page
-from tuberline.cli.topics import markdown_table
+from tuberline.cli.topics import delivery_table, markdown_table
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 TOPICS_HEAD = """# Topics
 
 Made from `conveyor/topics.py` by `make docs`. Publishers, subscribers, recorder, health and access control come from
-the same table.
-Delivery classes are explained in [design.md](design.md).
+the same table. What each delivery promises stands below.
 
 """
 COMMANDS_HEAD = "<!-- Made from the commands themselves by `make docs`. -->\n\n"
@@ -36,7 +35,7 @@ def pages() -> dict[str, str]:
         "api.md": api_page(DOCS / "examples"),
         "config.md": config_page(),
         "commands.md": COMMANDS_HEAD + _commands() + "\n",
-        "topics.md": TOPICS_HEAD + markdown_table(),
+        "topics.md": TOPICS_HEAD + markdown_table() + "\n## Delivery\n" + delivery_table(),
     }
 
 

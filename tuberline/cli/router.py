@@ -14,6 +14,7 @@ from conveyor.heap import GIVE_BACK_EVERY_S, give_back
 from conveyor.notify import notify
 from conveyor.session import open_router
 from conveyor.taken_port import check_port_free
+from tuberline.cli.address import endpoint
 
 
 def router(*, config: Path | None = None, listen: str | None = None) -> None:
@@ -34,7 +35,7 @@ def router(*, config: Path | None = None, listen: str | None = None) -> None:
     line = load_config(config) if config else LineConfig()
     link = line.link
     if listen:
-        link = link.model_copy(update={"listen": (listen,)})
+        link = link.model_copy(update={"listen": (endpoint(listen),)})
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

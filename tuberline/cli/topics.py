@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
 
-from conveyor.topics import TOPICS
+from conveyor.topics import TOPICS, Delivery
 
 
 def topics(*, json: bool = False, markdown: bool = False) -> None:
@@ -41,4 +42,13 @@ def markdown_table() -> str:
         (f"`{t.path}`", ", ".join(t.senders), ", ".join(t.receivers), t.delivery.value, t.message, t.about)
         for t in TOPICS
     ]
+    return _table(head, rows)
+
+
+def delivery_table() -> str:
+    """What each class of delivery promises, as Markdown."""
+    return _table(("delivery", "what it promises"), [(each.value, each.promise) for each in Delivery])
+
+
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, ("---",) * len(head), *rows))
