@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from conveyor.config import LineConfig
 from tuberline.supervisor import ProcessSpec
 
+if TYPE_CHECKING:
+    from conveyor.formats.source import CameraDescription
+
 MOST_REGRESSORS = 2
 """Of a replay that was not told how many; each holds half a gigabyte."""
+LONG_FRAMES = 600
+"""To start a regressor takes five seconds of a processor. Of two processors that two cameras use, a second one saves a
+twentieth of the time: so much of a recording that it pays."""
 
 
-def usual_regressors(*, cameras: int, processors: int) -> int:
-    """One for each processor that no camera needs, two at most: to start one takes five seconds of a processor."""
-    return min(MOST_REGRESSORS, max(1, processors - cameras))
+def usual_regressors(cameras: Sequence[CameraDescription], *, processors: int) -> int:
+    """How many weigh a replay: one for each processor that no camera needs, two of a long recording, two at most."""
+    if sum(camera.frames or 0 for camera in cameras) >= LONG_FRAMES:
+        return MOST_REGRESSORS
+    return min(MOST_REGRESSORS, max(1, processors - len(cameras)))
 
 
 def line_processes(

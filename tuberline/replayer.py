@@ -82,7 +82,7 @@ def replay_recording(
     if fast and exact:
         raise InputError("--fast and --exact: a replay weighs in one form; give one of them, or none")
     _refuse_early(weights, contract)
-    told = (open_source(recording, camera=name).description for name in cameras)
+    told = [open_source(recording, camera=name).description for name in cameras]
     belt = stated_belt(told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     asked = FAST if fast else EXACT if exact else {}
@@ -95,7 +95,7 @@ def replay_recording(
         out=out,
         speed=speed,
         weights=weights,
-        regressors=regressors or usual_regressors(cameras=len(cameras), processors=usable()),
+        regressors=regressors or usual_regressors(told, processors=usable()),
         rrd=rrd,
         settings=sections,
         ignore_masks=ignore_masks,

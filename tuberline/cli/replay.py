@@ -44,7 +44,7 @@ def replay(
     weights
         PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
     regressors
-        Number of weighing processes; default: one for each processor that no camera needs, two at most.
+        Number of weighing processes; default: two, or one where the cameras of a short recording need all processors.
     rrd
         Also write a Rerun recording to this file.
     ignore_masks
