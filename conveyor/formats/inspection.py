@@ -7,18 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.formats.beside import recording_files
 from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
 from conveyor.formats.positions import POSITIONS_FILE
 from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
+from conveyor.geometry import belt_distance_m
 from conveyor.messages import Frame
 
 SAMPLES = 8
 BELT_QUANTILE = 0.75
 """Of a frame's depths: the belt is the farthest thing, and most frames show more of it than of tubers."""
 BELT_DIFFERS_M = 0.015
+TOLD_TWICE_M = 0.005
+RATE_DIFFERS = 100.0
+"""Times the rate given. What a camera leaves out, or a recorder, is less; a wrong unit is a thousand."""
 NEAREST_M, FARTHEST_M = 0.15, 2.5
 """Where cameras hang over belts; depth of another distance has a wrong unit, or shows no belt."""
 UNITS_M = (0.001, 0.0001, 0.00025, 0.00005)
@@ -112,7 +117,14 @@ def _inspect(source: RecordedSource) -> CameraReport:
         travel=any(frame.travel_m is not None for frame in frames),
         masks=any(frame.mask is not None for frame in frames),
         color=any(frame.color_jpeg is not None for frame in frames),
-        warnings=(*texts, *d.notes, *_scale_warnings(frames, belt_seen_m, d), *_time_warnings(gaps, clock_faults)),
+        warnings=(
+            *texts,
+            *d.notes,
+            *_pose_warnings(d),
+            *_scale_warnings(frames, belt_seen_m, d),
+            *_time_warnings(gaps, clock_faults),
+            *_rate_warnings(d.fps, steps_s),
+        ),
     )
 
 
@@ -159,3 +171,27 @@ def _time_warnings(gaps: int, clock_faults: int) -> list[str]:
     if clock_faults:
         warnings.append(f"{clock_faults} capture times step backwards or by more than 2 s")
     return warnings
+
+
+def _rate_warnings(fps: float, steps_s: NDArray[np.float64]) -> list[str]:
+    """Where capture times are in another unit: counting does without them, places of the clock do not."""
+    step_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    if step_s <= 0 or 1 / RATE_DIFFERS < step_s * fps < RATE_DIFFERS:
+        return []
+    return [
+        f"capture times are {step_s:.3g} s apart but {fps:g} frames a second are given: captured_ns must be in "
+        "nanoseconds, and fps the camera's own"
+    ]
+
+
+def _pose_warnings(d: CameraDescription) -> list[str]:
+    """Where the belt's distance is told twice."""
+    if d.belt_from_camera is None or d.belt_distance_m is None:
+        return []
+    by_pose_m = belt_distance_m(d.belt_from_camera)
+    if abs(by_pose_m - d.belt_distance_m) <= TOLD_TWICE_M:
+        return []
+    return [
+        f"belt_distance_m says {d.belt_distance_m:.3f} m along the optical axis, belt_from_camera {by_pose_m:.3f} m: "
+        "the latter is taken; correct the wrong one"
+    ]

@@ -10,6 +10,8 @@ from conveyor.messages import Frame
 
 LOW, HIGH = 0.6, 1.25
 """The median depth of a full belt lies up to 90 mm above the belt, so below its distance more than beyond it."""
+COARSEST_M = 0.01
+"""Metres; no camera's depth unit is coarser."""
 ENOUGH_SHARE = 0.25
 """Beside a narrow belt the floor is seen: a scale that fits so much of the image is right."""
 RODS_LOW, RODS_HIGH, RODS_SHARE = 0.92, 1.03, 0.05
@@ -38,6 +40,9 @@ def scale_fault(seen_m: float, expected_m: float, depth_scale_m: float) -> str |
     decade = round(np.log10(ratio))
     if decade != 0 and LOW <= ratio / 10.0**decade <= HIGH:
         right = depth_scale_m / 10.0**decade
+        if right > COARSEST_M:
+            unit = {-2: "centimetres", -3: "millimetres"}.get(decade, "another unit")
+            return f"{text}: that seems to be in {unit}; belt_distance_m and belt_from_camera are in metres"
         return (
             f"{text}: off by {10.0 ** abs(decade):g}, so depth_scale_m is {depth_scale_m:g} and should be {right:g} "
             "(the D405 delivers 0.0001 m units by default, recordings of the paper use 0.001)"

@@ -17,7 +17,7 @@ from conveyor.formats.conversion import convert_recording
 from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.source import CameraDescription
-from conveyor.geometry import Intrinsics
+from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
 from tuberline.replayer import replay_recording
 
@@ -114,3 +114,37 @@ def test_a_setting_that_is_refused_leaves_nothing(recorded: Path, tmp_path: Path
     with pytest.raises(tuberline.TuberlineError, match="views_per_tuber"):
         replay_recording(recorded, out=tmp_path / "out", settings={"segmenter": {"views_per_tuber": 0}})
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("pose", [np.diag([1.0, 1, 1, 1]), np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0.4]])])
+def test_a_camera_that_does_not_look_down_is_refused_with_its_file(recorded: Path, pose: np.ndarray) -> None:
+    """The text did not say which file of which camera."""
+    full = np.vstack([pose[:3], [0, 0, 0, 1]])
+    edit(recorded, belt_from_camera=full.tolist())
+    with pytest.raises(InputError, match=r"front/camera\.json: .* away from the belt: .*tuberline calibrate"):
+        describe_recording(recorded)
+
+
+def test_a_pose_in_millimetres_is_told_so(recorded: Path, tmp_path: Path) -> None:
+    """It said that depth_scale_m should be 1, which is refused as well."""
+    edit(recorded, belt_from_camera=straight_down_belt_from_camera(460.0).tolist())
+    said = r"belt is said to be 460 m away: that seems to be in millimetres; .* are in metres"
+    with pytest.raises(InputError, match=said):
+        replay_recording(recorded, out=tmp_path / "out")
+
+
+@pytest.mark.parametrize(("distance_m", "warnings"), [(0.46, 0), (0.56, 1)])
+def test_a_belt_distance_that_is_told_twice_is_warned_of(recorded: Path, distance_m: float, warnings: int) -> None:
+    edit(recorded, belt_from_camera=straight_down_belt_from_camera(0.46).tolist(), belt_distance_m=distance_m)
+    told = inspect_recording(recorded).cameras[0].warnings
+    assert len(told) == warnings
+    assert all("belt_distance_m says 0.560 m along the optical axis, belt_from_camera 0.460 m" in text for text in told)
+
+
+@pytest.mark.parametrize(("per_ns", "warnings"), [(1, 0), (1_000_000, 1)])
+def test_capture_times_in_another_unit_are_warned_of(recorded: Path, per_ns: int, warnings: int) -> None:
+    rows = [f"{seq},{seq * 33_000_000 // per_ns}," for seq in range(FRAMES)]
+    (recorded / "front" / "frames.csv").write_text("\n".join(["seq,captured_ns,travel_m", *rows]) + "\n")
+    told = inspect_recording(recorded).cameras[0].warnings
+    assert len(told) == warnings
+    assert all("3.3e-08 s apart but 30 frames a second are given: captured_ns must be in nano" in text for text in told)
