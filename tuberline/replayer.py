@@ -203,15 +203,15 @@ def _summary(out: Path) -> dict[str, Any]:
 
 
 def recording_cameras(recording: Path) -> list[str]:
-    """Names of the cameras in a recording of any known format. Each camera's first frame is read, so that a recording
-    that cannot be used is refused before anything is started or written.
+    """Names of the cameras in a recording of any known format. Each camera is read up to its first readable frame, so
+    that a recording that cannot be used is refused before anything is started or written.
     """
-    from conveyor.formats import camera_names, open_source
+    from conveyor.formats import camera_names
+    from conveyor.formats.cameras import open_cameras
 
-    names = list(camera_names(recording))
-    for name in names:
-        next(iter(open_source(recording, camera=name).frames(run="check")), None)
-    return names
+    for camera in open_cameras(recording):
+        next(iter(camera))
+    return list(camera_names(recording))
 
 
 def line_names(recording: Path, cameras: list[str]) -> list[str]:

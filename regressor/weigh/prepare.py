@@ -35,6 +35,7 @@ GROWN = "outline_grown"
 NEAREST_M, FARTHEST_M = 0.001, 1000.0
 """No camera over a belt sees so near, none so far: the one is left out of a cloud, the other is no number of a place.
 """
+BEHIND = "most lie behind the camera, z is below 0: z must point away from it, y down; turn round those of OpenGL"
 
 
 REASONS = {
@@ -199,9 +200,10 @@ def prepare_cloud(
 def _prepare_points(points: NDArray[np.float64], *, belt_distance_m: float, resting_offset_m: float) -> PreparedCloud:
     """A cloud without pixels."""
     points = thinned(points)
+    behind = len(points) > 0 and float(np.mean(points[:, 2] < 0)) > 0.5
     points = points[_without_strays(points) & (points[:, 2] > NEAREST_M)]
     if len(points) < MIN_POINTS:
-        raise RefusedCloud("too_few_points")
+        raise RefusedCloud("too_few_points", BEHIND if behind else "")
     _stands_above(points, belt_distance_m, resting_offset_m)
     image = angle_image(points)
     holes = fill_holes(image.depth_m)

@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -113,6 +114,15 @@ def test_a_setting_that_is_refused_leaves_nothing(recorded: Path, tmp_path: Path
     """The folder of results stayed, empty."""
     with pytest.raises(tuberline.TuberlineError, match="views_per_tuber"):
         replay_recording(recorded, out=tmp_path / "out", settings={"segmenter": {"views_per_tuber": 0}})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_without_a_readable_frame_is_refused_with_the_first_fault(recorded: Path, tmp_path: Path) -> None:
+    """The whole line was started for it, and said at the end that no frame had arrived."""
+    for file in (recorded / "front" / "depth").iterdir():
+        cv2.imwrite(str(file), np.full((48, 64), 115, np.uint8))
+    with pytest.raises(InputError, match=r"no frame can be read; the first: frame 0: .*000000\.png is no 16-bit"):
+        replay_recording(recorded, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 

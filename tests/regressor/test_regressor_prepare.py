@@ -100,6 +100,14 @@ def test_what_does_not_stand_above_its_belt_is_refused(belt_distance_m: float) -
     assert np.isfinite(prepare_view(replace(view, resting_offset_m=-0.0545)).surface.as_array()).all()
 
 
+def test_a_cloud_in_the_axes_of_opengl_is_told_so() -> None:
+    """It had "fewer than 30 points after cleaning", of 6000."""
+    turned = ellipsoid_view().points_in_camera_m().astype(np.float64) * [1, -1, -1]
+    with pytest.raises(RefusedCloud, match=r"behind the camera, z is below 0: .* turn round those of") as error:
+        prepare_cloud(turned, belt_distance_m=0.345)
+    assert error.value.reason == "too_few_points"
+
+
 def test_no_odd_cloud_does_more_than_be_refused() -> None:
     """Points on a heap, on a line, in one's eye, or far out: divisions by zero, overflows, gigabytes."""
     rng = np.random.default_rng(6)
