@@ -68,11 +68,13 @@ def profile_recording(
     *,
     frames: int = FRAMES,
     baseline_m: float | None = None,
+    belt_m: tuple[float, float] | None = None,
     on_frame: OnFrame = lambda done, total: None,
 ) -> list[ProfiledCamera]:
     """The profile of every camera of the recording at `path`, from `frames` spread over it.
 
     Args:
+        belt_m: nearest and farthest belt that the weights were trained for, metres; None: not asked.
         on_frame: called with how many of a camera's frames are measured, and how many there are.
 
     Raises:
@@ -91,7 +93,7 @@ def profile_recording(
                 "measured; look at its pictures (`tuberline watch`)"
             )
         profile = profile_frames(taken, baseline_m=baseline_m, on_frame=on_frame)
-        result.append(ProfiledCamera(profile, judge(profile, trained), seen[len(seen) // 2]))
+        result.append(ProfiledCamera(profile, judge(profile, trained, belt_m=belt_m), seen[len(seen) // 2]))
     return result
 
 

@@ -26,11 +26,17 @@ class Finding:
     follows: str = ""
 
 
-def judge(profile: CameraProfile, trained: CameraRange) -> tuple[Finding, ...]:
+def judge(
+    profile: CameraProfile, trained: CameraRange, *, belt_m: tuple[float, float] | None = None
+) -> tuple[Finding, ...]:
     """A finding for each property. Pixels of disparity of another baseline stand for other depths: the trained range
     is given in the camera's own pixels.
+
+    Args:
+        belt_m: nearest and farthest belt trained for, metres; None: not asked.
     """
     return (
+        *(() if belt_m is None else (_distance(profile, belt_m),)),
         _noise(profile, trained),
         _step(profile, trained),
         _neighbours(profile),
@@ -45,6 +51,20 @@ def judge(profile: CameraProfile, trained: CameraRange) -> tuple[Finding, ...]:
 def own_px(profile: CameraProfile) -> float:
     """The camera's own pixels of disparity in one of the trained cameras': longer baselines see finer."""
     return profile.baseline_m / BASELINE_M
+
+
+def _distance(profile: CameraProfile, belt_m: tuple[float, float]) -> Finding:
+    name, told = "distance to the belt", f"{belt_m[0]:.2f} to {belt_m[1]:.2f} m"
+    if profile.plane_m is None:
+        return Finding(name, "-", told, "not seen", "no belt plane is seen")
+    return Finding(
+        name,
+        f"{profile.plane_m:.3f} m",
+        told,
+        "inside" if belt_m[0] <= profile.plane_m <= belt_m[1] else "outside",
+        "every weight is flagged `belt_distance`, and intervals are not known to hold: hang the camera within that "
+        "range, or calibrate by a bucket",
+    )
 
 
 def _noise(profile: CameraProfile, trained: CameraRange) -> Finding:

@@ -127,6 +127,22 @@ def _change(recording: Path, change: Callable[[int, NDArray[np.uint16]], NDArray
     return len(files)
 
 
+def test_a_belt_farther_than_those_trained_for_is_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a belt at 1 m it said that weights and intervals hold as stated."""
+    far = simulate(tmp_path / "far", tubers=1, fps=5.0, speed_mps=1.0, seed=SEED, belt_distance_m=1.0).path
+    profile_command(far)
+    said = capsys.readouterr().out
+    assert "nothing is outside" not in said
+    assert "distance to the belt: every weight is flagged `belt_distance`" in said
+
+
+def test_a_belt_within_those_trained_for_is_inside(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile_command(recording)
+    row = next(line for line in capsys.readouterr().out.splitlines() if "distance to the belt" in line)
+    assert "0.46" in row
+    assert "inside" in row
+
+
 @pytest.mark.filterwarnings("error")
 def test_blank_frames_are_counted_and_not_drawn(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The picture was of the middle frame, with or without depth: NumPy warned of quantiles of nothing."""

@@ -63,7 +63,14 @@ def profile(
     trained = camera_range(sidecar.worlds)
     baseline_m = None if baseline_mm is None else baseline_mm / 1000
     with frames_bar() as on_frame:
-        cameras = profile_recording(recording, trained, frames=frames, baseline_m=baseline_m, on_frame=on_frame)
+        cameras = profile_recording(
+            recording,
+            trained,
+            frames=frames,
+            baseline_m=baseline_m,
+            belt_m=(sidecar.belt_distance_m.low, sidecar.belt_distance_m.high),
+            on_frame=on_frame,
+        )
     if out is not None:
         from segmenter.profile.picture import draw_profiles
 
