@@ -65,6 +65,18 @@ def test_the_names_that_a_recording_lists_are_those_it_takes(recorded: Path) -> 
     assert [frame.camera for frame in opened.frames("front")] == ["front"] * FRAMES
 
 
+def test_a_camera_over_a_belt_along_its_columns_is_described_as_its_frames_are(recorded: Path) -> None:
+    """Frames come turned by a quarter; intrinsics and pose of `cameras` were those of the image as recorded."""
+    pose = straight_down_belt_from_camera(0.46)
+    pose[:2, :2] = [[1, 0], [0, -1]]
+    edit(recorded, belt_from_camera=pose.tolist())
+    opened = tuberline.open_recording(recorded)
+    frame = next(opened.frames())
+    assert frame.depth.shape == (K.width, K.height)
+    assert opened.cameras[0].intrinsics == frame.intrinsics
+    assert np.array_equal(opened.cameras[0].belt_from_camera, frame.belt_from_camera)
+
+
 def test_a_camera_folder_may_be_the_current_one(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It was refused for its camera's name ''."""
     monkeypatch.chdir(recorded / "front")
