@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -170,3 +171,21 @@ def test_capture_times_in_another_unit_are_warned_of(recorded: Path, per_ns: int
     told = inspect_recording(recorded).cameras[0].warnings
     assert len(told) == warnings
     assert all("3.3e-08 s apart but 30 frames a second are given: captured_ns must be in nano" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, None),
+        ({"cx": 26.0, "cy": 28.0}, None),
+        ({"cx": 48.0, "cy": 36.0}, r"principal point \(cx 48, cy 36\) lies far from the middle of 64x48 pixels"),
+        ({"cy": 300.0}, r"principal point \(cx 31\.5, cy 300\) lies far"),
+        ({"fy": 6.0}, r"fx 60 and fy 6 differ"),
+    ],
+)
+def test_intrinsics_of_another_image_are_warned_of(recorded: Path, changes: dict[str, float], said: str | None) -> None:
+    """Those of 1280x720 with frames of 848x480 were taken without a word; nothing was counted, or at wrong sizes."""
+    edit(recorded, **changes)
+    warnings = inspect_recording(recorded).cameras[0].warnings
+    assert len(warnings) == (said is not None)
+    assert all(re.search(str(said), text) for text in warnings)
