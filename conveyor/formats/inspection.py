@@ -14,7 +14,7 @@ from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
 from conveyor.formats.positions import POSITIONS_FILE
 from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
-from conveyor.geometry import belt_distance_m
+from conveyor.geometry import Intrinsics, belt_distance_m
 from conveyor.messages import Frame
 
 SAMPLES = 8
@@ -22,6 +22,9 @@ BELT_QUANTILE = 0.75
 """Of a frame's depths: the belt is the farthest thing, and most frames show more of it than of tubers."""
 BELT_DIFFERS_M = 0.015
 TOLD_TWICE_M = 0.005
+MOST_ASIDE, MOST_OBLONG = 0.2, 1.25
+"""Of an image's side, from its middle, and one focal length by the other: a depth camera's own differ by a few
+percent."""
 RATE_DIFFERS = 100.0
 """Times the rate given. What a camera leaves out, or a recorder, is less; a wrong unit is a thousand."""
 NEAREST_M, FARTHEST_M = 0.15, 2.5
@@ -120,6 +123,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
         warnings=(
             *texts,
             *d.notes,
+            *_intrinsics_warnings(d.intrinsics),
             *_pose_warnings(d),
             *_scale_warnings(frames, belt_seen_m, d),
             *_time_warnings(gaps, clock_faults),
@@ -182,6 +186,22 @@ def _rate_warnings(fps: float, steps_s: NDArray[np.float64]) -> list[str]:
         f"capture times are {step_s:.3g} s apart but {fps:g} frames a second are given: captured_ns must be in "
         "nanoseconds, and fps the camera's own"
     ]
+
+
+def _intrinsics_warnings(k: Intrinsics) -> list[str]:
+    """Where they seem to be of another image: all sizes are wrong then, and the centre row may not be in view."""
+    aside = max(abs(k.cx - (k.width - 1) / 2) / k.width, abs(k.cy - (k.height - 1) / 2) / k.height)
+    warnings = []
+    if aside > MOST_ASIDE:
+        warnings.append(
+            f"the principal point (cx {k.cx:g}, cy {k.cy:g}) lies far from the middle of {k.width}x{k.height} pixels: "
+            "intrinsics of another resolution? Those of a cut-out are right so"
+        )
+    if not 1 / MOST_OBLONG < k.fx / k.fy < MOST_OBLONG:
+        warnings.append(
+            f"fx {k.fx:g} and fy {k.fy:g} differ, but depth cameras have square pixels: correct one of them"
+        )
+    return warnings
 
 
 def _pose_warnings(d: CameraDescription) -> list[str]:

@@ -34,7 +34,7 @@ def _away_from_the_belt(pose: NDArray[np.float64]) -> str | None:
     if -pose[2, 2] > LEAST_DOWN and pose[2, 3] > 0:
         return None
     return (
-        "belt_from_camera says that the camera does not look down on the belt: the third row must be the height over "
-        f"the belt, its third number negative (-1: straight down) and its last one positive, got {pose[2].tolist()}; "
-        "take it from `tuberline calibrate belt`"
+        "belt_from_camera points the optical axis away from the belt: the third row must be the height over the belt, "
+        f"its third number negative (-1: straight down) and its last one positive, got {pose[2].tolist()}; take it "
+        "from `tuberline calibrate belt`"
     )

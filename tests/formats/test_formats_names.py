@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -63,6 +64,18 @@ def test_the_names_that_a_recording_lists_are_those_it_takes(recorded: Path) -> 
     opened = tuberline.open_recording(recorded)
     assert [camera.name for camera in opened.cameras] == ["front"]
     assert [frame.camera for frame in opened.frames("front")] == ["front"] * FRAMES
+
+
+def test_a_camera_over_a_belt_along_its_columns_is_described_as_its_frames_are(recorded: Path) -> None:
+    """Frames come turned by a quarter; intrinsics and pose of `cameras` were those of the image as recorded."""
+    pose = straight_down_belt_from_camera(0.46)
+    pose[:2, :2] = [[1, 0], [0, -1]]
+    edit(recorded, belt_from_camera=pose.tolist())
+    opened = tuberline.open_recording(recorded)
+    frame = next(opened.frames())
+    assert frame.depth.shape == (K.width, K.height)
+    assert opened.cameras[0].intrinsics == frame.intrinsics
+    assert np.array_equal(opened.cameras[0].belt_from_camera, frame.belt_from_camera)
 
 
 def test_a_camera_folder_may_be_the_current_one(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,7 +144,7 @@ def test_a_camera_that_does_not_look_down_is_refused_with_its_file(recorded: Pat
     """The text did not say which file of which camera."""
     full = np.vstack([pose[:3], [0, 0, 0, 1]])
     edit(recorded, belt_from_camera=full.tolist())
-    with pytest.raises(InputError, match=r"front/camera\.json: .* does not look down on the belt: .*tuberline cali"):
+    with pytest.raises(InputError, match=r"front/camera\.json: .* away from the belt: .*tuberline calibrate"):
         describe_recording(recorded)
 
 
@@ -158,3 +171,21 @@ def test_capture_times_in_another_unit_are_warned_of(recorded: Path, per_ns: int
     told = inspect_recording(recorded).cameras[0].warnings
     assert len(told) == warnings
     assert all("3.3e-08 s apart but 30 frames a second are given: captured_ns must be in nano" in text for text in told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, None),
+        ({"cx": 26.0, "cy": 28.0}, None),
+        ({"cx": 48.0, "cy": 36.0}, r"principal point \(cx 48, cy 36\) lies far from the middle of 64x48 pixels"),
+        ({"cy": 300.0}, r"principal point \(cx 31\.5, cy 300\) lies far"),
+        ({"fy": 6.0}, r"fx 60 and fy 6 differ"),
+    ],
+)
+def test_intrinsics_of_another_image_are_warned_of(recorded: Path, changes: dict[str, float], said: str | None) -> None:
+    """Those of 1280x720 with frames of 848x480 were taken without a word; nothing was counted, or at wrong sizes."""
+    edit(recorded, **changes)
+    warnings = inspect_recording(recorded).cameras[0].warnings
+    assert len(warnings) == (said is not None)
+    assert all(re.search(str(said), text) for text in warnings)

@@ -87,8 +87,9 @@ def open_recording(path: str | Path) -> Recording:
     Raises:
         TuberlineError: no recording of a known kind, or one that cannot be used; the text lists what was looked for.
     """
-    found = describe_recording(Path(path))
-    return Recording(found.path, found.kind, found.cameras)
+    found, names = describe_recording(Path(path)), camera_names(Path(path))
+    cameras = tuple(open_source(found.path, camera=name).description for name in names)
+    return Recording(found.path, found.kind, cameras)
 
 
 def simulate(
