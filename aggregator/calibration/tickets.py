@@ -210,7 +210,7 @@ def read_tickets(path: Path) -> tuple[Ticket, ...]:
     Raises:
         InputError: unreadable, of another format, or with a ticket that cannot be one.
     """
-    raw = read_json(path, what="file of tickets")
+    raw = read_json(path, what="tickets")
     version = raw.get("format") if isinstance(raw, dict) else None
     if version not in (OLD_FORMAT, FORMAT) or not isinstance(raw.get("tickets"), list):
         raise InputError(
