@@ -205,15 +205,12 @@ def _summary(out: Path) -> dict[str, Any]:
 
 
 def recording_cameras(recording: Path) -> list[str]:
-    """Names of the cameras in a recording of any known format. Each camera is read up to its first readable frame, so
-    that a recording that cannot be used is refused before anything is started or written.
+    """Names of the cameras in a recording of any known format, refused before anything is started or written where it
+    cannot be used.
     """
-    from conveyor.formats import camera_names
-    from conveyor.formats.cameras import open_cameras
+    from conveyor.formats.cameras import check_readable
 
-    for camera in open_cameras(recording):
-        next(iter(camera))
-    return list(camera_names(recording))
+    return check_readable(recording)
 
 
 def line_names(recording: Path, cameras: list[str]) -> list[str]:

@@ -62,6 +62,32 @@ class CameraFrames:
             raise InputError(f"{self.description.origin}: no frame can be read{first}")
 
 
+def check_readable(recording: Path) -> list[str]:
+    """Names of a recording's cameras, each read up to its first readable frame. One that has none is among them: its
+    frames are counted as lost, and the others' are worth as much as before.
+
+    Raises:
+        InputError: no camera has one; with what was said of the first that was refused. Or a depth scale contradicts
+            the belt distance.
+    """
+    names = list(camera_names(recording))
+    found = [_first(open_source(recording, camera=name)) for name in names]
+    if not any(isinstance(item, Frame) for item in found):
+        fault = next((item.text for item in found if isinstance(item, Refused)), "")
+        raise InputError(f"{recording}: no frame can be read" + (f"; the first: {fault}" if fault else ""))
+    return names
+
+
+def _first(source: PreparedSource) -> Frame | Refused | None:
+    """The first readable frame, else the first one that was refused."""
+    refused = None
+    for item in source.frames(run="check"):
+        if isinstance(item, Frame):
+            return item
+        refused = refused or item
+    return refused
+
+
 OnFrame = Callable[[int, int | None], None]
 """Told after each frame of all cameras: how many were read, and how many there are, where that is known."""
 

@@ -15,6 +15,7 @@ import pytest
 import tuberline
 from conveyor.errors import InputError
 from conveyor.formats import camera_names, describe_recording
+from conveyor.formats.cameras import check_readable
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.inspection import inspect_recording
@@ -137,6 +138,17 @@ def test_a_recording_without_a_readable_frame_is_refused_with_the_first_fault(re
     with pytest.raises(InputError, match=r"no frame can be read; the first: frame 0: .*000000\.png is no 16-bit"):
         replay_recording(recorded, out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_one_camera_without_a_readable_frame_keeps_no_other_from_being_counted(recorded: Path) -> None:
+    shutil.copytree(recorded / "front", recorded / "rear")
+    for file in (recorded / "rear" / "depth").iterdir():
+        file.unlink()
+    assert check_readable(recorded) == ["front", "rear"]
+    for file in (recorded / "front" / "depth").iterdir():
+        file.unlink()
+    with pytest.raises(InputError, match=r"no frame can be read; the first: frame 0: .*front/depth/000000\.png"):
+        check_readable(recorded)
 
 
 @pytest.mark.parametrize("pose", [np.diag([1.0, 1, 1, 1]), np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0.4]])])
