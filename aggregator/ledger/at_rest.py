@@ -9,7 +9,8 @@ from aggregator.core.coverage import Moment
 from aggregator.core.load_orders import answer, decide, refusal
 from aggregator.ledger.load_totals import Seen, unused_ticket
 from aggregator.ledger.writer import Ledger
-from conveyor.errors import InputError, UnsendableError
+from conveyor.errors import InputError
+from conveyor.load_orders import check_order
 from conveyor.messages import LoadAnswer, LoadOrder
 
 
@@ -20,10 +21,7 @@ def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
         InputError: no ledger there, or an order that no line would take.
         LedgerError: damaged, or being written by a line: ask that line instead.
     """
-    try:
-        order.check()
-    except UnsendableError as error:
-        raise InputError(str(error).removeprefix("not sent: ")) from error
+    check_order(order)
     if not path.is_file():
         raise InputError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
     if order.action in ("start", "end", "undo"):

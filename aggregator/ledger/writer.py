@@ -18,7 +18,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from aggregator.core.foreign import ForeignBody
-from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_sums import RATE_TUBERS, LoadSums
 from aggregator.core.loads import LoadBook, LoadEvent
 from aggregator.core.machine import Batch, Restored
 from aggregator.core.sight import CameraSight
@@ -53,7 +53,6 @@ from conveyor.errors import LedgerError, StorageError
 from conveyor.messages import Tuber
 
 BUSY_TIMEOUT_S = 5.0
-RATE_TUBERS = 1000
 
 
 class Ledger:
