@@ -61,7 +61,7 @@ def test_a_line_ends_with_its_load_where_that_is_set(tmp_path: Path) -> None:
 def test_a_line_stopped_while_its_aggregator_is_down_has_its_summary_from_the_ledger(tmp_path: Path) -> None:
     """There was none."""
     config = line_file(tmp_path, simulate(tmp_path / "belt", scene="singulated", tubers="12"))
-    config.write_text(config.read_text().replace("speed = 0", "speed = 0.1"))
+    config.write_text(config.read_text().replace("speed = 0", "speed = 0.25"))
     command = [sys.executable, "-m", "tuberline", "run", str(config), "--run", "monday"]
     line = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     wait_until(lambda: tubers(tmp_path / "run") >= 2, what="two tubers in the ledger", timeout_s=90)

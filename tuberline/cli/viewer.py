@@ -36,7 +36,7 @@ def viewer(
     foxglove: str | None = None,
     hub_port: Port = 9876,
     page_port: Port = 9090,
-    rrd_limit_mb: Annotated[int, within(1, 1_000_000, "MB")] = DEFAULT_LIMIT_MB,
+    rrd_limit_mb: Annotated[int, within(0, 1_000_000, "MB")] = DEFAULT_LIMIT_MB,
 ) -> None:
     """Show a line in Rerun or Foxglove until stopped: in a file, in a running viewer, on a web page, in the app.
 
@@ -63,7 +63,7 @@ def viewer(
     page_port
         Port of the served page.
     rrd_limit_mb
-        No more pictures go into the file beyond this size.
+        No more pictures go into the file beyond this size; 0: none.
     """
     from viewer.node import Target, run_viewer
 
