@@ -75,7 +75,7 @@ def _frame_s(camera: str, state: LineState) -> float:
     segmenter = state.role("segmenter").get(camera)
     if segmenter is None or segmenter.report is None or segmenter.age_s >= since_s:
         return 0.0
-    return min(since_s, segmenter.report.uptime_s)
+    return min(since_s, segmenter.report.uptime_s + segmenter.age_s)
 
 
 def _frames(source: NodeState | None, segmenter: NodeState, *, waits: bool, frame_s: float) -> Iterator[Found]:
