@@ -105,13 +105,15 @@ def test_a_dead_camera_is_told_within_three_seconds(browser: Browser, tmp_path: 
         with Observer(line.config.link, line="north") as observer:
             until(lambda: "camera/front" in observer.nodes(), what="the camera's report")
             pid = observer.nodes()["camera/front"].pid
+        # One that stands still may be gone for the router before it is missed: what comes first is told.
+        stopped = "Camera front stopped"
         for number, told in (
-            (signal.SIGSTOP, "No frames have come from camera front"),
-            (signal.SIGKILL, "Camera front stopped"),
+            (signal.SIGSTOP, ("No frames have come from camera front", stopped)),
+            (signal.SIGKILL, (stopped,)),
         ):
             os.kill(pid, number)
             started_s = time.monotonic()
-            while told not in text(browser):
+            while not any(words in text(browser) for words in told):
                 took_s = time.monotonic() - started_s
                 assert took_s < TOLD_WITHIN_S, f"{told!r} is not there after {took_s:.1f} s"
                 time.sleep(0.05)
