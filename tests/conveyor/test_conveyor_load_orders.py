@@ -7,14 +7,12 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-import zenoh
 
-from conveyor import topics
-from conveyor.config import LineConfig, LinkConfig
+from conveyor.config import LinkConfig
 from conveyor.load_orders import give_order
 from conveyor.messages import LoadAnswer, LoadOrder
-from conveyor.node import Node
 from tests.conftest import start_router
+from tests.load_orders import orders_heard
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 
@@ -22,19 +20,11 @@ pytestmark = [pytest.mark.graph, pytest.mark.timeout(120)]
 def test_the_time_until_the_router_is_there_is_part_of_the_orders_age(free_port: int) -> None:
     """While a killed router came back the belt ran on, and the load began where it was by then."""
     link = LinkConfig(router=f"tcp/127.0.0.1:{free_port}", connect_timeout_s=60)
-    heard: list[tuple[float, LoadOrder]] = []
     given = threading.Event()
 
     def give() -> tuple[float, LoadAnswer]:
         given.set()
         return time.monotonic(), give_order(link, "line", LoadOrder("a", "start", by="gate"), within_s=60)
-
-    def hear(query: zenoh.Query) -> None:
-        assert query.payload is not None
-        order = LoadOrder.decode(query.payload.to_bytes())
-        heard.append((time.monotonic(), order))
-        with query:
-            query.reply(topics.ORDER_LOAD.key("line"), LoadAnswer(order.request, True).encode())
 
     with ThreadPoolExecutor(1) as pool:
         begun = pool.submit(give)
@@ -42,12 +32,8 @@ def test_the_time_until_the_router_is_there_is_part_of_the_orders_age(free_port:
         before_s = time.monotonic()
         router = start_router(link.router)
         came_s = time.monotonic() - before_s
-        with Node("aggregator", "aggregator", config=LineConfig(link=link), run="r1") as node:
-            queryable = node.session.declare_queryable(
-                topics.ORDER_LOAD.key("line"), zenoh.handlers.Callback(hear, indirect=True)
-            )
+        with orders_heard(link) as heard:
             began_s, answer = begun.result(timeout=90)
-            queryable.undeclare()
     router.terminate()
     router.wait(30)
     assert answer.done
