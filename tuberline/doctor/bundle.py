@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import platform
 import shutil
 import subprocess
@@ -21,6 +20,7 @@ from conveyor import __version__
 from conveyor.access import access_control
 from conveyor.config import LineConfig, dump_toml
 from conveyor.errors import InputError
+from conveyor.processors import usable
 
 LOG_TAIL_BYTES = 2_000_000
 JOURNAL_LINES = 5000
@@ -80,7 +80,7 @@ def _versions() -> dict[str, Any]:
         "tuberline": __version__,
         "python": sys.version,
         "platform": platform.platform(),
-        "cores": len(os.sched_getaffinity(0)),
+        "cores": usable(),
         "packages": {d.metadata["Name"]: d.version for d in sorted(distributions(), key=lambda d: str(d.name).lower())},
     }
 

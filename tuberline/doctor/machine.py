@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 from conveyor.config import LineConfig
+from conveyor.processors import usable
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
 LITTLE_DISK_GB, NO_DISK_GB = 5.0, 0.5
@@ -56,7 +57,7 @@ def _sync_ms(folder: Path) -> float:
 
 def check_processors(config: LineConfig, *, cores: int | None = None) -> list[Finding]:
     """Enough cores for the processes this line starts on one machine."""
-    have = cores if cores is not None else len(os.sched_getaffinity(0))
+    have = cores if cores is not None else usable()
     segmenters, workers = len(config.cameras), config.regressor.processes * config.regressor.threads
     looks, weighs = "segmenter" + "s" * (segmenters != 1), "regressor thread" + "s" * (workers != 1)
     text = f"{have} cores for {segmenters} {looks} and {workers} {weighs}"
