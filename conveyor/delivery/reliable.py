@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import zenoh
 from zenoh import ext
 
-from conveyor.delivery.beginning import Beginnings
+from conveyor.delivery.gaps import Gaps
 from conveyor.delivery.inbox import Inbox
 from conveyor.delivery.priorities import zenoh_priority
 from conveyor.errors import MessageError
@@ -73,15 +73,16 @@ class ReliableSubscriber(Inbox[M]):
             log=node.log,
             on_refused=on_refused,
         )
-        beginnings = Beginnings(node.session, self.push, cache=CACHE_MESSAGES, lost=self._count_missed, log=node.log)
+        gaps = Gaps(node.session, self.push, cache=CACHE_MESSAGES, lost=self._count_missed, log=node.log)
         self._subscriber = ext.declare_advanced_subscriber(
             node.session,
             topic.key(node.line, **parts),
-            zenoh.handlers.Callback(beginnings.push if history else self.push, indirect=False),
+            zenoh.handlers.Callback(gaps.push if history else self.push, indirect=False),
             history=ext.HistoryConfig(detect_late_publishers=True) if history else None,
             recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
         )
-        self._misses: Any = self._subscriber.sample_miss_listener(lambda miss: self._count_missed(int(miss.nb)))
+        if not history:  # else what Zenoh gave up is asked for again
+            self._misses: Any = self._subscriber.sample_miss_listener(lambda miss: self._count_missed(int(miss.nb)))
 
     def _count_missed(self, count: int) -> None:
         """The sender's cache no longer holds what was missed, or does not answer: an error with a count."""
