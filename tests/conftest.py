@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, settings
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.node import Node
 from tests.belts import live_recording, loaded_recording, recording, run_dir
+from tests.hang_watch import HangWatch
 
 __all__ = ["live_recording", "loaded_recording", "recording", "run_dir"]
 
@@ -29,6 +30,11 @@ ROOT = Path(__file__).resolve().parents[1]
 
 LONGEST_FIRST = ("chaos", "tuberline", "integration", "viewer", "deploy", "camera_sim")
 """Folders whose tests start processes. They go first: a file that takes a minute must not begin when all else ends."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A test that hangs beyond its timeout ends its process, and is named."""
+    config.pluginmanager.register(HangWatch())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
