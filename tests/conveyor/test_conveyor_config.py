@@ -145,7 +145,10 @@ def test_the_command_exits_2_with_one_clear_text(tmp_path: Path) -> None:
 
 def test_a_recording_that_is_not_here_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It may be on another computer of the line; `run` was the first to say so."""
-    check(write(tmp_path, '[cameras.front]\npath = "gone.mcap"\n[cameras.rear]\npath = "."'))
+    check(write(tmp_path, '[cameras.front]\npath = "gone.mcap"\n[cameras.rear]\npath = "."\n[cameras.side]'))
     told = capsys.readouterr()
-    assert "is fine: line 'line', cameras front, rear" in told.out
-    assert told.err == f"warning: cameras.front.path: {tmp_path / 'gone.mcap'} is not on this computer\n"
+    assert "is fine: line 'line', cameras front, rear, side" in told.out
+    assert told.err == (
+        f"warning: cameras.front.path: {tmp_path / 'gone.mcap'} is not on this computer\n"
+        "warning: cameras.side has no path: a camera that replays a recording cannot start\n"
+    )

@@ -18,7 +18,7 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
-    Recordings, tickets and contracts that cannot be read here are warned of.
+    Recordings, tickets and contracts that cannot be read here are warned of, and cameras without a recording.
 
     Parameters
     ----------
@@ -31,6 +31,8 @@ def check(config: Path) -> None:
     for name, camera in sorted(line.cameras.items()):
         if camera.path is not None and not camera.path.exists():
             sys.stderr.write(f"warning: cameras.{name}.path: {camera.path} is not on this computer\n")
+        if camera.path is None and camera.source == "recording":
+            sys.stderr.write(f"warning: cameras.{name} has no path: a camera that replays a recording cannot start\n")
     for fault in unreadable_files(line):
         sys.stderr.write(f"warning: {fault}\n")
 
