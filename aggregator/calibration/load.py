@@ -11,6 +11,7 @@ from aggregator.calibration.align import Alignment, align
 from aggregator.calibration.part import Part
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
+from aggregator.core.loads import SAME_OFFSET_MM
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.reader import coverage_of, ledger_file, read_sums, read_tubers, reading, the_run
 from aggregator.ledger.stated import belt_of_run, stated_beside
@@ -25,7 +26,6 @@ MISCOUNTED = 0.002
 """Share of tubers that counting may miss or count twice where no one counted by hand."""
 
 MOST_MISCOUNTED = 0.1
-SAME_OFFSET_MM = 0.05
 LEAST_SD = 0.01
 """Of a tuber's weight: a ledger's interval is never narrower."""
 

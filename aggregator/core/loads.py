@@ -18,6 +18,8 @@ from conveyor.messages.loads import FIELDS
 
 NO_LOAD = 0
 """Number of what passes while no load is open."""
+SAME_OFFSET_MM = 0.05
+"""Stated resting offsets that lie nearer to one another are one and the same."""
 
 
 class Said(StrEnum):

@@ -5,11 +5,9 @@ from __future__ import annotations
 from aggregator.core.height_change import MOST_LOADS
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_sums import LoadSums
-from aggregator.core.loads import Load
+from aggregator.core.loads import SAME_OFFSET_MM, Load
 from aggregator.ledger.load_totals import Sums
 from conveyor.cultivar import cultivar_key
-
-SAME_OFFSET_MM = 0.05
 
 
 def heights_before(ledger: Sums, load: Load, *, cultivar: str = "") -> list[HeightSums]:
