@@ -19,6 +19,7 @@ from conveyor.config import LineConfig, LinkConfig
 from conveyor.node import Node
 from tests.belts import live_recording, loaded_recording, recording, run_dir
 from tests.hang_watch import HangWatch
+from tests.routers import Routers
 
 __all__ = ["live_recording", "loaded_recording", "recording", "run_dir"]
 
@@ -72,14 +73,20 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@pytest.fixture(scope="session")
+def routers() -> Iterator[Routers]:
+    """The process that holds the routers of tests that do not harm theirs."""
+    routers = Routers()
+    yield routers
+    routers.stop()
+
+
 @pytest.fixture
-def link(free_port: int) -> Iterator[LinkConfig]:
-    """The link to a real router process of this test's own."""
+def link(free_port: int, routers: Routers) -> Iterator[LinkConfig]:
+    """The link to a real router of this test's own."""
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    process = start_router(endpoint)
-    yield LinkConfig(router=endpoint)
-    process.terminate()
-    process.wait(30)
+    with routers.at(endpoint):
+        yield LinkConfig(router=endpoint)
 
 
 def start_router(endpoint: str) -> subprocess.Popen[bytes]:
