@@ -236,7 +236,7 @@ class AggregatorNode:
         """Make durable what has become certain, then say so."""
         now_s = time.monotonic()
         self._watch_presence(now_s)
-        batch = self._core.commit(now_s=now_s)
+        batch = self._core.commit(now_s=now_s, hold_at_x_m=self._orders.hold_at_x_m(now_s))
         if batch.empty:
             return
         self._ledger.write(self._run, batch)

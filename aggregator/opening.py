@@ -68,7 +68,7 @@ def core_of(
     count: Callable[[str], None] = lambda name: None,
 ) -> Aggregation:
     """The state machine that goes on with the run as `restored`; `count` as in `Aggregation`."""
-    return Aggregation(
+    core = Aggregation(
         run,
         cameras=cameras,
         merge_gate_mm=config.aggregator.merge_gate_mm,
@@ -79,3 +79,8 @@ def core_of(
         reach_mm=None if any(camera.held_back for camera in config.cameras.values()) else LIVE_REACH_MM,
         count=count,
     )
+    for name, state in core.cameras.states.items():
+        pace = config.cameras[name].pace if name in config.cameras else None
+        if pace is not None:
+            state.pace, state.keeps_pace = pace, True
+    return core

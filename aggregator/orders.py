@@ -6,6 +6,7 @@ place on the belt is not known yet waits for it; the asker asks again under the 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -55,6 +56,29 @@ class Orders:
     def waiting(self) -> bool:
         """Some order is to be carried out."""
         return bool(self._waiting)
+
+    def hold_at_x_m(self, now_s: float) -> float:
+        """No tuber further along the belt may be committed: a load is to change there. Minus infinity where none is;
+        infinity where it is not known yet: all that a line did while its aggregator was away comes at once, and an
+        order given meanwhile needs a second until it can be laid.
+        """
+        with self._lock:
+            waiting = list(self._waiting)
+        places_m = [-math.inf]
+        for came_s, order, _query in waiting:
+            if order.action not in ("start", "end") or order.request in self._ledger.loads.events:
+                continue
+            if order.place_x_m is not None:
+                places_m.append(order.place_x_m)
+                continue
+            try:
+                age_s = order.age_s + now_s - came_s
+                places_m.append(place_now_x_m(self._core.cameras, now_s=now_s, age_s=age_s))
+            except NotYetKnownError:
+                places_m.append(math.inf)
+            except InputError:  # it is refused
+                continue
+        return max(places_m)
 
     def _arrived(self, query: zenoh.Query) -> None:
         """On a thread of Zenoh's: read the order and let the main loop have it."""

@@ -81,6 +81,13 @@ class CameraConfig(Section):
         """It waits for the segmenter, as only a recording can; what is not held back is live."""
         return self.waits and self.source == "recording"
 
+    @property
+    def pace(self) -> float | None:
+        """Seconds of its clock in one of ours; None where the line holds it back or takes it as fast as it can."""
+        if self.source != "recording":
+            return 1.0
+        return None if self.waits or self.speed == 0 else self.speed
+
     @field_validator("path")
     @classmethod
     def _at_home(cls, path: Path | None) -> Path | None:

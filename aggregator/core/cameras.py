@@ -33,6 +33,8 @@ NEWS_NS = 500_000_000
 TURNED_NS = 20_000_000
 """Belts are laid side by side by another difference once the clocks moved so far against each other. 6 mm of belt."""
 
+AT_ONCE_S = 1.0
+"""Marks that come so soon after the first one may have waited for this process."""
 PLACE_SLACK_M = 0.01
 ESTIMATED_SLACK_M = 0.02
 """Places are known to a few millimetres, less well where travel is estimated: this far from the watermark nothing is
@@ -61,6 +63,8 @@ class CameraState:
     """When this process first heard a mark of it."""
     pace: float = 1.0
     """Seconds of the camera's clock in one of ours: a recording may be played at another speed."""
+    keeps_pace: bool = False
+    """Whether that is known. Else marks tell it, those apart that come at once after an aggregator was away."""
     _paced_from: tuple[float, int] | None = None
 
     def mark_came(self, captured_ns: int, now_s: float) -> None:
@@ -68,7 +72,9 @@ class CameraState:
         self.marked_s = (now_s, captured_ns)
         if self.first_marked_s is None:
             self.first_marked_s = now_s
-        if self._paced_from is None:
+        if self.keeps_pace:
+            return
+        if self._paced_from is None or now_s - self.first_marked_s < AT_ONCE_S:
             self._paced_from = self.marked_s
         since_s = now_s - self._paced_from[0]
         if since_s >= 2.0:

@@ -249,13 +249,15 @@ class Aggregation:
             self._known.add(track.track_id)
             self._unplaced.append(pending)
 
-    def commit(self, *, now_s: float) -> Batch:
-        """What has become certain: the entries applied since the last call and the tubers that are complete now."""
+    def commit(self, *, now_s: float, hold_at_x_m: float = -math.inf) -> Batch:
+        """What has become certain: the entries applied since the last call and the tubers that are complete now, but
+        none further along than `hold_at_x_m`.
+        """
         crowded = self.pending > MAX_PENDING
         if crowded:
             self._count("pending_limit_reached")
-        watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded)
-        self._watermark_x_m = min(self._watermark_x_m, watermark_x_m + self.cameras.place_slack_m)
+        watermark_x_m = self.cameras.watermark_x_m(now_s, wait=not crowded) + self.cameras.place_slack_m
+        self._watermark_x_m = min(self._watermark_x_m, max(watermark_x_m, hold_at_x_m))
         self._place()
         tubers, bodies = self._complete_tubers()
         batch = Batch(

@@ -66,6 +66,16 @@ def test_after_a_restart_the_first_marks_are_not_taken_for_news() -> None:
     assert place_now_x_m(cameras, now_s=8.0, age_s=2.5) == pytest.approx(-SPEED_MPS * 5.5, abs=1e-6)
 
 
+@pytest.mark.parametrize("age_s", [0.0, 2.5])
+def test_marks_that_waited_for_the_new_process_say_nothing_of_the_pace(age_s: float) -> None:
+    """4 s of them came at once: the camera seemed to run 2.5 times as fast, and an order of 2.5 s ago lay 1.3 m off."""
+    cameras = Cameras(("a",), stall_s=STALL_S, now_s=7.0)
+    told(cameras, "a", *(mark(at / 4) for at in range(17)), now_s=7.0)
+    for at in range(17, 28):
+        told(cameras, "a", mark(at / 4), now_s=3.0 + at / 4)
+    assert place_now_x_m(cameras, now_s=10.0, age_s=age_s) == pytest.approx(-SPEED_MPS * (7.0 - age_s), abs=1e-6)
+
+
 def test_a_belt_that_stands_while_its_segmenter_is_gone_is_known_by_the_encoder() -> None:
     """The camera goes on publishing what the encoder says: the belt stopped at 2.2 m, the marks end at 2 m."""
     cameras = a_line(until_s=5.0)
