@@ -69,7 +69,8 @@ class Orders:
             if order.action not in ("start", "end") or order.request in self._ledger.loads.events:
                 continue
             if order.place_x_m is not None:
-                places_m.append(order.place_x_m)
+                if order.place_x_m <= self._core.watermark_x_m:  # else it is refused
+                    places_m.append(order.place_x_m)
                 continue
             try:
                 age_s = order.age_s + now_s - came_s
