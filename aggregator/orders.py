@@ -68,13 +68,10 @@ class Orders:
         for came_s, order, _query in waiting:
             if order.action not in ("start", "end") or order.request in self._ledger.loads.events:
                 continue
-            if order.place_x_m is not None:
-                if order.place_x_m <= self._core.watermark_x_m:  # else it is refused
-                    places_m.append(order.place_x_m)
+            if order.place_x_m is None and self._core.cameras.final:  # all of the belt comes before it
                 continue
             try:
-                age_s = order.age_s + now_s - came_s
-                places_m.append(place_now_x_m(self._core.cameras, now_s=now_s, age_s=age_s))
+                places_m.append(self._place_x_m(order, came_s, now_s))
             except NotYetKnownError:
                 places_m.append(math.inf)
             except InputError:  # it is refused
@@ -126,9 +123,7 @@ class Orders:
             run=self._core.run,
             now_ns=time.time_ns(),
             line={"utc_offset_s": time.localtime().tm_gmtoff, "stated_offset_mm": self._stated_offset_mm},
-            place_x_m=lambda asked: order_place_x_m(
-                replace(asked, age_s=asked.age_s + now_s - came_s), self._ledger, self._core, now_s
-            ),
+            place_x_m=lambda asked: self._place_x_m(asked, came_s, now_s),
             ago_s=lambda event: now_s - self._said_s[event.n] if event.n in self._said_s else None,
         )
         if not known:
@@ -138,6 +133,11 @@ class Orders:
             self._node.counters.add("load_orders_done")
             self._told(event)
         return answer(order, event, self._ledger.loads, unused=self._unused(event, now_s))
+
+    def _place_x_m(self, order: LoadOrder, came_s: float, now_s: float) -> float:
+        """As `order_place_x_m`, of an order that came at `came_s`."""
+        aged = replace(order, age_s=order.age_s + now_s - came_s)
+        return order_place_x_m(aged, self._ledger, self._core, now_s)
 
     def _told(self, event: LoadEvent) -> None:
         place = "" if event.place_x_m is None else f" at {event.place_x_m:.3f} m"
