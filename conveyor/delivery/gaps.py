@@ -75,15 +75,15 @@ class Gaps:
             if sender in self._waiting:
                 self._waiting[sender][number] = sample
                 return
-            missing = self._next.get(sender, 0)
-            if number <= missing:
-                if number == missing:  # else it came with an answer
+            expected = self._next.get(sender, 0)
+            if number <= expected:
+                if number == expected:  # else it came with an answer
                     self._next[sender] = number + 1
                     self._deliver(sample)
                 return
             self._waiting[sender] = {number: sample}
         cache = f"{sample.key_expr}/@adv/*/{sender[0]}/{sender[1]}/**"
-        self._ask_in(0.0, sender, cache, range(missing, number), time.monotonic() + self._patience_s)
+        self._ask_in(0.0, sender, cache, range(expected, number), time.monotonic() + self._patience_s)
 
     def _ask_in(self, wait_s: float, sender: Sender, cache: str, gap: range, deadline: float) -> None:
         """Ask on a thread of its own, after a while."""
@@ -130,17 +130,16 @@ class Gaps:
     def _go_on(self, sender: Sender, cache: str, gap: range, answer: dict[int, zenoh.Sample]) -> None:
         """Deliver what came of the `gap` and what waited for that, in order, up to the next gap."""
         with self._lock:
-            waiting = self._waiting.pop(sender, {})
-            found = answer | waiting
-            for number in sorted(number for number in found if number in gap):
-                self._deliver(found[number])
-            missing = max(self._next.get(sender, 0), gap.stop)
-            while missing in waiting:
-                self._deliver(waiting.pop(missing))
-                missing += 1
-            self._next[sender] = missing
-            waiting = {number: sample for number, sample in waiting.items() if number > missing}
+            found = answer | self._waiting.pop(sender, {})
+            expected, waiting = self._next.get(sender, 0), {}
+            for number, sample in sorted(found.items()):
+                if expected <= number <= max(expected, gap.stop):
+                    self._deliver(sample)
+                    expected = number + 1
+                elif number > expected:
+                    waiting[number] = sample
+            self._next[sender] = expected
             if waiting:
                 self._waiting[sender] = waiting
-                again = range(missing, min(waiting))
+                again = range(expected, min(waiting))
                 self._ask_in(0.0, sender, cache, again, time.monotonic() + self._patience_s)
