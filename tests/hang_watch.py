@@ -50,7 +50,7 @@ class HangWatch:
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
-        """Around one test, its fixtures included."""
+        """Around one test, its fixtures included; pytest-timeout itself stops counting where a test has failed."""
         limit_s = timeout_s(item)
         self._tell(f"{limit_s + self._grace_s if limit_s else 0:g} {item.nodeid}")
         try:

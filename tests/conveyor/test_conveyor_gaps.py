@@ -1,7 +1,8 @@
-"""What was sent before the first message that arrived is asked for, put in its place, and counted where nobody answers.
+"""What was sent and did not arrive, the first messages included, is asked for, put in its place, and counted where its
+sender does not give it.
 
-The subscriber here is a plain one: of a sender that spoke before it, it always hears a later message first, as an
-advanced subscriber does in an unlucky moment.
+The subscriber here is a plain one but where the link is cut: of a sender that spoke before it, it always hears a later
+message first, as an advanced subscriber does in an unlucky moment.
 """
 
 from __future__ import annotations
@@ -239,7 +240,7 @@ def test_a_gap_that_the_cache_no_longer_holds_is_a_loss_with_a_count(nodes: tupl
     assert sum(heard.lost) == 4
 
 
-def test_a_link_that_is_cut_while_the_first_messages_are_asked_for_blocks_nobody(free_port: int) -> None:
+def test_a_link_that_is_cut_while_the_first_messages_are_asked_for_blocks_nothing(free_port: int) -> None:
     """Zenoh then hands over what waited while it takes the link down: a question asked within that callback stopped
     the node's session for ever, and with it each call of Zenoh and the goodbye.
     """
