@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 import tempfile
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.regressor_backends import Clouds, backends, product_seconds
+from conveyor.threads import use_threads
 
 BATCHES = (1, 8, 32)
 ROUNDS = {1: 15, 8: 5, 32: 3}
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--rounds", type=int, help="rounds per batch size (15, 5 and 3)")
     parser.add_argument("--out", type=Path, help="folder for speed.json and speed.md")
     given = parser.parse_args(arguments)
-    _one_thread()
+    use_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         clouds = Clouds.load(given.data, weights=given.weights, scratch=Path(scratch))
         runners = backends(clouds, weights=given.weights, scratch=Path(scratch))
@@ -43,13 +43,6 @@ def main(arguments: Sequence[str]) -> None:
         given.out.mkdir(parents=True, exist_ok=True)
         (given.out / "speed.json").write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
         (given.out / "speed.md").write_text(text, encoding="utf-8")
-
-
-def _one_thread() -> None:
-    import torch
-
-    os.environ["OMP_NUM_THREADS"] = "1"
-    torch.set_num_threads(1)
 
 
 Runner = Callable[[slice], np.ndarray]
@@ -64,7 +57,7 @@ def measure(
         name: np.concatenate([run(slice(at, at + 8)) for at in every]) if "reference" not in name else run(slice(0, 8))
         for name, run in runners.items()
     }
-    exact = answers["torch, exact"]
+    exact = answers["exact"]
     table: dict[str, dict[str, float]] = {name: {} for name in runners}
     for name, grams in answers.items():
         difference = np.abs(grams - exact[: len(grams)])

@@ -18,19 +18,20 @@ from numpy.typing import NDArray
 
 from conveyor.errors import TuberlineError
 from conveyor.extras import install_hint
-from regressor.network.checkpoint import load_checkpoint
+from regressor.network.architecture import NEIGHBOURS
+from regressor.network.checkpoint import model_of
 from regressor.network.export import OPSET, ExportedPointRaft
 from regressor.network.fast import (
     FastPointRaft,
     Form,
-    fused_layer,
     groups_tensor,
     multiplies_bfloat16,
-    packed_weight,
 )
 from regressor.network.grouping import CENTROIDS_2, SharedGroups, group_prefix
-from regressor.network.pointraft import NEIGHBOURS, PointRaft
+from regressor.network.pointraft import PointRaft
+from regressor.network.rounded import fused_layer, packed_weight
 from regressor.network.sampling import farthest_points
+from regressor.network.stored import load_weights
 from regressor.training.labelled import read_labelled
 
 VIEWS = 64
@@ -69,7 +70,7 @@ class Clouds:
             options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
             command = [sys.executable, "-m", "tuberline", "simulate-views", "--out", str(folder), *options]
             subprocess.run(command, check=True, capture_output=True)
-        highest_m = load_checkpoint(weights)[1].input.max_height_m
+        highest_m = load_weights(weights)[1].input.max_height_m
         kept = []
         for view in read_labelled(folder):
             cloud = view.prepare()
@@ -84,18 +85,19 @@ class Clouds:
 
 def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str, Runner]:
     """Every back end by name, warm."""
-    model, _ = load_checkpoint(weights)
+    state, _ = load_weights(weights)
+    model = model_of(state)
     graph = _network_alone(scratch / "network.onnx", model)
-    forms = {"torch, exact": Form(), "torch, float32, 16 centroids": Form(centroids=16)}
+    forms = {"exact": Form(), "float32, 16 centroids": Form(centroids=16)}
     if multiplies_bfloat16():
-        forms |= {"torch, bfloat16": Form("bfloat16"), "torch, bfloat16, 16 centroids": Form("bfloat16", 16)}
+        forms |= {"bfloat16": Form("bfloat16"), "bfloat16, 16 centroids": Form("bfloat16", 16)}
     else:
         sys.stderr.write("bfloat16 is left out, for this processor does not multiply it\n")
     runners = {
-        "the reference's operators": _reference(load_checkpoint(weights)[0], clouds, inside=cluster_farthest_points),
+        "the reference's operators": _reference(model_of(state), clouds, inside=cluster_farthest_points),
         "the readable form": _reference(model, clouds),
     }
-    runners |= {name: _fast(FastPointRaft(model, form), clouds) for name, form in forms.items()}
+    runners |= {name: _fast(FastPointRaft(state, form), clouds) for name, form in forms.items()}
     runners["ONNX Runtime, float32"] = _onnxruntime(graph, clouds)
     runners["ONNX Runtime, int8"] = _onnxruntime(_quantised(graph, clouds), clouds)
     if find_spec("openvino"):
@@ -213,10 +215,15 @@ def _quantised(graph: Path, clouds: Clouds) -> Path:
 
 
 def product_seconds() -> float:
-    """Process time of all of one cloud's float32 products alone, by the same routine and with packed weights; the exact
-    form leaves out a part of the last stage's.
+    """Process time of all of one cloud's float32 products alone, by oneDNN with packed weights; the exact form leaves
+    out a part of the last stage's.
+
+    Raises:
+        TuberlineError: this build of torch has no oneDNN.
     """
     layer = fused_layer()
+    if layer is None:
+        raise TuberlineError("this build of torch has no oneDNN, whose products are the limit that is told")
     total = 0.0
     for rows, inner, outer, times in PRODUCTS:
         x, weight = torch.ones(rows, inner), packed_weight(torch.ones(outer, inner), rows)

@@ -124,9 +124,9 @@ def _refuse_early(weights: Path | None, contract: Path | None) -> None:
     if contract is not None:
         read_contract(contract)
     if weights is not None:
-        from regressor.network.checkpoint import load_checkpoint
+        from regressor.network.stored import load_weights
 
-        load_checkpoint(weights)
+        load_weights(weights)
 
 
 def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The packages of an image, out of pyproject.toml: `requirements.py [--without NAME] [--only] EXTRA...`, one a line.
 
-An image for cameras, segmenters and the ledger has everything but torch, which only regressors need. `--only` leaves
+An image for the nodes of a line has everything but torch, which training, a GPU and bfloat16 need. `--only` leaves
 out what the package itself needs, for a layer on top. Plain Python: it runs before anything is installed.
 """
 

@@ -14,6 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from regressor.network.architecture import NEIGHBOURS
+from regressor.network.checkpoint import model_of
 from regressor.network.device import usable_device
 from regressor.network.export import ExportedPointRaft
 from regressor.network.fast import FastPointRaft, groups_tensor
@@ -26,7 +28,7 @@ from regressor.network.grouping import (
     radius_is_free_of,
     stage_counts,
 )
-from regressor.network.pointraft import NEIGHBOURS, PointRaft
+from regressor.network.stored import State
 
 PADDED_TO = 1024
 """Clouds of a batch are padded to a multiple of this many points: few shapes, so that a graph is captured seldom."""
@@ -35,17 +37,15 @@ PADDED_TO = 1024
 class BatchedPointRaft:
     """Grams of many clouds at once. Not thread-safe: one instance per worker."""
 
-    def __init__(self, model: PointRaft, *, device: str = "cuda") -> None:
-        """`device` as torch names it.
+    def __init__(self, state: State, *, device: str = "cuda") -> None:
+        """`state`: parameters as `load_weights` gives them; `device` as torch names it.
 
         Raises:
             InputError: this machine or this build of torch does not have it.
         """
         self._device = usable_device(device)
-        self._alone = FastPointRaft(model)
-        fresh = PointRaft(height_embedding=model.height_embed is not None)
-        fresh.load_state_dict(model.state_dict())
-        self._network = ExportedPointRaft(fresh).to(self._device)
+        self._alone = FastPointRaft(state)
+        self._network = ExportedPointRaft(model_of(state)).to(self._device)
 
     def weigh(self, groups: Sequence[SharedGroups | GatheredGroups], heights_m: Sequence[float]) -> NDArray[np.float64]:
         """(n,) grams of n clouds; heights above the belt, clamped, metres."""

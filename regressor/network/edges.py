@@ -1,8 +1,8 @@
 """The edges of a set abstraction as plain loops: the differences before its products and the maximum after them; and of
 the last stage, which has no edges, the units that are awake.
 
-torch would pass over the block three times (subtract, ReLU, maximum) where once is enough. LLVM vectorises the inner
-loops; a product in between is still torch's. The bfloat16 variants hold bit patterns in uint16, as NumPy has no such
+NumPy would pass over the block several times (subtract, ReLU, maximum) where once is enough. LLVM vectorises the inner
+loops; the products in between are a library's. The bfloat16 variants hold bit patterns in uint16, as NumPy has no such
 type: subtraction is in float32 and rounds once, to the nearest, as the processor would.
 """
 
@@ -42,6 +42,16 @@ def edge_differences_bfloat16(
             for w in range(width):
                 odd = (bits[w] >> np.uint32(16)) & np.uint32(1)
                 out[c * neighbours + k, w] = np.uint16((bits[w] + np.uint32(0x7FFF) + odd) >> np.uint32(16))
+
+
+@njit(cache=True, nogil=True)
+def add_bias(values: NDArray[np.float32], bias: NDArray[np.float32]) -> None:
+    """ReLU of (R, O) values plus their (O,) bias, in place."""
+    rows, width = values.shape
+    for row in range(rows):
+        for o in range(width):
+            value = values[row, o] + bias[o]
+            values[row, o] = value if value > np.float32(0) else np.float32(0)
 
 
 @njit(cache=True, nogil=True)

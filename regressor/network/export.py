@@ -20,10 +20,11 @@ from torch import Tensor, nn
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.extras import needed
-from regressor.network.checkpoint import Sidecar
+from regressor.network.architecture import NEIGHBOURS
 from regressor.network.grouping import CENTROIDS_2
-from regressor.network.pointraft import NEIGHBOURS, PointRaft, SharedMlp
+from regressor.network.pointraft import PointRaft, SharedMlp
 from regressor.network.reduced import edge_features, global_feature
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.surface import NAMES
 
 POINTS = 1024

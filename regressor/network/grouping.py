@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.network.pointraft import NEIGHBOURS, RADIUS_1_M, RADIUS_2_M, RATIO_1, RATIO_2
+from regressor.network.architecture import NEIGHBOURS, RADIUS_1_M, RADIUS_2_M, RATIO_1, RATIO_2
 from regressor.network.sampling import farthest_points, first_in_range
 
 CLOUD_POINTS = 1024

@@ -19,11 +19,20 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from regressor.network.architecture import (
+    HEIGHT,
+    NEIGHBOURS,
+    RADIUS_1_M,
+    RADIUS_2_M,
+    RATIO_1,
+    RATIO_2,
+    STAGE_1,
+    STAGE_2,
+    STAGE_3,
+    head_widths,
+)
 from regressor.network.sampling import farthest_points, first_in_range
 
-NEIGHBOURS = 64
-RADIUS_1_M, RADIUS_2_M = 0.2, 0.4
-RATIO_1, RATIO_2 = 0.5, 0.25
 DROPOUT = 0.5
 
 
@@ -133,13 +142,11 @@ class PointRaft(nn.Module):
 
     def __init__(self, *, height_embedding: bool = True, dropout: float = DROPOUT) -> None:
         super().__init__()
-        self.sa1_module = SetAbstraction(RATIO_1, RADIUS_1_M, (3, 64, 64, 128))
-        self.sa2_module = SetAbstraction(RATIO_2, RADIUS_2_M, (128 + 3, 128, 128, 256))
-        self.sa3_module = GlobalAbstraction((256 + 3, 256, 512, 1024))
-        self.height_embed = SharedMlp((1, 32, 32)) if height_embedding else None
-        self.regression_head = SharedMlp(
-            (1024 + (32 if height_embedding else 0), 512, 256, 1), norm=False, dropout=dropout
-        )
+        self.sa1_module = SetAbstraction(RATIO_1, RADIUS_1_M, STAGE_1)
+        self.sa2_module = SetAbstraction(RATIO_2, RADIUS_2_M, STAGE_2)
+        self.sa3_module = GlobalAbstraction(STAGE_3)
+        self.height_embed = SharedMlp(HEIGHT) if height_embedding else None
+        self.regression_head = SharedMlp(head_widths(height_embedding=height_embedding), norm=False, dropout=dropout)
 
     def features(self, clouds: Sequence[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """Features after each stage: (sum n1, 128), (sum n2, 256), (B, 1024)."""

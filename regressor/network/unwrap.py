@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 
@@ -16,8 +17,8 @@ PREFIXES = ("_orig_mod.", "module.", "model.", "net.", "network.")
 """What compiled, distributed and Lightning modules put before the names of the network's tensors."""
 
 
-def state_dict_within(saved: Any, *, where: Path) -> dict[str, Tensor]:
-    """The tensors by their names in the network.
+def state_dict_within(saved: Any, *, where: Path) -> dict[str, NDArray[Any]]:
+    """The tensors, as arrays, by their names in the network.
 
     Raises:
         InputError: no state dict there; names what is.
@@ -55,7 +56,7 @@ def _is_state(value: Any) -> bool:
     return (
         isinstance(value, dict)
         and bool(value)
-        and all(isinstance(name, str) and isinstance(inner, Tensor) for name, inner in value.items())
+        and all(isinstance(name, str) and isinstance(inner, np.ndarray) for name, inner in value.items())
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from conveyor.config import LineConfig
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.network.checkpoint import Sidecar
+from regressor.network.sidecar import Sidecar
 from regressor.serve.messages import CloudAnswer
 from regressor.weigh.prepare import PreparedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher

@@ -12,14 +12,13 @@ import time
 import zlib
 from collections import OrderedDict
 
-import torch
-
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliablePublisher
 from conveyor.messages import View, Weight
 from conveyor.node import Node
+from conveyor.threads import use_threads
 from regressor.network.fast import multiplies_bfloat16
 from regressor.serve.form import form_of, made_up_view
 from regressor.serve.service import WeightsService
@@ -41,7 +40,7 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
     Raises:
         InputError: weights that cannot be used, or a device that is not here.
     """
-    torch.set_num_threads(config.regressor.threads)
+    use_threads(config.regressor.threads)
     weigher = Weigher.load(config.regressor.weights)
     if config.regressor.device != "cpu":
         weigher = weigher.on(config.regressor.device)

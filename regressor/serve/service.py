@@ -21,7 +21,7 @@ from conveyor.errors import InputError, TuberlineError
 from conveyor.messages.base import Message
 from conveyor.node import Node
 from conveyor.topics import ORDER_MODEL, QUERY_MODEL, Topic
-from regressor.network.checkpoint import SHIPPED
+from regressor.network.stored import SHIPPED
 from regressor.serve.check import answers_of, check_weights
 from regressor.serve.link import PIECE_BYTES, fetch, states
 from regressor.serve.messages import CloudAnswer, WeightsReport, WeightsState, digest_of, read_parcel

@@ -10,7 +10,7 @@ from typing import Any
 
 from conveyor.errors import InputError
 from conveyor.text_files import read_json
-from regressor.network.checkpoint import read_checkpoint
+from regressor.network.stored import read_weights
 from regressor.studies.alone import load_scale
 from regressor.studies.evaluate import (
     LINEAR_BOX,
@@ -99,7 +99,7 @@ def _check_finished(names: Sequence[str], settings: TrainSettings, options: RunO
     views = digest_of(load_sets(options, lambda what, done: None)[0]) if finished else ""
     for name in finished:
         weights = options.out / name / WEIGHTS
-        trained = read_checkpoint(weights)[1].training
+        trained = read_weights(weights)[1].training
         changed = differences(trained.get("settings", {}), asdict(_of_variant(settings, name)))
         if trained.get("data", views) != views:
             changed.append("other training views")

@@ -10,10 +10,12 @@ import numpy as np
 import torch
 
 from conveyor.geometry import TYPICAL_BELT_SD_M
-from regressor.network.checkpoint import Sidecar, check_architecture, read_checkpoint
+from regressor.network.checkpoint import tensors_of
 from regressor.network.networks import POINTNET_POINTS
 from regressor.network.pointnet import PointNet
 from regressor.network.sampling import farthest_points
+from regressor.network.sidecar import Sidecar
+from regressor.network.stored import check_architecture, read_weights
 from regressor.weigh.prepare import PreparedCloud
 from regressor.weigh.volume import TYPICAL_RULE
 from regressor.weigh.weigher import Weighed, Weigher, features_of
@@ -78,10 +80,11 @@ def load_scale(path: Path) -> Scale:
     Raises:
         InputError: weights that cannot be used.
     """
-    state, sidecar = read_checkpoint(path)
+    state, sidecar = read_weights(path)
     if sidecar.network != "pointnet":
         return Weigher.load(path)
     model = PointNet()
-    check_architecture(state, model.state_dict(), where=str(path), network="PointNet")
-    model.load_state_dict(state)
+    expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+    check_architecture(state, expected, where=str(path), network="PointNet")
+    model.load_state_dict(tensors_of(state))
     return PointNetScale(model, sidecar)

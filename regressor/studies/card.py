@@ -13,7 +13,8 @@ from typing import Any
 
 from conveyor.errors import InputError
 from conveyor.text_files import read_json
-from regressor.network.checkpoint import SHIPPED, Sidecar, read_checkpoint
+from regressor.network.sidecar import Sidecar
+from regressor.network.stored import SHIPPED, read_weights
 from regressor.studies import report
 from regressor.studies.saved import Saved
 
@@ -36,9 +37,9 @@ def model_card(saved: Saved, *, weights: Path | None = None) -> str:
         InputError: results missing or of other weights, or no notes beside the weights.
     """
     path = weights or SHIPPED
-    tensors, sidecar = read_checkpoint(path)
+    state, sidecar = read_weights(path)
     notes = _notes(path.with_suffix(".notes.md"))
-    parameters = sum(tensor.numel() for tensor in tensors.values())
+    parameters = sum(value.size for value in state.values())
     before, _, after = notes.partition(MEASURED)
     return (
         "\n\n".join(

@@ -9,9 +9,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from regressor.network.checkpoint import Sidecar
+from regressor.network.checkpoint import state_of
 from regressor.network.fast import Form
 from regressor.network.pointraft import PointRaft
+from regressor.network.sidecar import Sidecar
 from regressor.training.cloudset import Asked, CloudSet
 from regressor.training.train import SWIFT, predict_swiftly
 from regressor.training.work import Work, no_work
@@ -27,7 +28,7 @@ def asked_while_read(model: PointRaft, sidecar: Sidecar, *, compute: torch.dtype
     if sidecar.start.kind == "prefix":
         return None
     form = Form("bfloat16" if compute is torch.bfloat16 else "float32", SWIFT.centroids)
-    weigher = Weigher(model, sidecar, form)
+    weigher = Weigher(state_of(model), sidecar, form)
     reads = [sidecar.sha256, sidecar.start.model_dump(), sidecar.input.model_dump(), form.flags]
     return Asked(weigher.network_g, hashlib.sha256(json.dumps(reads).encode()).hexdigest())
 

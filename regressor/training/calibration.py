@@ -17,7 +17,8 @@ from scipy.optimize import nnls
 from conveyor.camera_range import CAMERAS, GOOD
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
-from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.cloudset import CloudSet, load_cloudset

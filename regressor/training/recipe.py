@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from conveyor.errors import InputError
+from regressor.network.architecture import NEIGHBOURS
 from regressor.network.grouping import CLOUD_POINTS, stage_counts
 from regressor.network.networks import POINTNET_POINTS, Kind
-from regressor.network.pointraft import DROPOUT, NEIGHBOURS
+from regressor.network.pointraft import DROPOUT
 from regressor.network.reduced import Resolution
 from regressor.training.augment import Augmentation
 from regressor.training.cloudset import KEEP, Target

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
-from regressor.network.checkpoint import InputSpec, Range, Sidecar, read_checkpoint, save_checkpoint
+from regressor.network.checkpoint import read_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
+from regressor.network.sidecar import InputSpec, Range, Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.begun import digest_of
 from regressor.training.calibration import calibration

@@ -14,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.cloudset import CloudSet, joined, load_cloudset

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from conveyor.errors import InputError, TuberlineError
+from regressor.network.architecture import NEIGHBOURS
 from regressor.network.device import usable_device
 from regressor.network.grouped import grouped_forward
 from regressor.network.grouping import CLOUD_POINTS, GatheredGroups, general_groups, group_sampled
 from regressor.network.networks import POINTNET_POINTS, Network, new_network, run_network
 from regressor.network.pointnet import PointNet
-from regressor.network.pointraft import NEIGHBOURS
 from regressor.network.reduced import FULL, Resolution
 from regressor.training.augment import augmented_batch
 from regressor.training.begun import differences, digest_of

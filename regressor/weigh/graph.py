@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from conveyor.statistics import NORMAL_90
-from regressor.network.checkpoint import Sidecar
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.blend import MOST_CORRECTION, BlendRule
 from regressor.weigh.interval import IntervalRule
 from regressor.weigh.quadratic import UNITS, QuadraticRule

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,18 @@ from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.messages import View, Weight
 from conveyor.messages.sizes import Sizes
 from conveyor.statistics import NORMAL_90
-from regressor.network.batched import BatchedPointRaft
-from regressor.network.checkpoint import Sidecar, load_checkpoint
 from regressor.network.fast import EXACT, FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_random
-from regressor.network.pointraft import PointRaft
+from regressor.network.sidecar import Sidecar
+from regressor.network.stored import State, load_weights
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud, prepare_view
 from regressor.weigh.sizes import load_rules, size_features
 from regressor.weigh.view_features import view_features
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.volume import TYPICAL_RULE
+
+if TYPE_CHECKING:
+    from regressor.network.batched import BatchedPointRaft
 
 VOLUME_MODEL = "volume"
 SURELY_UNLIKE = 0.75
@@ -64,10 +66,9 @@ class Weigher:
     the outline grow; it was cut back), 'bfloat16', 'centroids_16' and 'batched' (not computed in the exact form).
     """
 
-    def __init__(
-        self, model: PointRaft | None, sidecar: Sidecar, form: Form = EXACT, *, device: str | None = None
-    ) -> None:
-        """`device`: weigh many views at once there, as torch names it; None: one by one, on the CPU.
+    def __init__(self, state: State | None, sidecar: Sidecar, form: Form = EXACT, *, device: str | None = None) -> None:
+        """`state`: parameters as `load_weights` gives them; None weighs by volume. `device`: weigh many views at once
+        there, as torch names it; None: one by one, on the CPU.
 
         Raises:
             InputError: this machine does not have that device.
@@ -77,9 +78,13 @@ class Weigher:
         self.trained_on = camera_range(sidecar.worlds)
         self.form = form
         self.device = device
-        self._together = BatchedPointRaft(model, device=device) if model is not None and device is not None else None
-        self._model = model
-        self._network = FastPointRaft(model, form) if model is not None else None
+        self._together: BatchedPointRaft | None = None
+        if state is not None and device is not None:
+            from regressor.network.batched import BatchedPointRaft
+
+            self._together = BatchedPointRaft(state, device=device)
+        self.state = state
+        self._network = FastPointRaft(state, form) if state is not None else None
         self._interval = sidecar.interval_rule
         self._volume = sidecar.fitted_volume_rule or TYPICAL_RULE
         self._blend = sidecar.blend_rule
@@ -92,15 +97,15 @@ class Weigher:
         Raises:
             InputError: weights that cannot be used.
         """
-        return cls(*load_checkpoint(path, any_target=any_target), form)
+        return cls(*load_weights(path, any_target=any_target), form)
 
     def in_form(self, form: Form) -> Weigher:
         """The same weights, computed in `form`."""
-        return self if form == self.form else Weigher(self._model, self.sidecar, form, device=self.device)
+        return self if form == self.form else Weigher(self.state, self.sidecar, form, device=self.device)
 
     def on(self, device: str | None) -> Weigher:
         """The same weights, computed on `device`."""
-        return self if device == self.device else Weigher(self._model, self.sidecar, self.form, device=device)
+        return self if device == self.device else Weigher(self.state, self.sidecar, self.form, device=device)
 
     def weigh(
         self, cloud: PreparedCloud, *, belt_sd_m: float = TYPICAL_BELT_SD_M, resting_sd_m: float = 0.0

@@ -1,4 +1,4 @@
-"""A host without torch: cameras, segmenters and the ledger run there, and what needs torch says so in a sentence."""
+"""A host without torch: a whole line runs there and weighs; what needs torch says so in a sentence."""
 
 from __future__ import annotations
 
@@ -10,13 +10,25 @@ import sysconfig
 import venv
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.conftest import ROOT
 
 DOCKER = ROOT / "deploy" / "docker"
-NEED_NO_TORCH = ("camera_sim.node", "camera_sim.recorder", "segmenter.node", "aggregator.node", "viewer.page.server")
-CONFIG = 'name = "field"\n[cameras.left]\npath = "recording"\n[aggregator]\nout = "ledger"\n'
+NEED_NO_TORCH = (
+    *("camera_sim.node", "camera_sim.recorder", "segmenter.node", "regressor.serve.node", "aggregator.node"),
+    "viewer.page.server",
+)
+CONFIG = """name = "field"
+[cameras.left]
+path = "recording"
+[regressor]
+precision = "bfloat16"
+[aggregator]
+out = "ledger"
+"""
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +43,14 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home / "bin" / "python"
 
 
+def half_ellipsoid() -> NDArray[np.float64]:
+    """(1500, 3) metres: a tuber's upper side, on a belt 0.46 m below the camera."""
+    direction = np.random.default_rng(7).normal(size=(1500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 2] = -np.abs(direction[:, 2])
+    return direction * (0.045, 0.03, 0.025) + (0.0, 0.0, 0.46 - 0.025)
+
+
 def run(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     return subprocess.run(
@@ -38,24 +58,35 @@ def run(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str
     )
 
 
-def test_camera_segmenter_and_ledger_need_no_torch(python: Path, tmp_path: Path) -> None:
+def test_no_node_of_a_line_needs_torch(python: Path, tmp_path: Path) -> None:
     code = f"import importlib.util, {', '.join(NEED_NO_TORCH)}; assert importlib.util.find_spec('torch') is None"
     done = run(python, "-c", code, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_it_weighs_what_a_host_with_torch_weighs(python: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "cloud.npy", half_ellipsoid())
+    words = ("-m", "tuberline", "weigh", "cloud.npy", "--belt-distance-m", "0.46", "--json")
+    without, beside = (run(which, *words, cwd=tmp_path) for which in (python, Path(sys.executable)))
+    assert (without.returncode, without.stderr) == (0, "")
+    assert without.stdout == beside.stdout
 
 
 @pytest.mark.parametrize(
     "words",
     [
         ("regressor", "--config", "line.toml", "--run", "r", "--name", "r1"),
-        ("weigh", "cloud.ply", "--belt-distance-m", "0.46"),
+        ("weigh", "cloud.npy", "--belt-distance-m", "0.46", "--weights", "upstream.pth"),
+        ("train", "--data", "pack", "--val", "other", "--out", "run"),
     ],
 )
 def test_what_needs_torch_says_so_in_a_sentence_for_good(python: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
     (tmp_path / "line.toml").write_text(CONFIG)
+    (tmp_path / "upstream.pth").write_bytes(b"of torch")
+    np.save(tmp_path / "cloud.npy", half_ellipsoid())
     done = run(python, "-m", "tuberline", *words, cwd=tmp_path)
     (sentence,) = done.stderr.splitlines()
-    assert f"`{words[0]}` needs torch, which is not installed here" in sentence
+    assert f"`{words[0]}` needs torch for this, which is not installed here" in sentence
     assert done.returncode == 2, "permanent: neither supervisor nor systemd tries again"
 
 

@@ -13,7 +13,8 @@ import pytest
 from conveyor.errors import InputError
 from conveyor.observer import Observer
 from conveyor.session import open_client
-from regressor.network.checkpoint import SHIPPED, read_checkpoint
+from regressor.network.checkpoint import read_checkpoint
+from regressor.network.stored import SHIPPED
 from regressor.serve.client import all_states, use
 from regressor.serve.messages import WeightsState, read_parcel
 from tests.belts import simulate, tuberline

@@ -138,7 +138,8 @@ def checkpoint(folder: Path) -> tuple[list[bytes], Read]:
     import torch
     from safetensors.torch import save
 
-    from regressor.network.checkpoint import SHIPPED, load_checkpoint
+    from regressor.network.checkpoint import load_checkpoint
+    from regressor.network.stored import SHIPPED
 
     tensors = {"fc.weight": torch.arange(6.0).reshape(2, 3), "fc.bias": torch.zeros(2)}
     pth = io.BytesIO()

@@ -22,7 +22,8 @@ from conveyor.formats.mcap.writer import McapFrameWriter
 from conveyor.formats.rosbag.foxglove import from_json
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame, TrackEntry
-from regressor.network.checkpoint import SHIPPED, load_checkpoint
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.stored import SHIPPED
 from segmenter.tracklog import TrackLog
 from tests.fuzz.damage import ANY_JSON, bounded_memory, damaged, outcome, quick
 from tests.fuzz.test_fuzz_messages import MARK, TRACK

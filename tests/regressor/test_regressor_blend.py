@@ -10,7 +10,8 @@ import pytest
 
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
-from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network.checkpoint import load_checkpoint, state_of
+from regressor.network.sidecar import Sidecar
 from regressor.studies.evaluate import SHIPPED, Evaluation
 from regressor.studies.worlds import by_class, by_preset, markdown
 from regressor.weigh.blend import BlendRule, fit_blend
@@ -152,12 +153,12 @@ def test_a_weigher_blends_by_its_sidecar() -> None:
     model, sidecar = load_checkpoint()
     cloud = prepare_view(ellipsoid_view())
     plain = sidecar.model_copy(update={"blend": None, "volume_share": 0.3})
-    by_share = Weigher(model, plain).weigh(cloud)
+    by_share = Weigher(state_of(model), plain).weigh(cloud)
     assert by_share.network_g is not None
     expected = by_share.network_g**0.7 * by_share.volume_g**0.3
     assert by_share.weight_g == pytest.approx(expected, abs=0.01)
     rule = BlendRule(0.5, intercept=float(np.log(1.1))).to_json()
-    corrected = Weigher(model, Sidecar.model_validate(plain.model_dump() | {"blend": rule})).weigh(cloud)
+    corrected = Weigher(state_of(model), Sidecar.model_validate(plain.model_dump() | {"blend": rule})).weigh(cloud)
     assert corrected.weight_g == pytest.approx(1.1 * np.sqrt(by_share.network_g * by_share.volume_g), abs=0.01)
 
 

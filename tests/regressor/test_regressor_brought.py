@@ -19,7 +19,8 @@ from rich.console import Console
 from conveyor.errors import InputError
 from conveyor.extras import missing_package
 from conveyor.formats.clouds import read_cloud
-from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network.checkpoint import load_checkpoint
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.files import FileOptions, FileResult, files_within, weigh_file
 from regressor.weigh.instances import weigh_instances
 from regressor.weigh.weigher import Weigher

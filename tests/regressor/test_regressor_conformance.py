@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from regressor.network.checkpoint import load_checkpoint
+from regressor.network.checkpoint import load_checkpoint, state_of
 from regressor.network.edges import live_units
 from regressor.network.fast import FastPointRaft, Form
 from regressor.network.grouping import GatheredGroups, group_given, group_prefix
@@ -109,7 +109,7 @@ def test_a_batch_gives_what_each_cloud_gives_alone(clouds: dict[str, NDArray[np.
 def test_fast_form_equals_the_reference(clouds: dict[str, NDArray[np.generic]], model: PointRaft, name: str) -> None:
     groups = group_given(clouds[f"{name}/points"])
     assert isinstance(groups, GatheredGroups) == (name in WIDE)
-    weight = FastPointRaft(model).weigh(groups, _height(clouds, name))
+    weight = FastPointRaft(state_of(model)).weigh(groups, _height(clouds, name))
     assert weight == pytest.approx(float(clouds[f"{name}/weight_g"]), rel=1e-4)
 
 
@@ -124,7 +124,7 @@ def test_prefix_form_equals_the_readable_form_on_sampled_clouds(
         expected = float(model([torch.from_numpy(sampled)], torch.tensor([_height(clouds, name)])))
     groups = group_prefix(centred)
     assert isinstance(groups, GatheredGroups) == (name in WIDE)
-    assert FastPointRaft(model).weigh(groups, _height(clouds, name)) == pytest.approx(expected, rel=1e-5)
+    assert FastPointRaft(state_of(model)).weigh(groups, _height(clouds, name)) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("centroids", [16, 64])
@@ -132,7 +132,7 @@ def test_prefix_form_equals_the_readable_form_on_sampled_clouds(
 def test_centroids_that_are_not_read_need_no_sampling(
     clouds: dict[str, NDArray[np.generic]], model: PointRaft, name: str, centroids: int
 ) -> None:
-    network, centred = FastPointRaft(model, Form(centroids=centroids)), clouds[f"{name}/centred"]
+    network, centred = FastPointRaft(state_of(model), Form(centroids=centroids)), clouds[f"{name}/centred"]
     short, full = group_prefix(centred, centroids=centroids), group_prefix(centred)
     assert type(short) is type(full)
     assert network.weigh(short, _height(clouds, name)) == network.weigh(full, _height(clouds, name))

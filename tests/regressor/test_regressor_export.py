@@ -15,8 +15,9 @@ import pytest
 
 import tuberline
 from conveyor.errors import InputError
-from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network.checkpoint import load_checkpoint, state_of
 from regressor.network.export import export_onnx
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.blend import SEEN, BlendRule
 from regressor.weigh.quadratic import QuadraticRule
 from regressor.weigh.surface import NAMES
@@ -78,7 +79,7 @@ def corrected(sidecar: Sidecar) -> Sidecar:
 def test_onnx_gives_the_weights_and_intervals_of_weigh(kind: str, batch: int | None, tmp_path: Path) -> None:
     model, shipped = load_checkpoint()
     sidecar = {"shipped": shipped, "corrected": corrected(shipped), "imported": Sidecar(name="theirs")}[kind]
-    weights = Weights(model, sidecar, Weigher(model, sidecar))
+    weights = Weights(sidecar, Weigher(state_of(model), sidecar))
     export_onnx(tmp_path / "net.onnx", model, sidecar, batch=batch)
     onnx = session(tmp_path / "net.onnx")
     names = [output.name for output in onnx.get_outputs()]

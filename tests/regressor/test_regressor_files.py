@@ -18,8 +18,11 @@ from conveyor.formats.clouds import read_cloud
 from conveyor.formats.potatotwin.intrinsics import read_intrinsics
 from conveyor.formats.potatotwin.pairs import read_pair
 from conveyor.resting import POTATOTWIN
-from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.network.architecture import NORM_EPSILON, parameter_shapes
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.pointraft import PointRaft
+from regressor.network.sidecar import Sidecar
+from regressor.network.stored import load_weights
 from regressor.training.labelled import read_labelled
 from regressor.weigh.files import FileOptions, once_per_pair, weigh_file
 from regressor.weigh.weigher import Weigher
@@ -27,6 +30,8 @@ from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, ellipsoid_view
 from tuberline.cli.checkpoints import import_checkpoint
 
 POINTS = np.array([[0.0, 0.1, 0.3], [0.25, -0.5, 0.125], [1.5, 2.0, -3.0]])
+
+SAVED = PointRaft().state_dict()
 
 
 def _ply(path: Path, form: str) -> Path:
@@ -192,6 +197,30 @@ def test_checkpoint_round_trip(tmp_path: Path) -> None:
     assert sidecar == written
     assert sidecar.model_id == f"mine@{written.sha256[:8]}"
     assert all(torch.equal(value, loaded.state_dict()[name]) for name, value in model.state_dict().items())
+
+
+@pytest.mark.parametrize("height_embedding", [True, False])
+def test_names_and_shapes_without_torch_are_the_networks(height_embedding: bool) -> None:
+    network = PointRaft(height_embedding=height_embedding)
+    expected = {name: tuple(value.shape) for name, value in network.state_dict().items()}
+    found = parameter_shapes(height_embedding=height_embedding)
+    assert list(found.items()) == list(expected.items())
+    assert network.sa1_module.conv.local_nn.norm(0).eps == NORM_EPSILON
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.bfloat16, torch.float16])
+@pytest.mark.parametrize("ending", ["safetensors", "pth"])
+def test_weights_of_any_precision_are_read_as_float32(tmp_path: Path, ending: str, dtype: torch.dtype) -> None:
+    state = {name: value.to(dtype) if value.dtype.is_floating_point else value for name, value in SAVED.items()}
+    path = tmp_path / f"w.{ending}"
+    if ending == "pth":
+        torch.save(state, path)
+    else:
+        save_checkpoint(path, state, Sidecar(name="mine"))
+    read, _ = load_weights(path)
+    assert {value.dtype.name for value in read.values()} == {"float32", "int64"}
+    for name, value in state.items():
+        assert np.array_equal(read[name], value.float().numpy()), name
 
 
 def test_checkpoints_of_another_architecture_are_refused(tmp_path: Path) -> None:

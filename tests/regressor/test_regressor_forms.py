@@ -13,19 +13,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from regressor.network.checkpoint import (
-    SHIPPED,
-    Sidecar,
-    StartPolicy,
-    load_checkpoint,
-    read_checkpoint,
-    save_checkpoint,
-)
+from regressor.network.checkpoint import load_checkpoint, read_checkpoint, save_checkpoint, state_of
 from regressor.network.fast import Form
 from regressor.network.grouped import gathered_forward
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_sampled
 from regressor.network.pointraft import PointRaft
 from regressor.network.sampling import farthest_points
+from regressor.network.sidecar import Sidecar, StartPolicy
+from regressor.network.stored import SHIPPED
 from regressor.studies.evaluate import NETWORK, evaluate
 from regressor.training import cloudset
 from regressor.training.answers import answers, asked_while_read
@@ -69,7 +64,7 @@ def test_an_imported_network_is_calibrated_by_what_it_weighs(
     for _ in ("prepared", "from the cache"):
         views = load_cloudset(tmp_path / "pack", cache=tmp_path / "cache", asked=asked)
         found_g = answers(model, sidecar, views)
-        swift = Weigher(model, sidecar, Form(centroids=SWIFT.centroids))
+        swift = Weigher(state_of(model), sidecar, Form(centroids=SWIFT.centroids))
         assert found_g == pytest.approx(weighed_alone(swift, tmp_path / "pack"), rel=1e-6)
     assert np.abs(found_g - predict(model, views, highest_m=sidecar.input.max_height_m)).max() > 0.5
     sidecar = recalibrate(tmp_path / "w.safetensors", tmp_path / "pack", cache=tmp_path / "cache", max_views=None)

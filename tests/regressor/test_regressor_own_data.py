@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import labels_of_split
-from regressor.network.checkpoint import SHIPPED, load_checkpoint
+from regressor.network.stored import SHIPPED, load_weights
 from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_scores
 from regressor.studies.report import summary
 from regressor.training.calibration import recalibrate
@@ -212,10 +211,9 @@ def test_a_network_that_fails_is_judged_by_its_own_answers(tmp_path: Path) -> No
     every tuber was told to err by 11 g.
     """
     write_pack(tmp_path / "pack", tubers=6, views=1, seed=1)
-    network, sidecar = load_checkpoint()
-    with torch.no_grad():
-        network.regression_head.linear(2).bias -= 2000
-    result = evaluate(tmp_path / "pack", Weigher(network, sidecar))
+    state, sidecar = load_weights()
+    state["regression_head.lins.2.bias"] = state["regression_head.lins.2.bias"] - 2000
+    result = evaluate(tmp_path / "pack", Weigher(state, sidecar))
     assert result.flags["network_failed"] == 6
     scores = method_scores(result)
     assert scores[NETWORK]["mae_g"] > 1900
@@ -226,8 +224,8 @@ def test_views_without_the_target_are_refused_and_counted(tmp_path: Path) -> Non
     """One tuber without a volume made every figure of weights for volumes NaN, and metrics.json no JSON."""
     volumes = ["", *(["120"] * 6)]
     write_twin(tmp_path / "crop", tubers=7, more={"volume_metashape": volumes})
-    network, sidecar = load_checkpoint()
-    weigher = Weigher(network, sidecar.model_copy(update={"target": "volume_ml"}))
+    state, sidecar = load_weights()
+    weigher = Weigher(state, sidecar.model_copy(update={"target": "volume_ml"}))
     result = evaluate(tmp_path / "crop", weigher)
     assert result.refused == {"no_volume_ml": 1}
     assert result.weight_g.tolist() == [120.0] * 6

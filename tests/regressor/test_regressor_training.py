@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from conveyor.errors import InputError, TuberlineError
-from regressor.network.checkpoint import load_checkpoint
+from regressor.network.checkpoint import load_checkpoint, state_of
 from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
 from regressor.network.reduced import Resolution, reduced_forward
@@ -299,7 +299,7 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     rule = fit_volume_rule(data.view_features, data.weight_g)
     assert rule.weights_g(data.view_features) == pytest.approx(data.weight_g, rel=0.15)
     assert predict(model, data, highest_m=0.08).shape == (40,)
-    assert Weigher(model, loaded).sidecar.interval_rule is not None
+    assert Weigher(state_of(model), loaded).sidecar.interval_rule is not None
     before = (tmp_path / "out" / "weights.safetensors").read_bytes()
     again = recalibrate(tmp_path / "out" / "weights.safetensors", packs / "train", cache=None, max_views=30)
     assert again.metrics["calibration"]["views"] == 30

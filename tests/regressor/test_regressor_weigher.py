@@ -15,10 +15,11 @@ import torch
 from conveyor.camera_range import camera_range
 from conveyor.config import CameraConfig, LineConfig, RegressorConfig
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.network.checkpoint import Range, Sidecar, load_checkpoint
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
 from regressor.network.grouping import GatheredGroups, group_prefix
+from regressor.network.sidecar import Range, Sidecar
+from regressor.network.stored import load_weights
 from regressor.serve.form import fastest, fewest, form_of
 from regressor.studies.evaluate import load_bias
 from regressor.training.calibration import fused_share
@@ -159,7 +160,7 @@ def test_out_of_range_is_flagged(weigher: Weigher) -> None:
             "weight_g": Range(low=1, high=2),
         }
     )
-    answer = Weigher(load_checkpoint()[0], narrow).weigh(prepare_view(ellipsoid_view(AXES)))
+    answer = Weigher(load_weights()[0], narrow).weigh(prepare_view(ellipsoid_view(AXES)))
     assert set(answer.flags) == {"belt_distance", "size", "weight"}
 
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from conveyor.config import parse_config
 from conveyor.errors import InputError, MessageError
-from regressor.network.checkpoint import SHIPPED, load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.stored import SHIPPED
 from regressor.serve.check import check_weights, reference_clouds
 from regressor.serve.messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
 from regressor.serve.store import Order, WeightsStore

@@ -232,7 +232,7 @@ def test_the_watch_measures_what_the_profile_does_at_any_length(easy: list[Frame
 def test_shipped_weights_name_worlds_whose_cameras_are_known() -> None:
     """The range stands once: weights name worlds, and the simulator draws `harsh` from the same table."""
     from camera_sim.sim import conditions
-    from regressor.network.checkpoint import SHIPPED
+    from regressor.network.stored import SHIPPED
 
     sidecar = json.loads(SHIPPED.with_suffix(".json").read_text(encoding="utf-8"))
     assert sidecar["worlds"]

@@ -25,7 +25,8 @@ from conveyor.formats import camera_names, open_source
 from conveyor.formats.packs.belts import belt_pack_meta, belt_shards, read_belt
 from conveyor.formats.packs.views import read_views, view_shards
 from conveyor.geometry import straight_down_belt_from_camera
-from regressor.network.checkpoint import Sidecar, load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.prepare import PreparedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tests.conftest import ROOT

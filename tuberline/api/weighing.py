@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,18 @@ from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.geometry import belt_distance_m as distance_of
 from conveyor.stated import BELT_DISTANCE_M, BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
-from regressor.network.checkpoint import Sidecar, load_checkpoint
+from regressor.network import stored
 from regressor.network.fast import groups_tensor
 from regressor.network.grouping import SharedGroups, group_prefix, group_random
-from regressor.network.pointraft import PointRaft
 from regressor.network.sampling import farthest_points
+from regressor.network.sidecar import Sidecar
 from regressor.weigh.files import distance_fault
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 from tuberline.api.values import holds, in_range
+
+if TYPE_CHECKING:
+    from regressor.network.pointraft import PointRaft
 
 DEPTH_SCALE_M = (1e-6, 0.01)
 
@@ -54,16 +57,15 @@ class Weight:
     flags: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Weights:
     """Trained weights, loaded. Several threads may weigh with them at once.
 
     Attributes:
-        network: the network with these weights, in evaluation mode.
+        network: the readable network with these weights, in evaluation mode; asking for it imports torch.
         sidecar: what is known about them: ranges, interval, how they were trained.
     """
 
-    network: PointRaft = field(repr=False)
     sidecar: Sidecar = field(repr=False)
     weigher: Weigher = field(repr=False)
 
@@ -71,6 +73,14 @@ class Weights:
     def model(self) -> str:
         """Name and the first eight digits of the digest, as it stands in ledgers."""
         return self.sidecar.model_id
+
+    @cached_property
+    def network(self) -> PointRaft:
+        """The readable network with these weights, in evaluation mode."""
+        from regressor.network.checkpoint import model_of
+
+        assert self.weigher.state is not None
+        return model_of(self.weigher.state)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +138,8 @@ def load_weights(path: str | Path | None = None) -> Weights:
     Raises:
         TuberlineError: missing, unreadable, damaged, or weights of another network or of another target.
     """
-    network, sidecar = load_checkpoint(Path(path) if path is not None else None)
-    return Weights(network, sidecar, Weigher(network, sidecar))
+    state, sidecar = stored.load_weights(Path(path) if path is not None else None)
+    return Weights(sidecar, Weigher(state, sidecar))
 
 
 @lru_cache(maxsize=1)

@@ -74,8 +74,8 @@ def _run() -> int:
             return FAULT
         command = " ".join(sys.argv[1:2])
         say(
-            f"tuberline: `{command}` needs torch, which is not installed here (an edge host has none): run it where "
-            "torch is, in the image tuberline, or install it there: pip install torch\n"
+            f"tuberline: `{command}` needs torch for this, which is not installed here (an edge host has none): run it "
+            "where torch is, in the image tuberline, or install it there: pip install torch\n"
         )
         return PERMANENT
     except Exception:

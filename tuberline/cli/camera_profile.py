@@ -48,7 +48,7 @@ def profile(
     from conveyor.camera_range import camera_range
     from conveyor.extras import install_hint
     from conveyor.files import check_picture, whole_output
-    from regressor.network.checkpoint import SHIPPED, read_checkpoint
+    from regressor.network.stored import SHIPPED, read_weights
     from segmenter.profile.recording import profile_recording
     from tuberline.cli.progress import frames_bar
 
@@ -56,7 +56,7 @@ def profile(
         raise InputError(f"the picture needs matplotlib; {install_hint('train')}")
     if out is not None:
         check_picture(out, option="--out")
-    sidecar = read_checkpoint(weights or SHIPPED)[1]
+    sidecar = read_weights(weights or SHIPPED)[1]
     trained = camera_range(sidecar.worlds)
     baseline_m = None if baseline_mm is None else baseline_mm / 1000
     with frames_bar() as on_frame:

@@ -29,7 +29,8 @@ def import_checkpoint(
         Of the random starts.
     """
     from conveyor.files import whole_output
-    from regressor.network.checkpoint import StartPolicy, load_checkpoint, save_checkpoint
+    from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+    from regressor.network.sidecar import StartPolicy
 
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out} must end in .safetensors")

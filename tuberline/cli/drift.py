@@ -46,16 +46,15 @@ def drift(
     json
         Print the figures as JSON on stdout.
     """
-    import torch
-
     from conveyor.files import whole_output
+    from conveyor.threads import use_threads
     from regressor.studies.drift import drift as run
     from regressor.studies.drift import write_drift
     from regressor.weigh.weigher import Weigher
     from tuberline.cli.markdown import print_markdown
     from tuberline.cli.progress import work_bar
 
-    torch.set_num_threads(1)
+    use_threads(1)
     others = dict(text.partition("=")[::2] for text in also or [])
     if not all(others.values()):
         raise InputError(f"--also {' '.join(also or [])}: every further pack is NAME=FOLDER")

@@ -55,9 +55,8 @@ def evaluate(
     """
     import importlib.util
 
-    import torch
-
     from conveyor.files import whole_output
+    from conveyor.threads import use_threads
     from regressor.studies.evaluate import evaluate as run
     from regressor.studies.report import markdown, write_plots, write_report
     from regressor.studies.worlds import BY, by_class, by_preset
@@ -72,7 +71,7 @@ def evaluate(
     unknown = sorted(set(by) - {*BY, "calibrated", "all"})
     if unknown:
         raise InputError(f"--by {unknown[0]}: known are {', '.join(BY)}, calibrated, all")
-    torch.set_num_threads(1)
+    use_threads(1)
     if split is None and part_of(data, "test") is not None:
         sys.stderr.write(f"{data} has a splits.csv: all its parts are judged; --split test takes the test part alone\n")
     known = None if season else min(count_labelled(data, split=split), max_views or sys.maxsize)

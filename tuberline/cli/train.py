@@ -13,7 +13,7 @@ from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed, within
 
 if TYPE_CHECKING:
-    from regressor.network.checkpoint import Sidecar
+    from regressor.network.sidecar import Sidecar
 
 
 def train(

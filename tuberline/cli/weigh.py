@@ -121,13 +121,12 @@ def _weigh_all(
     progress: Progress,
 ) -> None:
     """One result after the other, so that what was weighed counts when stopped."""
-    import torch
-
+    from conveyor.threads import use_threads
     from regressor.weigh.files import files_within, once_per_pair, weigh_file
     from regressor.weigh.instances import weigh_instances
     from regressor.weigh.weigher import Weigher
 
-    torch.set_num_threads(1)
+    use_threads(1)
     (task,) = progress.task_ids
     wanted = paths if instances else once_per_pair(files_within(paths))
     progress.update(task, total=len(wanted))

@@ -15,10 +15,10 @@ MEASURE = "measure it on a recording of a minute: `tuberline camera profile RECO
 
 def trained_range(config: LineConfig) -> CameraRange:
     """Of the weights that the line is configured with; of `easy` and `field` where they cannot be read."""
-    from regressor.network.checkpoint import SHIPPED, read_checkpoint
+    from regressor.network.stored import SHIPPED, read_weights
 
     try:
-        return camera_range(read_checkpoint(config.regressor.weights or SHIPPED)[1].worlds)
+        return camera_range(read_weights(config.regressor.weights or SHIPPED)[1].worlds)
     except TuberlineError:  # a finding of its own, see `weights`
         return camera_range(())
 
