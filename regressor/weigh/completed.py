@@ -26,6 +26,11 @@ STEPS_RAD = (0.10, 0.05, 0.025, 0.012)
 """Turns by which the best hole is refined."""
 
 
+def step_of(points: int) -> int:
+    """Of so many points one in how many is read."""
+    return max(1, points // MOST_POINTS)
+
+
 def completed_sizes_mm(
     level: NDArray[np.float64], *, distance_m: float, height_m: float
 ) -> tuple[float, float, float, float]:
@@ -35,43 +40,60 @@ def completed_sizes_mm(
         level: (N, 3) metres, level frame (z away from the camera), of the visible surface, evenly over the image.
         distance_m: of the optical centre above the resting level. height_m: of the top above that level.
     """
-    points = level[:: max(1, len(level) // MOST_POINTS)]
-    middle_z = distance_m - height_m / 2
-    # The outline's middle leans outwards under a camera, the middle of the body does not (segmenter/frame/place.py).
-    middle = (points[:, :2] / points[:, 2:]).mean(axis=0) * middle_z * (1 - (height_m / 2 / middle_z) ** 2)
-    high = distance_m - points[:, 2] > LEAST_HEIGHT * height_m
-    points = points[high] - np.array([middle[0], middle[1], middle_z])
+    points = _about_middle(level[:: step_of(len(level))], distance_m, height_m)
     directions, frames = _directions()
-    hull = points[_extremes(points, np.ascontiguousarray(directions.T))]
-    reach = _reach_mm(hull @ directions.T)
+    hull = points[_extremes(points, directions)]
+    reach = _reach_mm(hull, directions)
     longest = int(reach.argmax())
-    around = _around_direction(longest)
-    across = _reach_mm(hull @ around.T)
+    across = _reach_mm(hull, _around_direction(longest))
     thinnest = int(across.argmin())
-    widest = (thinnest + len(around) // 2) % len(around)
-    mesh = _mesh_mm(hull, frames)
-    return float(reach[longest]), float(across[widest]), float(across[thinnest]), mesh
+    widest = (thinnest + len(across) // 2) % len(across)
+    return float(reach[longest]), float(across[widest]), float(across[thinnest]), _mesh_mm(hull, frames)
+
+
+@njit(cache=True, nogil=True)
+def _about_middle(points: NDArray[np.float64], distance_m: float, height_m: float) -> NDArray[np.float64]:
+    """(m, 3) those of (n, 3) points that lie high enough, from the middle of the body."""
+    count = len(points)
+    x, y, high = 0.0, 0.0, 0
+    for n in range(count):
+        x += points[n, 0] / points[n, 2]
+        y += points[n, 1] / points[n, 2]
+        high += distance_m - points[n, 2] > LEAST_HEIGHT * height_m
+    # The outline's middle leans outwards under a camera, the middle of the body does not (segmenter/frame/place.py).
+    z = distance_m - height_m / 2
+    out = z * (1 - (height_m / 2 / z) ** 2) / count
+    found, m = np.empty((high, 3)), 0
+    for n in range(count):
+        if distance_m - points[n, 2] > LEAST_HEIGHT * height_m:
+            found[m, 0], found[m, 1], found[m, 2] = points[n, 0] - x * out, points[n, 1] - y * out, points[n, 2] - z
+            m += 1
+    return found
 
 
 def _mesh_mm(hull: NDArray[np.float64], frames: NDArray[np.float64]) -> float:
-    """The least square hole over all `frames` (n, 2, 3), then refined about the best of them."""
-    side = _reach_mm(hull @ frames.reshape(-1, 3).T).reshape(-1, 2).max(axis=1)
-    best = int(side.argmin())
-    here, u, v = float(side[best]), frames[best, 0], frames[best, 1]
+    """The least square hole over all `frames` (3, 2 n), one side beside the other, then refined about the best."""
+    best, here = _least_hole_mm(hull, frames)
+    u, v = frames[:, 2 * best], frames[:, 2 * best + 1]
     for step in STEPS_RAD:
         tried = _turned(u, v, step)
-        side = _reach_mm(hull @ tried.reshape(-1, 3).T).reshape(-1, 2).max(axis=1)
-        best = int(side.argmin())
-        if side[best] < here:
-            here, u, v = float(side[best]), tried[best, 0], tried[best, 1]
+        best, side = _least_hole_mm(hull, tried)
+        if side < here:
+            here, u, v = side, tried[:, 2 * best], tried[:, 2 * best + 1]
     return here
+
+
+def _least_hole_mm(hull: NDArray[np.float64], frames: NDArray[np.float64]) -> tuple[int, float]:
+    side = _reach_mm(hull, frames).reshape(-1, 2).max(axis=1)
+    best = int(side.argmin())
+    return best, float(side[best])
 
 
 @njit(cache=True, nogil=True)
 def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """(27, 2, 3) the pair (u, v) as it is, and turned by about `step` about sums of its axes and their opposites."""
+    """(3, 2 * 27) the pair (u, v) as it is, and turned by about `step` about sums of its axes and their opposites."""
     w = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
-    turned = np.empty((27, 2, 3))
+    turned = np.empty((3, 54))
     for n in range(27):
         b, a, c = (n // 9 - 1) * step, (n // 3 % 3 - 1) * step, (n % 3 - 1) * step
         first = u + c * v - b * w
@@ -79,7 +101,7 @@ def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDAr
         second = v - c * u + a * w
         second -= (second[0] * first[0] + second[1] * first[1] + second[2] * first[2]) * first
         second /= np.sqrt(second[0] * second[0] + second[1] * second[1] + second[2] * second[2])
-        turned[n, 0], turned[n, 1] = first, second
+        turned[:, 2 * n], turned[:, 2 * n + 1] = first, second
     return turned
 
 
@@ -106,21 +128,24 @@ def _extremes(points: NDArray[np.float64], directions: NDArray[np.float64]) -> N
     return extreme
 
 
-@njit(cache=True, nogil=True)
-def _reach_mm(along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(m,) millimetres across the body along m directions, from the (n, m) places of its points, metres."""
-    reach = np.zeros(along.shape[1])
-    for n in range(len(along)):
-        for k in range(along.shape[1]):
-            away = abs(along[n, k])
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _reach_mm(points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m,) millimetres across the body along (3, m) directions, from (n, 3) points about its middle, metres."""
+    many = directions.shape[1]
+    x, y, z = directions[0], directions[1], directions[2]
+    reach = np.zeros(many)
+    for n in range(len(points)):
+        a, b, c = points[n, 0], points[n, 1], points[n, 2]
+        for k in range(many):
+            away = abs(c * z[k] + (b * y[k] + a * x[k]))
             reach[k] = away if away > reach[k] else reach[k]
     return 2000 * reach
 
 
 @lru_cache
 def _around_direction(index: int) -> NDArray[np.float64]:
-    """`_around` one of the `_directions`."""
-    return _around(_directions()[0][index])
+    """(3, 36) `_around` one of the `_directions`."""
+    return np.ascontiguousarray(_around(_directions()[0][:, index]).T)
 
 
 def _around(axis: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -135,12 +160,13 @@ def _around(axis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def _directions() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n, 3) directions on a half sphere, and (k, 2, 3) the sides of square holes, some 18 degrees apart."""
-    frames = []
+    """(3, n) directions on a half sphere, and (3, 2 k) pairs of sides of square holes, some 18 degrees apart."""
+    sides: list[NDArray[np.float64]] = []
     for axis in _half_sphere(HOLE_RINGS):
         side = _around(axis)[:: 36 // (2 * TURNS)]
-        frames += [(side[k], side[k + TURNS]) for k in range(TURNS)]
-    return _half_sphere(RINGS), np.array(frames)
+        for k in range(TURNS):
+            sides += [side[k], side[k + TURNS]]
+    return np.ascontiguousarray(_half_sphere(RINGS).T), np.ascontiguousarray(np.array(sides).T)
 
 
 def _half_sphere(rings: int) -> NDArray[np.float64]:

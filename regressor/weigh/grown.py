@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.messages import View
 
 OPENING_PX = 5
 """What is narrower than such a disc is a scrap. With 3 px, loads seen by cameras that grow outlines stay 1 to 2 %
@@ -36,6 +39,28 @@ lighter still."""
 _DISC = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (OPENING_PX, OPENING_PX))
 _SPOT = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (SPOT_PX, SPOT_PX))
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+
+
+def heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
+    """(h, w) heights above the resting level of a view's pixels."""
+    k, up = view.intrinsics, view.belt_from_camera[2]
+    # In units of depth: how much a pixel's height grows from column to column, from row to row, and at the first pixel.
+    along_u, along_v = view.depth_scale_m * up[0] / k.fx, view.depth_scale_m * up[1] / k.fy
+    first = view.depth_scale_m * up[2] + along_u * (view.u0 - k.cx) + along_v * (view.v0 - k.cy)
+    heights: NDArray[np.float64] = _tilted(kept, along_u, along_v, first, up[3] + view.resting_offset_m)
+    return heights
+
+
+@njit(cache=True, nogil=True)
+def _tilted(
+    kept: NDArray[np.uint16], along_u: float, along_v: float, first: float, above: float
+) -> NDArray[np.float64]:
+    rows, columns = kept.shape
+    heights = np.empty((rows, columns))
+    for v in range(rows):
+        for u in range(columns):
+            heights[v, u] = kept[v, u] * (first + along_u * u + along_v * v) + above
+    return heights
 
 
 def cut_back(

@@ -18,7 +18,7 @@ from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
-from regressor.weigh.grown import cut_back
+from regressor.weigh.grown import cut_back, heights_m
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
@@ -93,7 +93,7 @@ def prepare_view(view: View) -> PreparedCloud:
     """
     depth = np.ascontiguousarray(view.depth)
     kept = clean_depth(depth, view.depth_scale_m)
-    cut = cut_back(depth, kept, _heights_m(kept, view))
+    cut = cut_back(depth, kept, heights_m(kept, view))
     if cut is not None:
         depth, kept = cut, clean_depth(cut, view.depth_scale_m)
     cloud = prepare_depth(
@@ -108,14 +108,6 @@ def prepare_view(view: View) -> PreparedCloud:
         kept=kept,
     )
     return cloud if cut is None else replace(cloud, flags=(*cloud.flags, GROWN))
-
-
-def _heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
-    """(h, w) heights above the resting level of a view's pixels."""
-    k, up = view.intrinsics, view.belt_from_camera[2]
-    v, u = np.ogrid[: kept.shape[0], : kept.shape[1]]
-    slope = up[0] * (u + view.u0 - k.cx) / k.fx + up[1] * (v + view.v0 - k.cy) / k.fy + up[2]
-    return np.asarray(kept * view.depth_scale_m * slope + (up[3] + view.resting_offset_m))
 
 
 def prepare_depth(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from regressor.weigh.surface import FIRST_NAMES
@@ -43,14 +44,6 @@ def _pairs(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return first, second
 
 
-@lru_cache(maxsize=64)
-def array_of(values: tuple[float, ...]) -> NDArray[np.float64]:
-    """The numbers of a rule as an array, made once; not to be written to."""
-    array = np.array(values)
-    array.flags.writeable = False
-    return array
-
-
 def within(values: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:
     """Values clipped to low..high: as `np.clip`, without what that does around it."""
     clipped: NDArray[np.float64] = np.minimum(np.maximum(values, low), high)
@@ -62,6 +55,34 @@ def pairs_of(terms: NDArray[np.float64], low: NDArray[np.float64], high: NDArray
     scaled = 2 * (within(terms, low, high) - low) / np.maximum(high - low, 1e-9) - 1
     first, second = _pairs(terms.shape[1])
     return scaled[:, first] * scaled[:, second]
+
+
+@njit(cache=True, nogil=True)
+def quadratic(
+    terms: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+    products: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(n,) of (n, k) terms: the sum of coefficients times terms, and of products times `pairs_of` the terms."""
+    rows, count = terms.shape
+    found, scaled = np.empty(rows), np.empty(count)
+    for row in range(rows):
+        total = 0.0
+        for i in range(count):
+            term = terms[row, i]
+            total += coefficients[i] * term
+            scaled[i] = 2 * (min(max(term, low[i]), high[i]) - low[i]) / max(high[i] - low[i], 1e-9) - 1
+        at = 0
+        for i in range(count):
+            part = 0.0
+            for j in range(i, count):
+                part += products[at] * scaled[j]
+                at += 1
+            total += part * scaled[i]
+        found[row] = total
+    return found
 
 
 def ranges_of(terms: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -77,7 +98,7 @@ def spreads_of(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     return spreads
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class QuadraticRule:
     """intercept + sum(coefficients * terms) + sum(products * pairs of terms), over all features.
 
@@ -95,20 +116,21 @@ class QuadraticRule:
 
     def values(self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None) -> NDArray[np.float64]:
         """(n,) of (n, k) features in the order of `known`, which is that of `names` where it is not given."""
-        return self.of_terms(*self.terms(features, known=known))
+        return self.of_terms(self.terms(features, known=known))
 
-    def terms(
-        self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(n, t) clipped terms of (n, k) features, and all their pairs: the same for rules `alike`."""
-        low, high = array_of(self.low), array_of(self.high)
-        terms = within(terms_of(features, self.names, known=known or self.names), low, high)
-        return terms, pairs_of(terms, low, high)
+    def terms(self, features: NDArray[np.float64], *, known: tuple[str, ...] | None = None) -> NDArray[np.float64]:
+        """(n, t) clipped terms of (n, k) features: the same for rules `alike`."""
+        low, high, _, _ = self._arrays
+        return within(terms_of(features, self.names, known=known or self.names), low, high)
 
-    def of_terms(self, terms: NDArray[np.float64], pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of_terms(self, terms: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) of what `terms` gives."""
-        found = self.intercept + terms @ array_of(self.coefficients)
-        return within(found + pairs @ array_of(self.products), self.least, self.most)
+        return within(self.intercept + quadratic(terms, *self._arrays), self.least, self.most)
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray[np.float64], ...]:
+        """As `quadratic` takes them."""
+        return tuple(np.array(values) for values in (self.low, self.high, self.coefficients, self.products))
 
     def alike(self, other: QuadraticRule) -> bool:
         """Both have the same terms of the same features."""

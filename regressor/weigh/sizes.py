@@ -49,10 +49,10 @@ class SizeRule:
         return self.of_terms(self.value.terms(features), terms)
 
     def of_terms(
-        self, value_terms: tuple[NDArray[np.float64], NDArray[np.float64]], terms: NDArray[np.float64]
+        self, value_terms: NDArray[np.float64], terms: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The same of what `value.terms` gives."""
-        return np.exp(self.value.of_terms(*value_terms)), self.spread * self.scale.scale_g(terms)
+        return np.exp(self.value.of_terms(value_terms)), self.spread * self.scale.scale_g(terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ def fit_sizes(
 
 def size_features(cloud: PreparedCloud) -> NDArray[np.float64]:
     """(21,) features of a prepared cloud, in the order of `FEATURES`."""
-    level = cloud.points.astype(np.float64) + np.array(cloud.centre_m)
+    level = cloud.points[:: completed.step_of(len(cloud.points))].astype(np.float64) + np.array(cloud.centre_m)
     distance_m = cloud.belt_distance_m + cloud.resting_offset_m
     sizes = completed.completed_sizes_mm(level, distance_m=distance_m, height_m=max(cloud.height_m, LEAST_HEIGHT_M))
     return np.array([*cloud.surface.as_array()[: len(surface.FIRST_NAMES)], *sizes])

@@ -7,6 +7,7 @@ the tuber lies (undercut, tilted, standing). How the surface falls in between is
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -27,6 +28,7 @@ TOP = 0.6
 """Of the height: from there on up the top's curvature is fitted."""
 TRIMMED = 0.005
 """Share of the outline's pixels that are left out at either end of a width: single ones say little."""
+AXIS_POINTS = 2000
 ANGLES = np.deg2rad(np.arange(0.0, 180.0, 5.0))
 DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
 """(2, 36) unit vectors in the level plane."""
@@ -99,71 +101,94 @@ def surface_features(
     """
     heights = distance_m - level[:, 2]
     height_m = max(_quantiles(_ranked(heights, 0.99), (0.99,))[0], LEAST_HEIGHT_M)
-    area_m2 = float(areas_m2.sum())
-    xy = level[:, :2]
-    length_m, width_m = _axes(xy)
-    at_rim = _rim(inside)[inside]
-    rim = heights[at_rim] / height_m
-    low, middle, high = _quantiles(np.sort(rim), (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
-    centre = areas_m2 @ xy / area_m2
-    top = heights >= min(LEVELS[-1] * height_m, float(heights.max()))  # never empty: all may lie below the level
-    off_top = (xy[top] * areas_m2[top, None]).sum(0) / areas_m2[top].sum() - centre
-    away = centre / max(float(np.linalg.norm(centre)), 1e-6)
-    radius_m = float(np.sqrt(area_m2 / np.pi))
-    sections = [float(areas_m2[heights > share * height_m].sum()) for share in LEVELS]
+    length_m, width_m = _longest(level[:: max(1, len(level) // AXIS_POINTS)], DIRECTIONS, TRIMMED)
+    rim, rim_xy = _rim(inside, level, heights)
+    low, middle, high = _quantiles(np.sort(rim / height_m), (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
+    area_m2, volume_m3, x, y, top_x, top_y, *sections = _sums(level, areas_m2, heights, height_m)
+    from_axis, radius_m = math.hypot(x, y), math.sqrt(area_m2 / math.pi)
+    off_x, off_y = top_x - x, top_y - y
     return SurfaceFeatures(
-        volume_ml=float((np.maximum(heights, 0.0) * areas_m2).sum()) * 1e6,
+        volume_ml=volume_m3 * 1e6,
         area_cm2=area_m2 * 1e4,
         length_mm=length_m * 1e3,
         width_mm=width_m * 1e3,
         height_mm=height_m * 1e3,
-        hull_cm2=_hull_m2(xy[at_rim]) * 1e4,
+        hull_cm2=_hull_m2(rim_xy) * 1e4,
         area50_cm2=sections[0] * 1e4,
         area70_cm2=sections[1] * 1e4,
         area85_cm2=sections[2] * 1e4,
-        curvature_cm2=_curvature_m2(xy, heights, height_m, area_m2) * 1e4,
+        curvature_cm2=_curvature_m2(level, heights, height_m, area_m2) * 1e4,
         rim=middle,
         rim_low=low,
         rim_high=high,
-        tilt=float(np.linalg.norm(off_top)) / radius_m,
-        lean=float(off_top @ away) / radius_m,
+        tilt=math.hypot(off_x, off_y) / radius_m,
+        lean=(off_x * x + off_y * y) / max(from_axis, 1e-6) / radius_m,
         hole_share=holes / len(heights),
-        off_axis=float(np.linalg.norm(centre)) / distance_m,
+        off_axis=from_axis / distance_m,
         profile=tuple(rim_profile(level, areas_m2, inside, heights=heights, height_m=height_m).tolist()),
     )
 
 
-def _axes(level_xy: NDArray[np.float64]) -> tuple[float, float]:
-    """Longest width of the outline over 36 directions in the plane and the one across it, metres."""
-    along = DIRECTIONS.T @ np.ascontiguousarray(level_xy[:: max(1, len(level_xy) // 2000)].T)
-    length_m, width_m = _longest(along, TRIMMED)
-    return float(length_m), float(width_m)
+@njit(cache=True, nogil=True)
+def _sums(
+    level: NDArray[np.float64], areas_m2: NDArray[np.float64], heights: NDArray[np.float64], height_m: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """(area, volume, x and y of the outline's middle, x and y of the top's, areas above each of `LEVELS`), metres."""
+    highest = heights[0]
+    for k in range(len(heights)):
+        highest = max(highest, heights[k])
+    from_m = min(LEVELS[2] * height_m, highest)  # the top is never empty: all may lie below the level
+    area, volume, x, y, top, top_x, top_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    low, middle, high = 0.0, 0.0, 0.0
+    for k in range(len(heights)):
+        a, h = areas_m2[k], heights[k]
+        area += a
+        volume += a * max(h, 0.0)
+        x += a * level[k, 0]
+        y += a * level[k, 1]
+        low += a if h > LEVELS[0] * height_m else 0.0
+        middle += a if h > LEVELS[1] * height_m else 0.0
+        high += a if h > LEVELS[2] * height_m else 0.0
+        if h >= from_m:
+            top += a
+            top_x += a * level[k, 0]
+            top_y += a * level[k, 1]
+    return area, volume, x / area, y / area, top_x / top, top_y / top, low, middle, high
 
 
 @njit(cache=True, nogil=True)
-def _longest(along: NDArray[np.float64], trimmed: float) -> tuple[float, float]:
-    """The longest of the `_widths` of all rows, and the one half of them further on.
+def _longest(level: NDArray[np.float64], directions: NDArray[np.float64], trimmed: float) -> tuple[float, float]:
+    """Longest width of the outline of (n, 2 or more) points over (2, m) directions, and the one half of them further
+    on.
 
-    A row is left out whose whole extent is shorter than the longest width so far.
+    A direction is left out along which the whole extent is shorter than the longest width so far.
     """
-    rows, n = along.shape
-    extents = np.empty(rows)
-    for row in range(rows):
-        low, high = along[row, 0], along[row, 0]
-        for k in range(n):
-            value = along[row, k]
-            low = value if value < low else low
-            high = value if value > high else high
-        extents[row] = high - low
+    n, many = len(level), directions.shape[1]
+    x, y = np.ascontiguousarray(level[:, 0]), np.ascontiguousarray(level[:, 1])
+    extents = _extents(x, y, directions)
     longest, length = -1, -np.inf
-    for row in np.argsort(-extents):
-        if extents[row] < length:
+    for d in np.argsort(-extents):
+        if extents[d] < length:
             break
-        width = _widths(along[row : row + 1], trimmed)[0]
-        if width > length or (width == length and row < longest):
-            longest, length = row, width
-    across = (longest + rows // 2) % rows
-    return length, _widths(along[across : across + 1], trimmed)[0]
+        width = _widths((directions[0, d] * x + directions[1, d] * y).reshape(1, n), trimmed)[0]
+        if width > length or (width == length and d < longest):
+            longest, length = d, width
+    across = (longest + many // 2) % many
+    return length, _widths((directions[0, across] * x + directions[1, across] * y).reshape(1, n), trimmed)[0]
+
+
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _extents(x: NDArray[np.float64], y: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m,) from the lowest to the highest of (n,) places along each of (2, m) directions."""
+    extents = np.empty(directions.shape[1])
+    for d in range(len(extents)):
+        a, b = directions[0, d], directions[1, d]
+        low = high = a * x[0] + b * y[0]
+        for k in range(len(x)):
+            value = a * x[k] + b * y[k]
+            low, high = min(low, value), max(high, value)
+        extents[d] = high - low
+    return extents
 
 
 @njit(cache=True, nogil=True)
@@ -238,18 +263,37 @@ def _common(a: int, b: int) -> int:
     return a
 
 
-def _rim(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels of the outline that have a neighbour outside it."""
-    rim = inside.copy()
-    rim[1:-1, 1:-1] &= ~(inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:])
-    return rim
+@njit(cache=True, nogil=True)
+def _rim(
+    inside: NDArray[np.bool_], level: NDArray[np.float64], heights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """(n,) heights of the outline's pixels that have a neighbour outside it, or lie at the image's border, and (n, 2)
+    where they lie, about the middle of them all, metres.
+    """
+    rows, columns = inside.shape
+    at, n, k = np.empty(len(heights), np.int64), 0, 0
+    x, y = 0.0, 0.0
+    for v in range(rows):
+        for u in range(columns):
+            if not inside[v, u]:
+                continue
+            border = v == 0 or u == 0 or v == rows - 1 or u == columns - 1
+            if border or not (inside[v - 1, u] and inside[v + 1, u] and inside[v, u - 1] and inside[v, u + 1]):
+                at[n] = k
+                x += level[k, 0]
+                y += level[k, 1]
+                n += 1
+            k += 1
+    rim, places = np.empty(n), np.empty((n, 2), np.float32)
+    for i in range(n):
+        k = at[i]
+        rim[i] = heights[k]
+        places[i, 0], places[i, 1] = level[k, 0] - x / n, level[k, 1] - y / n
+    return rim, places
 
 
-def _hull_m2(rim: NDArray[np.float64]) -> float:
-    if len(rim) < 3:
-        return 0.0
-    around = np.ascontiguousarray(rim - rim.mean(0), np.float32)
-    return float(cv2.contourArea(cv2.convexHull(around)))
+def _hull_m2(rim: NDArray[np.float32]) -> float:
+    return float(cv2.contourArea(cv2.convexHull(rim))) if len(rim) >= 3 else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -278,7 +322,7 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
 def _top(
     xy: NDArray[np.float64], heights: NDArray[np.float64], over_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Places and heights of what is higher than `over_m`, some `CURVATURE_POINTS` of it."""
+    """Places (of (n, 2 or more)) and heights of what is higher than `over_m`, some `CURVATURE_POINTS` of it."""
     count = 0
     for k in range(len(heights)):
         count += heights[k] > over_m
@@ -293,10 +337,10 @@ def _top(
     return places, high
 
 
-def _curvature_m2(xy: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
+def _curvature_m2(level: NDArray[np.float64], heights: NDArray[np.float64], height_m: float, area_m2: float) -> float:
     """Area of the equator of the ellipsoid that touches the top with its curvature and is as high as the tuber."""
     unit = float(np.sqrt(area_m2 / np.pi))
-    places, high = _top(xy, heights, TOP * height_m)
+    places, high = _top(level, heights, TOP * height_m)
     if not len(high):  # all lies at the resting level or below it: no top, no curvature
         return LARGEST_RATIO * area_m2
     fit = _quadric(places, high, unit)

@@ -10,12 +10,13 @@ so (`segmenter.belt_sd_mm`), and the sixth term is how much of the visible volum
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.quadratic import array_of, within
+from regressor.weigh.quadratic import within
 from regressor.weigh.surface import NAMES
 
 TERMS = ("ln_weight", "ln_weight_squared", "disagreement", "elongation", "steepness", "belt")
@@ -55,7 +56,7 @@ def view_terms(
     return np.column_stack([ln_weight, ln_weight**2, disagreement, np.log(length_mm / width_mm), steepness, belt])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ScaleRule:
     """ln scale = intercept + sum(slopes * (terms clipped to low..high)); scales are in grams."""
 
@@ -66,10 +67,13 @@ class ScaleRule:
 
     def scale_g(self, terms: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) grams of (n, 6) `view_terms`."""
-        scale: NDArray[np.float64] = np.exp(
-            self.intercept + within(terms, array_of(self.low), array_of(self.high)) @ array_of(self.slopes)
-        )
+        low, high, slopes = self._arrays
+        scale: NDArray[np.float64] = np.exp(self.intercept + within(terms, low, high) @ slopes)
         return scale
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray[np.float64], ...]:
+        return tuple(np.array(values) for values in (self.low, self.high, self.slopes))
 
     def to_json(self) -> dict[str, Any]:
         """For the sidecar of a checkpoint."""

@@ -8,12 +8,13 @@ paper's box does (docs/pointraft.md).
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.quadratic import RIDGE, array_of, pairs_of, ranges_of, spreads_of, terms_of
+from regressor.weigh.quadratic import RIDGE, pairs_of, quadratic, ranges_of, spreads_of, terms_of, within
 from regressor.weigh.view_features import VIEW_NAMES
 
 FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
@@ -22,7 +23,7 @@ ROUNDS = 30
 MOST_OFF = 3.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class VolumeRule:
     """ln weight = intercept + sum(coefficients * terms) + sum(products * pairs of standardised terms).
 
@@ -46,11 +47,15 @@ class VolumeRule:
     def weights_g(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) grams of (n, 37) features in the order of `VIEW_NAMES`."""
         terms = terms_of(features, self.names)
-        ln_g = self.intercept + terms @ array_of(self.coefficients)
-        if self.products:
-            ln_g = ln_g + pairs_of(terms, array_of(self.low), array_of(self.high)) @ array_of(self.products)
-        weights: NDArray[np.float64] = np.exp(np.clip(ln_g, -5.0, 12.0))
+        low, high, coefficients, products = self._arrays
+        found = quadratic(terms, low, high, coefficients, products) if self.products else terms @ coefficients
+        weights: NDArray[np.float64] = np.exp(within(self.intercept + found, -5.0, 12.0))
         return weights
+
+    @cached_property
+    def _arrays(self) -> tuple[NDArray[np.float64], ...]:
+        """As `quadratic` takes them."""
+        return tuple(np.array(values) for values in (self.low, self.high, self.coefficients, self.products))
 
     def to_json(self) -> dict[str, Any]:
         """For the sidecar of a checkpoint."""

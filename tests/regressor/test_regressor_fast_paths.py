@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _tuber, _windows, disparity
-from regressor.weigh.completed import _directions, _extremes, _reach_mm, _turned
+from regressor.weigh.completed import LEAST_HEIGHT, _about_middle, _directions, _extremes, _reach_mm, _turned
+from regressor.weigh.grown import heights_m
 from regressor.weigh.prepare import _areas, _centred, _points
+from regressor.weigh.quadratic import pairs_of, quadratic
 from regressor.weigh.surface import (
     CURVATURE_POINTS,
     DIRECTIONS,
+    LEVELS,
     _longest,
     _quadric,
     _quantiles,
     _ranked,
+    _rim,
+    _sums,
     _top,
     _widths,
 )
+from tests.regressor.ellipsoids import ellipsoid_view
 
 RNG = np.random.default_rng(7)
 
 
 def test_extremes_and_reaches_are_those_of_numpy() -> None:
     """As far as the last bit of a product, which is the processor's: the farthest each way, and no more of them."""
-    points, directions = np.round(RNG.normal(size=(400, 3)), 1), _directions()[0].T
+    points, directions = np.round(RNG.normal(size=(400, 3)), 1), _directions()[0]
     along = points @ directions
     extremes = np.unique(np.concatenate([along.argmax(axis=0), along.argmin(axis=0)]))
-    found = np.flatnonzero(_extremes(points, np.ascontiguousarray(directions)))
+    found = np.flatnonzero(_extremes(points, directions))
     np.testing.assert_allclose(along[found].max(axis=0), along.max(axis=0), rtol=0, atol=1e-12)
     np.testing.assert_allclose(along[found].min(axis=0), along.min(axis=0), rtol=0, atol=1e-12)
     assert abs(len(found) - len(extremes)) <= 4
-    np.testing.assert_array_equal(_reach_mm(along), 2000 * np.abs(along).max(axis=0))
+    np.testing.assert_allclose(_reach_mm(points, directions), 2000 * np.abs(along).max(axis=0), rtol=1e-13)
+
+
+def test_points_are_seen_from_the_middle_of_the_body() -> None:
+    level = RNG.normal([0.1, -0.2, 0.4], 0.01, (500, 3))
+    distance_m, height_m = 0.43, 0.05
+    middle_z = distance_m - height_m / 2
+    middle = (level[:, :2] / level[:, 2:]).mean(axis=0) * middle_z * (1 - (height_m / 2 / middle_z) ** 2)
+    high = distance_m - level[:, 2] > LEAST_HEIGHT * height_m
+    assert 0 < high.sum() < 500
+    plain = level[high] - np.array([*middle, middle_z])
+    np.testing.assert_allclose(_about_middle(level, distance_m, height_m), plain, rtol=0, atol=1e-15)
 
 
 def test_square_holes_are_turned_as_in_the_plain_form() -> None:
@@ -42,7 +61,7 @@ def test_square_holes_are_turned_as_in_the_plain_form() -> None:
     second = v - c[:, None] * u + a[:, None] * w
     second -= (second * first).sum(axis=1, keepdims=True) * first
     second /= np.linalg.norm(second, axis=1, keepdims=True)
-    np.testing.assert_array_equal(_turned(u, v, 0.05), np.stack([first, second], axis=1))
+    np.testing.assert_array_equal(_turned(u, v, 0.05), np.stack([first, second], axis=1).reshape(54, 3).T)
 
 
 def test_the_top_is_fitted_by_least_squares() -> None:
@@ -84,11 +103,55 @@ def test_the_longest_axis_is_found_among_all() -> None:
     """Also of a disc, all of whose widths are alike."""
     for stretch in (1.0, 1.02, 2.0):
         xy = np.round(RNG.normal(size=(2, 900)) * np.array([[stretch], [1.0]]), 2)
-        along = DIRECTIONS.T @ (xy / np.hypot(*xy).max() if stretch < 1.5 else xy)
+        x, y = xy / np.hypot(*xy).max() if stretch < 1.5 else xy
+        along = DIRECTIONS[0][:, None] * x + DIRECTIONS[1][:, None] * y
         widths = np.quantile(along, 0.995, axis=1) - np.quantile(along, 0.005, axis=1)
         np.testing.assert_array_equal(_widths(along, 0.005), widths)
         longest = int(widths.argmax())
-        assert _longest(along, 0.005) == (widths[longest], widths[(longest + 18) % 36])
+        assert _longest(np.stack([x, y], axis=1), DIRECTIONS, 0.005) == (widths[longest], widths[(longest + 18) % 36])
+
+
+def test_areas_volume_and_middles_are_sums_over_the_pixels() -> None:
+    level, areas = RNG.normal([0.1, -0.2, 0.4], 0.02, (900, 3)), RNG.uniform(0.5e-6, 1e-6, 900)
+    for heights in (RNG.uniform(-0.002, 0.05, 900), RNG.uniform(-0.05, -0.01, 900)):
+        top = heights >= min(LEVELS[-1] * 0.05, heights.max())
+        plain = [
+            *(areas.sum(), (np.maximum(heights, 0) * areas).sum()),
+            *(areas @ level[:, :2] / areas.sum()),
+            *(areas[top] @ level[top, :2] / areas[top].sum()),
+            *(areas[heights > share * 0.05].sum() for share in LEVELS),
+        ]
+        np.testing.assert_allclose(_sums(level, areas, heights, 0.05), plain, rtol=1e-12)
+
+
+def test_the_rim_is_what_has_a_neighbour_outside_or_lies_at_the_border() -> None:
+    inside = RNG.random((40, 30)) < 0.8
+    inside[10:30, 5:20] = True
+    rim = inside.copy()
+    rim[1:-1, 1:-1] &= ~(inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:])
+    assert 0 < rim.sum() < inside.sum()
+    level, heights = RNG.normal(0.2, 0.02, (inside.sum(), 3)), RNG.uniform(0, 0.05, inside.sum())
+    found, places = _rim(inside, level, heights)
+    np.testing.assert_array_equal(found, heights[rim[inside]])
+    own = level[rim[inside], :2]
+    np.testing.assert_allclose(places, own - own.mean(0), rtol=0, atol=1e-8)
+
+
+def test_a_quadratic_rule_is_a_sum_over_terms_and_their_pairs() -> None:
+    terms, low, high = RNG.normal(size=(5, 7)), np.full(7, -1.0), np.linspace(-1.0, 1.0, 7)  # the first is flat
+    coefficients, products = RNG.normal(size=7), RNG.normal(size=28)
+    plain = terms @ coefficients + pairs_of(terms, low, high) @ products
+    np.testing.assert_allclose(quadratic(terms, low, high, coefficients, products), plain, rtol=1e-12)
+
+
+def test_heights_of_a_view_are_those_of_its_points() -> None:
+    """Of a tilted camera, over a resting level."""
+    pose = np.array([[1.0, 0, 0, 0], [0, 0.98, -0.199, 0.1], [0.02, -0.199, -0.98, 0.46], [0, 0, 0, 1]])
+    view = replace(ellipsoid_view(), belt_from_camera=pose, resting_offset_m=0.006)
+    v, u = np.nonzero(view.depth)
+    z, k = view.depth[v, u] * view.depth_scale_m, view.intrinsics
+    points = np.stack([(u + view.u0 - k.cx) * z / k.fx, (v + view.v0 - k.cy) * z / k.fy, z, np.ones_like(z)])
+    np.testing.assert_allclose(heights_m(view.depth, view)[v, u], pose[2] @ points + 0.006, rtol=0, atol=1e-12)
 
 
 def test_the_top_is_thinned_evenly() -> None:
