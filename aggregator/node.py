@@ -11,7 +11,6 @@ from typing import Self
 
 from aggregator.core import matching
 from aggregator.core.camera_log import LoggedEntry, Taken, set_aside
-from aggregator.core.cameras import STANDS_AFTER_S
 from aggregator.core.machine import Batch
 from aggregator.ledger.writer import Ledger
 from aggregator.opening import core_of, keep_config, open_run
@@ -20,7 +19,7 @@ from aggregator.queries import Queries
 from aggregator.report import Reporter
 from conveyor import __version__, topics
 from conveyor.access import known_nodes
-from conveyor.camera_clock import AT_START_GAUGE
+from conveyor.camera_clock import AT_START_GAUGE, STANDS_AFTER_S
 from conveyor.config import LineConfig
 from conveyor.delivery.kept import KeptPublisher, KeptSubscriber
 from conveyor.delivery.latest import LatestSubscriber

@@ -16,6 +16,8 @@ of cameras on several hosts are compared; no step of a host's clock shows in it.
 STEP_NS = 300_000_000
 """A capture time further than this from where both the frame's number and its arrival put it is a step. Ages of 500 ms
 end a frame; device clocks jitter by a few ms, those of ROS nodes by tens."""
+STANDS_AFTER_S = 600.0
+"""Belt that ran on unseen is guessed by the clock for this long at most: a line that is down for longer was stopped."""
 PERIODS = 30
 """Newest frame periods whose median is the camera's."""
 UNKNOWN_PERIOD_NS = 33_000_000

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import Mark, Track
 from conveyor.messages.tracks import UNFOLLOWED
 
-STANDS_AFTER_S = 600.0
-"""Belt that ran on unseen is guessed for this long at most: a line that is down for longer has been stopped."""
 SEEN_AGAIN_M = 0.005
 """Twice as far as the places differ that two processes find for one tuber."""
 

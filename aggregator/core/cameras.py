@@ -11,13 +11,11 @@ from aggregator.core.coverage import Moment
 from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
 from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
+from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
 
 STARTUP_GRACE_S = 60.0
 """A camera never heard of is waited for at least this long: processes of one line do not start at once."""
-
-STANDS_AFTER_S = 600.0
-"""Belt that runs on unseen is guessed by the clock for this long at most: a line that is down longer was stopped."""
 
 LEAD_WITHIN_S = 30.0
 """What a camera says of itself for so long tells how long before its first frame the load began."""

@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.camera_clock import STANDS_AFTER_S
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
-from segmenter.resume import STANDS_AFTER_S
 from segmenter.track.constants import (
     FAR_COST,
     FAR_M,

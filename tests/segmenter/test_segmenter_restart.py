@@ -10,10 +10,11 @@ import pytest
 from segmenter_scene import Body, Scene, scattered
 from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish, play
 
+from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import Frame, Mark, Track
 from conveyor.messages.tracks import UNFOLLOWED
 from segmenter.camera_run import CameraRun
-from segmenter.resume import STANDS_AFTER_S, Resume
+from segmenter.resume import Resume
 
 BODIES = scattered(45, seed=4)
 FRAMES = 150
