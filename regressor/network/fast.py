@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from regressor.network.architecture import HEAD_NAME, HEIGHT_NAME, NEIGHBOURS, NORM_EPSILON, STAGES
 from regressor.network.edges import add_bias, edge_differences, live_units, pooled_maximum
 from regressor.network.grouping import GatheredGroups, SharedGroups
-from regressor.network.stored import State
+from regressor.network.stored import State, embeds_height
 
 BLOCK_CENTROIDS = 32
 LIVE_STEP = 32
@@ -91,7 +91,7 @@ class FastPointRaft:
         """`state`: parameters as `load_weights` gives them."""
         self.form = form
         self._stages = [folded(state, name) for name in STAGES]
-        self._height = folded(state, HEIGHT_NAME) if f"{HEIGHT_NAME}.lins.0.weight" in state else None
+        self._height = folded(state, HEIGHT_NAME) if embeds_height(state) else None
         self._head = folded(state, HEAD_NAME)
         if form.precision == "bfloat16":
             from regressor.network.rounded import RoundedProducts
