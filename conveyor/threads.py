@@ -1,13 +1,65 @@
-"""How many threads products of matrices take."""
+"""How many threads products of matrices take.
+
+Sums are rounded otherwise by two threads than by one, and where other work goes on two are slower. So a weight's
+products take one thread, unless the process was told otherwise, whatever NumPy takes beside.
+"""
 
 from __future__ import annotations
 
 import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import OpenBLASController, ThreadpoolController, threadpool_limits
+
+_lock = threading.Lock()
+_wanted, _inside = 1, 0
+_before: list[tuple[Any, int]] = []
 
 
 def use_threads(count: int) -> None:
     """So many in this process from now on: of the libraries that are loaded, NumPy's, and of those to come, torch's."""
+    global _wanted
+    _wanted = count
     threadpool_limits(count)
     os.environ["OMP_NUM_THREADS"] = str(count)
+
+
+@contextmanager
+def own_threads() -> Iterator[None]:
+    """NumPy's products take one thread, or as many as `use_threads` said, until the last who is inside has left."""
+    global _inside
+    with _lock:
+        if not _inside:
+            _before[:] = [(library, library.get_num_threads()) for library in _libraries()]
+            _set((library, _wanted) for library, count in _before if count != _wanted)
+        _inside += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if not _inside:
+                _set((library, count) for library, count in _before if count != _wanted)
+
+
+def _set(counts: Iterator[tuple[Any, int]]) -> None:
+    """Whichever thread calls: threadpoolctl lets the thread that set an OpenBLAS first set it again, and no other."""
+    for library, count in counts:
+        _free(library)
+        library.set_num_threads(count)
+        _free(library)
+
+
+def _free(library: Any) -> None:
+    if isinstance(library, OpenBLASController):
+        library.clear_controlling_thread(force=True)
+
+
+@cache
+def _libraries() -> tuple[Any, ...]:
+    """That multiply matrices and are loaded when the first weight is asked for: NumPy's is among them."""
+    return tuple(library for library in ThreadpoolController().lib_controllers if library.user_api == "blas")

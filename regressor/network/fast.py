@@ -27,6 +27,7 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
+from conveyor.threads import own_threads
 from regressor.network.architecture import HEAD_NAME, HEIGHT_NAME, NEIGHBOURS, NORM_EPSILON, STAGES
 from regressor.network.edges import add_bias, edge_differences, live_units, pooled_maximum
 from regressor.network.grouping import GatheredGroups, SharedGroups
@@ -102,10 +103,11 @@ class FastPointRaft:
 
     def weigh(self, groups: SharedGroups | GatheredGroups, height_m: float) -> float:
         """Grams of one cloud. `height_m`: above the belt, clamped, metres."""
-        x = self._describe(groups)
-        if self._height is not None:
-            x = np.concatenate([x, _plain(self._height, np.array([height_m], np.float32))])
-        return float(_plain(self._head, x)[0])
+        with own_threads():
+            x = self._describe(groups)
+            if self._height is not None:
+                x = np.concatenate([x, _plain(self._height, np.array([height_m], np.float32))])
+            return float(_plain(self._head, x)[0])
 
     def _describe(self, groups: SharedGroups | GatheredGroups) -> Array:
         """(1024,) global feature."""
