@@ -58,8 +58,7 @@ def read_weights(path: Path) -> tuple[State, Sidecar]:
     """(parameters by name, sidecar) of a checkpoint of any network.
 
     Raises:
-        InputError: missing, unreadable, hash other than the sidecar's.
-        ModuleNotFoundError: a .pth, and torch is not installed here.
+        InputError: missing, unreadable, hash other than the sidecar's; a .pth where torch is not installed.
     """
     data = _bytes(path)
     return _arrays(path, data), _sidecar(path, hashlib.sha256(data).hexdigest())
@@ -79,8 +78,11 @@ def _bytes(path: Path) -> bytes:
 def _arrays(path: Path, data: bytes) -> State:
     try:
         saved: Any = _of_safetensors(data) if path.suffix == ".safetensors" else _of_torch(path)
-    except ModuleNotFoundError:
-        raise
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"weights {path} can be read by torch alone, which is not installed here: make a .safetensors file of them "
+            "where it is, by `tuberline import-checkpoint`"
+        ) from error
     except pickle.UnpicklingError as error:
         raise InputError(f"weights {path} {objects_within(str(error))}") from error
     except Exception as error:  # both libraries raise a wide, undocumented set for broken files

@@ -76,18 +76,25 @@ def test_it_weighs_what_a_host_with_torch_weighs(python: Path, tmp_path: Path) -
     "words",
     [
         ("regressor", "--config", "line.toml", "--run", "r", "--name", "r1"),
-        ("weigh", "cloud.npy", "--belt-distance-m", "0.46", "--weights", "upstream.pth"),
         ("train", "--data", "pack", "--val", "other", "--out", "run"),
     ],
 )
 def test_what_needs_torch_says_so_in_a_sentence_for_good(python: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
     (tmp_path / "line.toml").write_text(CONFIG)
-    (tmp_path / "upstream.pth").write_bytes(b"of torch")
-    np.save(tmp_path / "cloud.npy", half_ellipsoid())
     done = run(python, "-m", "tuberline", *words, cwd=tmp_path)
     (sentence,) = done.stderr.splitlines()
     assert f"`{words[0]}` needs torch for this, which is not installed here" in sentence
     assert done.returncode == 2, "permanent: neither supervisor nor systemd tries again"
+
+
+def test_weights_that_torch_alone_reads_are_refused_by_name(python: Path, tmp_path: Path) -> None:
+    (tmp_path / "upstream.pth").write_bytes(b"of torch")
+    np.save(tmp_path / "cloud.npy", half_ellipsoid())
+    words = ("weigh", "cloud.npy", "--belt-distance-m", "0.46", "--weights", "upstream.pth")
+    done = run(python, "-m", "tuberline", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    (sentence,) = done.stderr.splitlines()
+    assert "weights upstream.pth can be read by torch alone, which is not installed here: make a .saf" in sentence
 
 
 def test_the_edge_images_list_has_everything_but_torch() -> None:
