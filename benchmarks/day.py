@@ -98,5 +98,8 @@ def database(url: str | None) -> Iterator[str | None]:
 def pictures(run: Path, folder: Path) -> None:
     """The report's first page and the map as PNG; pdftoppm draws the page."""
     shutil.copyfile(run / "map.png", folder / "day-map.png")
+    if shutil.which("pdftoppm") is None:
+        sys.stderr.write("report.png is left out, for pdftoppm is not installed here: apt-get install poppler-utils\n")
+        return
     draw = ["pdftoppm", "-r", "80", "-f", "1", "-l", "1", "-singlefile", "-png"]
     subprocess.run([*draw, run / "report.pdf", folder / "report"], check=True)
