@@ -21,13 +21,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from conveyor.config import CameraConfig, LineConfig
 from conveyor.formats import camera_names, open_source
 from conveyor.heap import keep_buffers
 from conveyor.messages import Frame, View
+from conveyor.threads import use_threads
 from regressor.serve.form import fastest
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.weigher import Weigher, weigh_views
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--exact", action="store_true")
     parser.add_argument("--rounds", type=int, default=3, help="over all frames; tables are of each frame's best round")
     options = parser.parse_args(arguments)
-    torch.set_num_threads(1)
+    use_threads(1)
     keep_buffers()  # as segmenters and regressors do
     frames = [
         replace(item, color_jpeg=None)

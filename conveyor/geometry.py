@@ -69,6 +69,15 @@ def belt_distance_m(belt_from_camera: NDArray[np.float64]) -> float:
     return float(belt_from_camera[2, 3]) / down
 
 
+def height_coefficients(
+    intrinsics: Intrinsics, belt_from_camera: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """(a, b, c, t) such that a pixel (u, v) at depth z lies z * (a u + b v + c) + t above the belt, metres."""
+    x, y, z, t = np.asarray(belt_from_camera[2], np.float64).tolist()
+    a, b = x / intrinsics.fx, y / intrinsics.fy
+    return a, b, z - a * intrinsics.cx - b * intrinsics.cy, t
+
+
 def deproject(
     depth: NDArray[np.uint16],
     *,

@@ -17,7 +17,8 @@ from threadpoolctl import OpenBLASController, ThreadpoolController, threadpool_l
 
 _lock = threading.Lock()
 _wanted, _inside = 1, 0
-_before: list[tuple[Any, int]] = []
+_changed: list[tuple[Any, int]] = []
+"""Libraries that took another number of threads before the first came inside, and which."""
 
 
 def use_threads(count: int) -> None:
@@ -34,8 +35,10 @@ def own_threads() -> Iterator[None]:
     global _inside
     with _lock:
         if not _inside:
-            _before[:] = [(library, library.get_num_threads()) for library in _libraries()]
-            _set((library, _wanted) for library, count in _before if count != _wanted)
+            had = [(library, library.get_num_threads()) for library in _libraries()]
+            _changed[:] = [(library, count) for library, count in had if count != _wanted]
+            for library, _ in _changed:
+                _set(library, _wanted)
         _inside += 1
     try:
         yield
@@ -43,15 +46,15 @@ def own_threads() -> Iterator[None]:
         with _lock:
             _inside -= 1
             if not _inside:
-                _set((library, count) for library, count in _before if count != _wanted)
+                for library, count in _changed:
+                    _set(library, count)
 
 
-def _set(counts: Iterator[tuple[Any, int]]) -> None:
+def _set(library: Any, count: int) -> None:
     """Whichever thread calls: threadpoolctl lets the thread that set an OpenBLAS first set it again, and no other."""
-    for library, count in counts:
-        _free(library)
-        library.set_num_threads(count)
-        _free(library)
+    _free(library)
+    library.set_num_threads(count)
+    _free(library)
 
 
 def _free(library: Any) -> None:

@@ -45,7 +45,7 @@ def edge_differences_bfloat16(
 
 
 @njit(cache=True, nogil=True)
-def add_bias(values: NDArray[np.float32], bias: NDArray[np.float32]) -> None:
+def add_bias_relu(values: NDArray[np.float32], bias: NDArray[np.float32]) -> None:
     """ReLU of (R, O) values plus their (O,) bias, in place."""
     rows, width = values.shape
     for row in range(rows):

@@ -6,7 +6,7 @@ second-level cache. Of the last stage only those units are carried on that some 
 two in three are zero in all 128 rows, which adds nothing to a product. Clouds do not meet in a product, so a weight
 does not depend on the batch it came with; on a CPU nothing is lost by that, the products of one cloud are large enough.
 
-Products are NumPy's. Torch's take as long where it has routines for the processor, and torch takes two seconds and 130
+Products are NumPy's. Torch's take as long where it has routines for the processor, and torch takes two seconds and 200
 MB to import: a scale that only weighs does without.
 
 Two ways to save time are not exact and have to be asked for (`Form`): products of bfloat16 operands, which are torch's
@@ -17,26 +17,20 @@ Two ways to save time are not exact and have to be asked for (`Form`): products 
 from __future__ import annotations
 
 import platform
-import threading
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
-from typing import Any, Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
 from conveyor.threads import own_threads
-from regressor.network.architecture import HEAD_NAME, HEIGHT_NAME, NEIGHBOURS, NORM_EPSILON, STAGES
-from regressor.network.edges import add_bias, edge_differences, live_units, pooled_maximum
+from regressor.network.architecture import HEAD_NAME, HEIGHT_NAME, STAGES
 from regressor.network.grouping import GatheredGroups, SharedGroups
+from regressor.network.products import BLOCK_CENTROIDS, Array, Folded, PlainProducts, Wide, folded
 from regressor.network.stored import State, embeds_height
-
-BLOCK_CENTROIDS = 32
-LIVE_STEP = 32
-"""See `live_units`."""
-Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,30 +53,6 @@ class Form:
 
 
 EXACT = Form()
-
-
-@dataclass(frozen=True, slots=True)
-class Folded:
-    """Weights (out, in) and biases (out,) of a shared MLP with its batch norms folded in."""
-
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-
-
-class Wide(Protocol):
-    """The wide products of a network, in one precision. Several threads may use one instance."""
-
-    def abstract(self, stage: int, sources: list[Array], centroids: Array, out: Array) -> None:
-        """The maximum over the neighbours of each centroid, without the last bias.
-
-        Args:
-            stage: the first set abstraction, 0, or the second, 1.
-            sources: (K, W) first layer of the neighbours, one for all centroids or one for each.
-            centroids: (C, W) what the first layer makes of each centroid. out: (C, O) float32, is written.
-        """
-
-    def describe(self, rows: Array) -> Array:
-        """(1024,) the last stage of (C, 259) rows, without its last bias."""
 
 
 class FastPointRaft:
@@ -136,91 +106,12 @@ class FastPointRaft:
         return pooled + mlp.biases[2]
 
 
-class PlainProducts:
-    """Float32 by NumPy."""
-
-    def __init__(self, stages: list[Folded]) -> None:
-        self._stages = stages
-        # (I, O) each: of these the rows of live units are picked.
-        self._last_two = [np.ascontiguousarray(weight.T) for weight in stages[2].weights[1:]]
-        self._rooms = _Rooms()
-
-    def abstract(self, stage: int, sources: list[Array], centroids: Array, out: Array) -> None:
-        """As `Wide` says."""
-        mlp, room = self._stages[stage], self._rooms.of
-        rows = len(centroids) * NEIGHBOURS
-        edges, hidden, values = (
-            room(stage, name, rows, weight.shape[0]) for name, weight in zip("ehv", mlp.weights, strict=True)
-        )
-        differences(sources, centroids, edges, edge_differences)
-        np.matmul(edges, mlp.weights[1].T, out=hidden)
-        add_bias(hidden, mlp.biases[1])
-        np.matmul(hidden, mlp.weights[2].T, out=values)
-        pooled_maximum(values, out)
-
-    def describe(self, rows: Array) -> Array:
-        """As `Wide` says."""
-        mlp = self._stages[2]
-        x = rows @ mlp.weights[0].T
-        add_bias(x, mlp.biases[0])
-        x = self._live(x, 0)
-        add_bias(x, mlp.biases[1])
-        described: Array = self._live(x, 1).max(axis=0)
-        return described
-
-    def _live(self, x: Array, layer: int) -> Array:
-        """(R, O) product of activations (R, I) and one of the last two layers' weights, by the live units."""
-        columns, rows = live_units(x.view(np.int32), self._last_two[layer].view(np.int32), LIVE_STEP)
-        product: Array = columns.view(np.float32) @ rows.view(np.float32)
-        return product
-
-
-def differences(sources: list[Array], centroids: Array, edges: NDArray[Any], kernel: Any) -> None:
-    """ReLU of each neighbour's first layer less its centroid's, into (C * K, W) `edges`, by a kernel of `edges`."""
-    if len(sources) == 1:
-        kernel(sources[0], centroids, edges)
-        return
-    for row, source in enumerate(sources):
-        kernel(source, centroids[row : row + 1], edges[row * NEIGHBOURS : (row + 1) * NEIGHBOURS])
-
-
-class _Rooms(threading.local):
-    """Room for the edges of one block, kept from cloud to cloud. Each thread has its own: it writes while it weighs."""
-
-    def __init__(self) -> None:
-        self._made: dict[tuple[int, str], Array] = {}
-
-    def of(self, stage: int, name: str, rows: int, width: int) -> Array:
-        """(rows, width); what stood there before is not kept."""
-        if (stage, name) not in self._made:
-            self._made[stage, name] = np.empty((BLOCK_CENTROIDS * NEIGHBOURS, width), np.float32)
-        return self._made[stage, name][:rows]
-
-
 def _plain(mlp: Folded, x: Array) -> Array:
     """(out,) of one row (in,)."""
     for weight, bias in zip(mlp.weights[:-1], mlp.biases[:-1], strict=True):
         x = np.maximum(weight @ x + bias, np.float32(0))
     last: Array = mlp.weights[-1] @ x + mlp.biases[-1]
     return last
-
-
-def folded(state: State, name: str) -> Folded:
-    """The shared MLP `name` of a network, each batch norm folded into the linear layer before it, in float64."""
-    weights, biases, index = [], [], 0
-    while f"{name}.lins.{index}.weight" in state:
-        weight, bias = (state[f"{name}.lins.{index}.{part}"].astype(np.float64) for part in ("weight", "bias"))
-        norm = f"{name}.norms.{index}.module"
-        if f"{norm}.weight" in state:
-            scale, shift, mean, variance = (
-                state[f"{norm}.{part}"].astype(np.float64) for part in ("weight", "bias", "running_mean", "running_var")
-            )
-            scale = scale / np.sqrt(variance + NORM_EPSILON)
-            weight, bias = weight * scale[:, None], (bias - mean) * scale + shift
-        weights.append(weight.astype(np.float32))
-        biases.append(bias.astype(np.float32))
-        index += 1
-    return Folded(tuple(weights), tuple(biases))
 
 
 @cache

@@ -8,17 +8,16 @@ timing: the same machine always gives the same bits.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from regressor.network.architecture import NEIGHBOURS
 from regressor.network.edges import edge_differences_bfloat16, live_units, pooled_maximum_bfloat16
-from regressor.network.fast import BLOCK_CENTROIDS, LIVE_STEP, Array, Folded, differences, multiplies_bfloat16
+from regressor.network.products import BLOCK_CENTROIDS, LIVE_STEP, Array, Folded, Room, differences
 
 Layer = Callable[[Tensor, Tensor, Tensor | None, bool], Tensor]
 
@@ -27,7 +26,7 @@ class RoundedProducts:
     """Products of bfloat16 operands, summed in float32."""
 
     def __init__(self, stages: list[Folded]) -> None:
-        layer = fused_layer() if multiplies_bfloat16() else None
+        layer = fused_layer() if onednn_multiplies_bfloat16() else None
         self._layer = layer or _torch_layer
         self._weights = [tuple(torch.from_numpy(w).bfloat16() for w in stage.weights) for stage in stages]
         self._biases = [tuple(torch.from_numpy(b).bfloat16() for b in stage.biases) for stage in stages]
@@ -38,11 +37,11 @@ class RoundedProducts:
             for stage in (0, 1):
                 first, *others = self._weights[stage]
                 self._weights[stage] = (first, *(packed_weight(weight, rows) for weight in others))
-        self._rooms = _Rooms()
+        self._room = Room(np.uint16)
 
     def abstract(self, stage: int, sources: list[Array], centroids: Array, out: Array) -> None:
         """As `Wide` says."""
-        edges = self._rooms.of_width(centroids.shape[1])[: len(centroids) * NEIGHBOURS]
+        edges = self._room.of(stage, 0, len(centroids) * NEIGHBOURS, centroids.shape[1])
         differences(sources, centroids, edges, edge_differences_bfloat16)
         weights, biases = self._weights[stage], self._biases[stage]
         with torch.inference_mode():
@@ -63,19 +62,6 @@ class RoundedProducts:
         """(rows, L) live columns of activations and the (O, L) weights that they meet in one of the last two layers."""
         columns, rows = live_units(x.view(torch.int16).numpy(), self._last_two[layer], LIVE_STEP)
         return torch.from_numpy(columns).view(torch.bfloat16), torch.from_numpy(rows).view(torch.bfloat16).T
-
-
-class _Rooms(threading.local):
-    """Room for the edges of one block, by their width. Each thread has its own: they are written while it weighs."""
-
-    def __init__(self) -> None:
-        self._made: dict[int, NDArray[np.uint16]] = {}
-
-    def of_width(self, width: int) -> NDArray[np.uint16]:
-        """(rows of a block, width); what stood there before is not kept."""
-        if width not in self._made:
-            self._made[width] = np.empty((BLOCK_CENTROIDS * NEIGHBOURS, width), np.uint16)
-        return self._made[width]
 
 
 def fused_layer() -> Layer | None:
@@ -101,6 +87,7 @@ def packed_weight(weight: Tensor, rows: int) -> Tensor:
     return ordered
 
 
+@cache
 def onednn_multiplies_bfloat16() -> bool:
     """Whether this build of torch has oneDNN, and that takes a product of bfloat16 on this processor."""
     layer = fused_layer()

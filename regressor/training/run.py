@@ -18,6 +18,7 @@ from regressor.network.checkpoint import read_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
 from regressor.network.sidecar import InputSpec, Range, Sidecar
+from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
 from regressor.training.begun import digest_of
 from regressor.training.calibration import calibration
@@ -110,7 +111,7 @@ def train(
         on_validated=write,
         on_step=on_step,
     )
-    return read_checkpoint(options.out / WEIGHTS)[1]
+    return read_weights(options.out / WEIGHTS)[1]
 
 
 def load_sets(

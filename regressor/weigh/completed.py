@@ -26,11 +26,6 @@ STEPS_RAD = (0.10, 0.05, 0.025, 0.012)
 """Turns by which the best hole is refined."""
 
 
-def step_of(points: int) -> int:
-    """Of so many points one in how many is read."""
-    return max(1, points // MOST_POINTS)
-
-
 def completed_sizes_mm(
     level: NDArray[np.float64], *, distance_m: float, height_m: float
 ) -> tuple[float, float, float, float]:
@@ -40,7 +35,7 @@ def completed_sizes_mm(
         level: (N, 3) metres, level frame (z away from the camera), of the visible surface, evenly over the image.
         distance_m: of the optical centre above the resting level. height_m: of the top above that level.
     """
-    points = _about_middle(level[:: step_of(len(level))], distance_m, height_m)
+    points = _about_middle(level[:: max(1, len(level) // MOST_POINTS)], distance_m, height_m)
     directions, frames = _directions()
     hull = points[_extremes(points, directions)]
     reach = _reach_mm(hull, directions)

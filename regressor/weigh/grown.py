@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.geometry import height_coefficients
 from conveyor.messages import View
 
 OPENING_PX = 5
@@ -41,25 +42,22 @@ _SPOT = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (SPOT_PX, SPOT_PX))
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 
 
-def heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
+def view_heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
     """(h, w) heights above the resting level of a view's pixels."""
-    k, up = view.intrinsics, view.belt_from_camera[2]
-    # In units of depth: how much a pixel's height grows from column to column, from row to row, and at the first pixel.
-    along_u, along_v = view.depth_scale_m * up[0] / k.fx, view.depth_scale_m * up[1] / k.fy
-    first = view.depth_scale_m * up[2] + along_u * (view.u0 - k.cx) + along_v * (view.v0 - k.cy)
-    heights: NDArray[np.float64] = _tilted(kept, along_u, along_v, first, up[3] + view.resting_offset_m)
+    a, b, c, t = height_coefficients(view.intrinsics, view.belt_from_camera)
+    c += a * view.u0 + b * view.v0
+    heights: NDArray[np.float64] = _tilted(kept, view.depth_scale_m, a, b, c, t + view.resting_offset_m)
     return heights
 
 
 @njit(cache=True, nogil=True)
-def _tilted(
-    kept: NDArray[np.uint16], along_u: float, along_v: float, first: float, above: float
-) -> NDArray[np.float64]:
+def _tilted(kept: NDArray[np.uint16], scale_m: float, a: float, b: float, c: float, t: float) -> NDArray[np.float64]:
+    """By coefficients of the crop's own pixels."""
     rows, columns = kept.shape
     heights = np.empty((rows, columns))
     for v in range(rows):
         for u in range(columns):
-            heights[v, u] = kept[v, u] * (first + along_u * u + along_v * v) + above
+            heights[v, u] = kept[v, u] * scale_m * (a * u + b * v + c) + t
     return heights
 
 

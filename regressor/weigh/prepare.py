@@ -18,7 +18,7 @@ from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import View
-from regressor.weigh.grown import cut_back, heights_m
+from regressor.weigh.grown import cut_back, view_heights_m
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.surface import LEAST_HEIGHT_M, SurfaceFeatures, surface_features
@@ -93,7 +93,7 @@ def prepare_view(view: View) -> PreparedCloud:
     """
     depth = np.ascontiguousarray(view.depth)
     kept = clean_depth(depth, view.depth_scale_m)
-    cut = cut_back(depth, kept, heights_m(kept, view))
+    cut = cut_back(depth, kept, view_heights_m(kept, view))
     if cut is not None:
         depth, kept = cut, clean_depth(cut, view.depth_scale_m)
     cloud = prepare_depth(

@@ -138,7 +138,7 @@ def fit_sizes(
 
 def size_features(cloud: PreparedCloud) -> NDArray[np.float64]:
     """(21,) features of a prepared cloud, in the order of `FEATURES`."""
-    level = cloud.points[:: completed.step_of(len(cloud.points))].astype(np.float64) + np.array(cloud.centre_m)
+    level = cloud.points.astype(np.float64) + np.array(cloud.centre_m)
     distance_m = cloud.belt_distance_m + cloud.resting_offset_m
     sizes = completed.completed_sizes_mm(level, distance_m=distance_m, height_m=max(cloud.height_m, LEAST_HEIGHT_M))
     return np.array([*cloud.surface.as_array()[: len(surface.FIRST_NAMES)], *sizes])

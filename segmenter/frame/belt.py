@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.geometry import Intrinsics, belt_distance_m
+from conveyor.geometry import Intrinsics, belt_distance_m, height_coefficients
 
 MIN_ROW_ALIGNMENT = 0.5
 """How much of the belt's travel must run along the image's rows for a tuber to cross the centre row at all."""
@@ -30,10 +30,9 @@ class BeltGeometry:
 
     def __post_init__(self) -> None:
         belt_distance_m(self.belt_from_camera)
-        rows, k = tuple(tuple(row) for row in np.asarray(self.belt_from_camera, np.float64).tolist()), self.intrinsics
+        rows = tuple(tuple(row) for row in np.asarray(self.belt_from_camera, np.float64).tolist())
         object.__setattr__(self, "_rows", rows)
-        a, b = rows[2][0] / k.fx, rows[2][1] / k.fy
-        object.__setattr__(self, "_heights", (a, b, rows[2][2] - a * k.cx - b * k.cy, rows[2][3]))
+        object.__setattr__(self, "_heights", height_coefficients(self.intrinsics, self.belt_from_camera))
         along = float(self.belt_from_camera[0, 1])
         if abs(along) < MIN_ROW_ALIGNMENT:
             raise InputError(

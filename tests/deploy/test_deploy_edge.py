@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from tests.conftest import ROOT
+from tests.regressor.ellipsoids import upper_side
 
 DOCKER = ROOT / "deploy" / "docker"
 NEED_NO_TORCH = (
@@ -43,14 +43,6 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return home / "bin" / "python"
 
 
-def half_ellipsoid() -> NDArray[np.float64]:
-    """(1500, 3) metres: a tuber's upper side, on a belt 0.46 m below the camera."""
-    direction = np.random.default_rng(7).normal(size=(1500, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    direction[:, 2] = -np.abs(direction[:, 2])
-    return direction * (0.045, 0.03, 0.025) + (0.0, 0.0, 0.46 - 0.025)
-
-
 def run(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     return subprocess.run(
@@ -65,7 +57,7 @@ def test_no_node_of_a_line_needs_torch(python: Path, tmp_path: Path) -> None:
 
 
 def test_it_weighs_what_a_host_with_torch_weighs(python: Path, tmp_path: Path) -> None:
-    np.save(tmp_path / "cloud.npy", half_ellipsoid())
+    np.save(tmp_path / "cloud.npy", upper_side(0.46))
     words = ("-m", "tuberline", "weigh", "cloud.npy", "--belt-distance-m", "0.46", "--json")
     without, beside = (run(which, *words, cwd=tmp_path) for which in (python, Path(sys.executable)))
     assert (without.returncode, without.stderr) == (0, "")
@@ -89,7 +81,7 @@ def test_what_needs_torch_says_so_in_a_sentence_for_good(python: Path, tmp_path:
 
 def test_weights_that_torch_alone_reads_are_refused_by_name(python: Path, tmp_path: Path) -> None:
     (tmp_path / "upstream.pth").write_bytes(b"of torch")
-    np.save(tmp_path / "cloud.npy", half_ellipsoid())
+    np.save(tmp_path / "cloud.npy", upper_side(0.46))
     words = ("weigh", "cloud.npy", "--belt-distance-m", "0.46", "--weights", "upstream.pth")
     done = run(python, "-m", "tuberline", *words, cwd=tmp_path)
     assert done.returncode == 2

@@ -47,6 +47,14 @@ def ellipsoid_depth_m(
     return out
 
 
+def upper_side(belt_distance_m: float) -> NDArray[np.float64]:
+    """(1500, 3) metres: the upper side of an ellipsoid that lies so far below the camera; no pixels."""
+    direction = np.random.default_rng(7).normal(size=(1500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    direction[:, 2] = -np.abs(direction[:, 2])
+    return direction * (0.045, 0.03, 0.025) + (0.0, 0.0, belt_distance_m - 0.025)
+
+
 def tilt_matrix(tilt_deg: float) -> NDArray[np.float64]:
     """(3, 3) camera_from_level: a turn about x."""
     t = np.deg2rad(tilt_deg)

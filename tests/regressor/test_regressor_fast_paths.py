@@ -8,7 +8,7 @@ import numpy as np
 
 from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _tuber, _windows, disparity
 from regressor.weigh.completed import LEAST_HEIGHT, _about_middle, _directions, _extremes, _reach_mm, _turned
-from regressor.weigh.grown import heights_m
+from regressor.weigh.grown import view_heights_m
 from regressor.weigh.prepare import _areas, _centred, _points
 from regressor.weigh.quadratic import pairs_of, quadratic
 from regressor.weigh.surface import (
@@ -151,7 +151,7 @@ def test_heights_of_a_view_are_those_of_its_points() -> None:
     v, u = np.nonzero(view.depth)
     z, k = view.depth[v, u] * view.depth_scale_m, view.intrinsics
     points = np.stack([(u + view.u0 - k.cx) * z / k.fx, (v + view.v0 - k.cy) * z / k.fy, z, np.ones_like(z)])
-    np.testing.assert_allclose(heights_m(view.depth, view)[v, u], pose[2] @ points + 0.006, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(view_heights_m(view.depth, view)[v, u], pose[2] @ points + 0.006, rtol=0, atol=1e-12)
 
 
 def test_the_top_is_thinned_evenly() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import wait_until
+from tests.regressor.ellipsoids import upper_side
 
 FILES = 400
 BELT_M = 0.345
@@ -22,11 +23,7 @@ BELT_M = 0.345
 @pytest.fixture
 def clouds(tmp_path: Path) -> list[Path]:
     """Many clouds of one tuber."""
-    rng = np.random.default_rng(7)
-    direction = rng.normal(size=(1500, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    direction[:, 2] = -np.abs(direction[:, 2])
-    points = direction * (0.045, 0.03, 0.025) + (0.0, 0.0, BELT_M - 0.025)
+    points = upper_side(BELT_M)
     paths = [tmp_path / f"cloud{n:03}.npy" for n in range(FILES)]
     for n, path in enumerate(paths):
         np.save(path, points + 1e-6 * n)
