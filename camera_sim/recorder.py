@@ -153,7 +153,7 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[
     Raises:
         StorageError: the disk is full, or gone.
     """
-    with Node("recorder", name, config=config, run=run) as node:
+    with Node("recorder", name, config=config, run=run, announce=False) as node:
         parts = _Parts(out)
         if parts.open.path != out:
             node.log.warning("%s holds a recording: going on in %s", out, parts.open.path)
@@ -177,6 +177,7 @@ def _record(node: Node, parts: _Parts) -> None:
     positions = _Positions(node)
     for counter in ("frames_written", "frames_missing", "frames_duplicate", "frames_of_another_run"):
         node.counters.add(counter, 0)
+    node.announce()
     while not node.stop.is_set() or len(frames):
         frame = frames.get(0.0 if node.stop.is_set() else SYNC_EVERY_S / 2)
         node.progress()

@@ -30,6 +30,11 @@ pytestmark = pytest.mark.graph
 POSITIONS = [Position("gnss", "r", n, 10**18 + n * 10**9, 10**18, 52.7 + n * 1e-5, 5.75, 4, 0.7, 14) for n in range(3)]
 
 
+def _wait_for_recorder(side: OtherSide) -> None:
+    """Until it listens: its first word comes before it does, and a frame that is published between is lost to it."""
+    wait_until(lambda: (c := side.counters("recorder")) and "frames_written" in c.values, what="the recorder")
+
+
 def _always_ready(side: OtherSide) -> None:
     """Be a segmenter that is done with everything at once, after it has seen the first frame."""
     side.done(-1)
@@ -42,7 +47,7 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
 ) -> None:
     config, out = line(link, path=small_recording, speed=2.0, waits=True), tmp_path / "line.mcap"
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
-        wait_until(lambda: side.counters("recorder"), what="the recorder")
+        _wait_for_recorder(side)
         with (
             process(config, tmp_path, "camera", "--camera", "front"),
             Node("gnss", "gnss", config=config, run="r") as gnss,
@@ -91,7 +96,7 @@ def test_a_killed_recorder_loses_at_most_its_last_chunk(
     record_scene(tmp_path / "long", replace(small_settings, tubers=30, fps=30.0))
     config, out = line(link, path=tmp_path / "long", speed=1.0, waits=True), tmp_path / "line.mcap"
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
-        wait_until(lambda: side.counters("recorder"), what="the recorder")
+        _wait_for_recorder(side)
         with process(config, tmp_path, "camera", "--camera", "front"):
             _always_ready(side)
             wait_until(
@@ -134,22 +139,33 @@ def test_a_line_that_is_started_again_begins_a_new_part(
 ) -> None:
     """Its numbers begin at 0 again: in one file the second run hid behind the first, and nothing told of it."""
     config, out = line(link, path=small_recording), tmp_path / "line.mcap"
-    first = next(item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame))
+    whole = next(item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame))
+    size = replace(whole.intrinsics, width=32, height=18)
+    small = replace(whole, intrinsics=size, depth=whole.depth[:18, :32], mask=None)
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
-        wait_until(lambda: side.counters("recorder"), what="the recorder")
         frames = LatestPublisher(side.node, topics.FRAME, camera="front")
-        wait_until(lambda: frames.has_listener, what="the recorder to listen")
-        for run, seq in [("a", 0), ("a", 1), ("b", 0), ("a", 2), ("b", 1), ("b", 2)]:
-            frames.put(replace(first, run=run, seq=seq))
-        wait_until(
-            lambda: (c := side.counters("recorder")) and c.values["frames_written"] == 5, what="5 frames in the files"
-        )
+
+        def counted(run: str, seq: int, counter: str) -> int:
+            """What the recorder counts; the frame is sent again, for one that starts, or a full link, loses some."""
+            frames.put(replace(small, run=run, seq=seq))
+            counters = side.counters("recorder")
+            return 0 if counters is None else counters.values.get(counter, 0)
+
+        for run, seq, counter, n in [
+            ("a", 0, "frames_written", 1),
+            ("a", 1, "frames_written", 2),
+            ("b", 0, "frames_written", 3),
+            ("a", 2, "frames_of_another_run", 1),
+            ("b", 1, "frames_written", 4),
+            ("b", 2, "frames_written", 5),
+        ]:
+            wait_until(lambda: counted(run, seq, counter) >= n, what=f"{counter} {n}")  # noqa: B023
         recorder.send_signal(signal.SIGTERM)
         told, _ = recorder.communicate(timeout=30)
         counters = side.counters("recorder")
     assert told == f"2 frames in {out}\n3 frames in {tmp_path / 'line-2.mcap'}\n"
     assert counters is not None
-    assert counters.values["frames_of_another_run"] == 1, "a run that was left does not come back"
+    assert counters.values["frames_of_another_run"] >= 1, "a run that was left does not come back"
     assert [item.seq for item in open_source(out).frames(run="r")] == [0, 1]
     assert [item.seq for item in open_source(tmp_path / "line-2.mcap").frames(run="r")] == [0, 1, 2]
 
