@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack
 from dataclasses import replace
@@ -36,6 +37,8 @@ TOTALS_EVERY_S = 0.5
 TOTALS_SHARE = 10.0
 """Totals take a tenth of the time at most: with many cameras on a busy host, coverage takes longer than entries do."""
 LONGEST_GATHER_S = 1.0
+COMMITS_APART_S = 0.1
+"""From one to the next, at least: cameras mark with each frame, and a commit is two syncs of the disk."""
 TRAVELS = 64
 COMMITTED_EVERY_S = 1.0
 LONGEST_LOOK_S = 0.2
@@ -72,6 +75,7 @@ class AggregatorNode:
         self._alive: set[str] = set()
         self._refused_runs: set[str] = set()
         self._told: dict[str, CameraInfo] = {}
+        self._committed_s = -math.inf
 
     @property
     def ledger_path(self) -> Path:
@@ -185,16 +189,18 @@ class AggregatorNode:
             self._report(time.monotonic(), in_haste=True)
 
     def _gather(self, for_s: float, *, at_most_s: float) -> None:
-        """Receive entries until every camera has marked how far it is, for one commit interval at most; where more wait
-        than that, for `at_most_s`, as long as the last commit took: a slow disk must not have little to write.
+        """Receive entries until every camera has marked how far it is and the last commit is `COMMITS_APART_S` ago, for
+        one commit interval at most; where more wait than that, for `at_most_s`, as long as the last commit took: a slow
+        disk must not have little to write.
         """
         deadline_s = time.monotonic() + for_s
         last_s = max(deadline_s, deadline_s - for_s + at_most_s)
         marked: set[str] = set()
         for _ in range(BATCH_ENTRIES):
+            now_s = time.monotonic()
+            left_s = (last_s if len(self._entries) and not self._orders.waiting else deadline_s) - now_s
             if marked and not len(self._entries) and marked >= self._core.cameras.running:
-                return
-            left_s = (last_s if len(self._entries) and not self._orders.waiting else deadline_s) - time.monotonic()
+                left_s = min(left_s, self._committed_s + COMMITS_APART_S - now_s)
             entry = self._entries.get(min(left_s, LONGEST_LOOK_S)) if left_s > 0 else None
             if entry is None:
                 if left_s <= LONGEST_LOOK_S or self._orders.waiting:
@@ -238,6 +244,7 @@ class AggregatorNode:
         batch = self._core.commit(now_s=now_s, hold_at_x_m=self._orders.hold_at_x_m(now_s))
         if batch.empty:
             return
+        self._committed_s = now_s
         self._ledger.write(self._run, batch)
         self._node.counters.add("batches")
         self._tell(batch)

@@ -242,7 +242,7 @@ class AggregatorConfig(Section):
     merge_gate_mm: float = Field(30.0, ge=2, le=200, description="tracks of two cameras closer than this are one tuber")
     camera_stall_s: float = Field(10.0, ge=0.5, le=3600, description="a silent camera holds the ledger no longer")
     commit_interval_s: float = Field(
-        0.08, ge=0.01, le=10, description="entries are committed this often, or once every camera has marked"
+        0.15, ge=0.01, le=10, description="entries are committed this often, or once every camera has marked"
     )
     histogram_step_g: float = Field(50.0, gt=0, le=1000, description="width of a class in the histogram of weights")
     exit_when_final: bool = Field(False, description="write the summary and stop when all cameras ended")
