@@ -9,10 +9,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.camera_range import BASELINE_M
+from conveyor.kernels import kernel
 
 SIDE = 11
 """Pixels along a window. Real and simulated cameras are compared with this window (docs/worlds.md)."""
@@ -97,7 +97,7 @@ def neighbour_steps_px(d: Disparity) -> NDArray[np.float32]:
     return np.concatenate(steps)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _tuber(depth: NDArray[np.uint16], strength: float) -> tuple[Disparity, int]:
     """Disparity of a crop without the bare rows and columns at its ends, and how many of its pixels have depth.
 
@@ -120,7 +120,7 @@ def _tuber(depth: NDArray[np.uint16], strength: float) -> tuple[Disparity, int]:
     return found, count
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _windows(d: Disparity, stride: int) -> NDArray[np.float64]:
     """(n, 121) every window of which enough is seen, and no two neighbours lie a jump apart, in raster order."""
     rows, columns = (d.shape[0] - SIDE) // stride + 1, (d.shape[1] - SIDE) // stride + 1
@@ -133,7 +133,7 @@ def _windows(d: Disparity, stride: int) -> NDArray[np.float64]:
     return windows[:n]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _smooth(window: Disparity, out: NDArray[np.float64]) -> bool:
     """Copy a window, row by row; False where too little of it is seen or it lies across an outline."""
     seen = 0

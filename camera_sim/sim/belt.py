@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from camera_sim.sim.rods import Rods, rods_depth
 from conveyor.geometry import Intrinsics
+from conveyor.kernels import kernel
 
 TILE_MM = 1024
 CLEAT_WIDTH_MM = 12
@@ -77,7 +77,7 @@ def belt_depth(
     return depth
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _depth(
     relief: NDArray[np.float32],
     belt_from_camera: NDArray[np.float64],

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from camera_sim.sim.meshes import Faces, Vertices, icosphere, rotation_about
+from conveyor.kernels import kernel
 
 STEP_M = 0.0005
 COARSE_M = 0.001
@@ -99,7 +99,7 @@ def typical_sink_m(support: Support, axes_mm: tuple[float, float, float] = MEAN_
     return float(np.mean(sinks))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _lower_edges(
     x: NDArray[np.float64], z: NDArray[np.float64], faces: NDArray[np.int32], first: float, lowest: NDArray[np.float64]
 ) -> None:
@@ -119,7 +119,7 @@ def _lower_edges(
                     lowest[i] = at
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _lifts(
     lowest: NDArray[np.float64], firsts: NDArray[np.float64], height: NDArray[np.float64], period: float
 ) -> NDArray[np.float64]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.geometry import Intrinsics
+from conveyor.kernels import kernel
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def fill_highest(
     _fill(height_m, ids, columns, rows, z_m, faces, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _fill(
     inverse_depth: NDArray[np.float32],
     ids: NDArray[np.int32],

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 SOIL_ON_RODS = 0.2
 """Share of the belt's soil that sticks to the rods."""
@@ -48,7 +49,7 @@ class Rods:
         return np.where(np.abs(x) < self.radius_m, np.sqrt(inside) - self.radius_m, -np.inf)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def rods_depth(
     soil: NDArray[np.float32],
     web: tuple[float, float, float],

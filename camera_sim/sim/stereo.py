@@ -13,13 +13,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.stereo_faults import add_islands, lost_outlines
+from conveyor.kernels import kernel
 
 Field = NDArray[np.float32]
 STEPS_PER_PIXEL = 32
@@ -190,7 +190,7 @@ def _as_field(array: Any) -> Field:
     return np.asarray(array, np.float32)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _to_units(
     d: Field,
     true: Field,

@@ -12,10 +12,10 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.formats.png16 import Refusal
+from conveyor.kernels import kernel
 from conveyor.wire import MAX_ARRAY_BYTES
 
 MEDIA_TYPE = "application/rvl"
@@ -58,7 +58,7 @@ def decode_ros_rvl(data: bytes) -> NDArray[np.uint16] | Refusal:
     return decode_rvl(data[_ROS_HEADER.size :])
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(nogil=True)
 def _put(value: int, state: NDArray[np.int64], words: NDArray[np.uint32]) -> None:
     """Append `value`; `state` is (3,) int64: word under construction, nibbles in it, words written."""
     while True:
@@ -77,7 +77,7 @@ def _put(value: int, state: NDArray[np.int64], words: NDArray[np.uint32]) -> Non
             return
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(nogil=True)
 def _encode(pixels: NDArray[np.uint16], words: NDArray[np.uint32]) -> int:
     """Fill `words` from the front; how many were needed."""
     state = np.zeros(3, np.int64)
@@ -102,7 +102,7 @@ def _encode(pixels: NDArray[np.uint16], words: NDArray[np.uint32]) -> int:
     return int(state[2])
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(nogil=True)
 def _number(words: NDArray[np.uint32], at: int) -> tuple[int, int]:
     """The number at nibble `at` and where the next one begins; -1 where the words end or no depth is so large."""
     value, shift = 0, 0
@@ -116,7 +116,7 @@ def _number(words: NDArray[np.uint32], at: int) -> tuple[int, int]:
     return -1, at
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(nogil=True)
 def _decode(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
     """Fill `pixels`, all 0 before; whether the words hold exactly as many."""
     done, at, previous = 0, 0, 0

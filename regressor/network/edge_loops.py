@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 
-@njit(cache=True, nogil=True)
+
+@kernel(nogil=True)
 def add_moments(values: NDArray[np.float32], sums: NDArray[np.float64]) -> None:
     """Adds (R, H) `values` and their squares to the rows of `sums` (2, H)."""
     width = values.shape[1]
@@ -21,7 +22,7 @@ def add_moments(values: NDArray[np.float32], sums: NDArray[np.float64]) -> None:
         sums[1, h] += second[h]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def activate(
     values: NDArray[np.float32], scale: NDArray[np.float32], shift: NDArray[np.float32], out: NDArray[np.float32]
 ) -> None:
@@ -33,7 +34,7 @@ def activate(
             out[row, h] = value if value > np.float32(0) else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def largest(values: NDArray[np.float32], out: NDArray[np.float32], winner: NDArray[np.uint8]) -> None:
     """The largest of each of the C groups of K rows of (C * K, O) `values`: `out` (C, O), and which of K holds it."""
     groups, width = out.shape
@@ -49,7 +50,7 @@ def largest(values: NDArray[np.float32], out: NDArray[np.float32], winner: NDArr
                 winner[c, o] = np.uint8(k) if larger else winner[c, o]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def pass_back(
     gradient: NDArray[np.float32],
     winner: NDArray[np.uint8],
@@ -102,7 +103,7 @@ def pass_back(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def gather_edges(
     source: NDArray[np.float32], centroid: NDArray[np.float32], row_of: NDArray[np.int32], out: NDArray[np.float32]
 ) -> None:
@@ -117,7 +118,7 @@ def gather_edges(
                 out[row, w] = value if value > np.float32(0) else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def spread_back(
     points: tuple[NDArray[np.float32], NDArray[np.float32]],
     passed: NDArray[np.float32],

@@ -11,11 +11,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 
-@njit(cache=True, nogil=True)
+
+@kernel(nogil=True)
 def edge_differences(source: NDArray[np.float32], centroid: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """max(source_k - centroid_c, 0) of every pair into `out` (C * K, W); source (K, W), centroid (C, W)."""
     neighbours, width = source.shape
@@ -26,7 +27,7 @@ def edge_differences(source: NDArray[np.float32], centroid: NDArray[np.float32],
                 out[c * neighbours + k, w] = value if value > np.float32(0) else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def edge_differences_bfloat16(
     source: NDArray[np.float32], centroid: NDArray[np.float32], out: NDArray[np.uint16]
 ) -> None:
@@ -44,7 +45,7 @@ def edge_differences_bfloat16(
                 out[c * neighbours + k, w] = np.uint16((bits[w] + np.uint32(0x7FFF) + odd) >> np.uint32(16))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def add_bias_relu(values: NDArray[np.float32], bias: NDArray[np.float32]) -> None:
     """ReLU of (R, O) values plus their (O,) bias, in place."""
     rows, width = values.shape
@@ -54,7 +55,7 @@ def add_bias_relu(values: NDArray[np.float32], bias: NDArray[np.float32]) -> Non
             values[row, o] = value if value > np.float32(0) else np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def pooled_maximum(values: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """The maximum over each of the C groups of equal size: values (C * K, O) into `out` (C, O)."""
     groups, width = out.shape
@@ -68,7 +69,7 @@ def pooled_maximum(values: NDArray[np.float32], out: NDArray[np.float32]) -> Non
                 out[c, o] = value if value > out[c, o] else out[c, o]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def pooled_maximum_bfloat16(values: NDArray[np.int16], out: NDArray[np.float32]) -> None:
     """As `pooled_maximum`, of the bits of bfloat16.
 
@@ -94,7 +95,7 @@ def pooled_maximum_bfloat16(values: NDArray[np.int16], out: NDArray[np.float32])
             out[c, o] = floats[o]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def live_units(values: Any, weights: Any, step: int) -> tuple[Any, Any]:
     """What a product of activations behind a ReLU and the weights needs: units that are zero in all rows add nothing.
 

@@ -8,8 +8,9 @@ CUDA code leaves ties to the layout of threads, the lowest index wins here.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 LANES = 64
 
@@ -35,7 +36,7 @@ def farthest_points(points: NDArray[np.float32], count: int, *, start: int = 0) 
     return _farthest(columns, len(points), count, start)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _farthest(columns: NDArray[np.float32], n: int, count: int, start: int) -> NDArray[np.int64]:
     # 64 running maxima side by side: LLVM vectorises the lanes, which it cannot do for one argmax.
     padded = columns.shape[1]
@@ -76,7 +77,7 @@ def _farthest(columns: NDArray[np.float32], n: int, count: int, start: int) -> N
     return chosen
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def first_in_range(
     points: NDArray[np.float32], centroids: NDArray[np.float32], radius: float, limit: int
 ) -> NDArray[np.int64]:

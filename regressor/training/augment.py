@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from regressor.network.grouping import radius_is_free_of
 from regressor.network.sampling import _farthest
 
@@ -123,7 +123,7 @@ def augmented_batch(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _sample_batch(columns: NDArray[np.float32], start: NDArray[np.int64], count: int) -> NDArray[np.float32]:
     out = np.empty((len(columns), count, 3), np.float32)
     for row in range(len(columns)):

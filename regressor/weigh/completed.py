@@ -10,8 +10,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 NAMES = ("completed_length_mm", "completed_width_mm", "completed_thickness_mm", "completed_mesh_mm")
 MOST_POINTS = 2500
@@ -46,7 +47,7 @@ def completed_sizes_mm(
     return float(reach[longest]), float(across[widest]), float(across[thinnest]), _mesh_mm(hull, frames)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _about_middle(points: NDArray[np.float64], distance_m: float, height_m: float) -> NDArray[np.float64]:
     """(m, 3) those of (n, 3) points that lie high enough, from the middle of the body."""
     count = len(points)
@@ -84,7 +85,7 @@ def _least_hole_mm(hull: NDArray[np.float64], frames: NDArray[np.float64]) -> tu
     return best, float(side[best])
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     """(3, 2 * 27) the pair (u, v) as it is, and turned by about `step` about sums of its axes and their opposites."""
     w = np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
@@ -100,7 +101,7 @@ def _turned(u: NDArray[np.float64], v: NDArray[np.float64], step: float) -> NDAr
     return turned
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(nogil=True, fastmath={"contract"})
 def _extremes(points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(n,) which of (n, 3) points lie first highest or lowest along any of (3, m) directions.
 
@@ -123,7 +124,7 @@ def _extremes(points: NDArray[np.float64], directions: NDArray[np.float64]) -> N
     return extreme
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(nogil=True, fastmath={"contract"})
 def _reach_mm(points: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
     """(m,) millimetres across the body along (3, m) directions, from (n, 3) points about its middle, metres."""
     many = directions.shape[1]

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.geometry import height_coefficients
+from conveyor.kernels import kernel
 from conveyor.messages import View
 
 OPENING_PX = 5
@@ -50,7 +50,7 @@ def view_heights_m(kept: NDArray[np.uint16], view: View) -> NDArray[np.float64]:
     return heights
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _tilted(kept: NDArray[np.uint16], scale_m: float, a: float, b: float, c: float, t: float) -> NDArray[np.float64]:
     """By coefficients of the crop's own pixels."""
     rows, columns = kept.shape

@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 BESIDE_M = 0.005
 """A part of a tuber that a hole cuts off lies within its depth range, give or take this; a false match does not."""
@@ -85,7 +86,7 @@ def _inside(full: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def drop_islands(depth: NDArray[np.uint16], step: int, beside: int) -> int:
     """Zero, in place, every part of `depth` (h, w) that lies off the depth range of its largest part; pixels dropped.
 
@@ -142,7 +143,7 @@ def drop_islands(depth: NDArray[np.uint16], step: int, beside: int) -> int:
     return dropped
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def fill_holes(depth: NDArray[np.float64]) -> int:
     """Fill, in place, every empty pixel of `depth` (h, w) that is enclosed; how many there were.
 

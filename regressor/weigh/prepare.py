@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.depth_noise import crop_noise_px
 from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
+from conveyor.kernels import kernel
 from conveyor.messages import View
 from regressor.weigh.grown import cut_back, view_heights_m
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
@@ -260,7 +260,7 @@ def _level(
     return points_in_camera @ level_from_camera.T, float(belt_from_camera[2, 3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _points(
     filled: NDArray[np.float64], kept: NDArray[np.uint16], fx: float, fy: float, cx: float, cy: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.float64]]:
@@ -281,7 +281,7 @@ def _points(
     return inside, measured[:n], places[:n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _areas(in_camera: NDArray[np.float64], level: NDArray[np.float64], fx_fy: float) -> NDArray[np.float64]:
     """(n,) area on the level plane that a pixel covers: smaller than z^2/(fx fy) where the ray meets it obliquely."""
     areas = np.empty(len(in_camera))
@@ -309,7 +309,7 @@ def _finish(
     return PreparedCloud(points, height_m, distance_m, surface, tuple(flags), resting_offset_m, (x_m, y_m, z_m))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _centred(
     level: NDArray[np.float64], measured: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], float]:
@@ -353,7 +353,7 @@ def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float) -> NDArray[np.u
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _clean(depth: NDArray[np.uint16], step: int) -> NDArray[np.uint16]:
     rows, columns = depth.shape
     out = np.zeros_like(depth)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 RINGS = (0.08, 0.18, 0.32, 0.50, 0.75)
 """Outer ends of all rings but the last, as shares of the inscribed circle's radius."""
@@ -56,7 +57,7 @@ def rim_profile(
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _axes(level: NDArray[np.float64], areas_m2: NDArray[np.float64]) -> tuple[float, float, float, float]:
     """(x, y of the outline's middle, standard deviations of its area along its main axes), metres."""
     area, x, y, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -74,7 +75,7 @@ def _axes(level: NDArray[np.float64], areas_m2: NDArray[np.float64]) -> tuple[fl
     return x, y, np.sqrt(max(half + root, 0.0)), np.sqrt(max(half - root, 0.0))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _profile(
     level: NDArray[np.float64],
     areas_m2: NDArray[np.float64],

@@ -7,9 +7,9 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from regressor.weigh.surface import FIRST_NAMES
 from regressor.weigh.view_features import VIEW_NAMES
 
@@ -57,7 +57,7 @@ def pairs_of(terms: NDArray[np.float64], low: NDArray[np.float64], high: NDArray
     return scaled[:, first] * scaled[:, second]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def quadratic(
     terms: NDArray[np.float64],
     low: NDArray[np.float64],

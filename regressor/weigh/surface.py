@@ -14,9 +14,9 @@ from operator import attrgetter
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from regressor.weigh.profile import PROFILE_NAMES, rim_profile
 
 LEVELS = (0.50, 0.70, 0.85)
@@ -129,7 +129,7 @@ def surface_features(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _sums(
     level: NDArray[np.float64], areas_m2: NDArray[np.float64], heights: NDArray[np.float64], height_m: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -156,7 +156,7 @@ def _sums(
     return area, volume, x / area, y / area, top_x / top, top_y / top, low, middle, high
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _longest(level: NDArray[np.float64], directions: NDArray[np.float64], trimmed: float) -> tuple[float, float]:
     """Longest width of the outline of (n, 2 or more) points over (2, m) directions, and the one half of them further
     on.
@@ -177,7 +177,7 @@ def _longest(level: NDArray[np.float64], directions: NDArray[np.float64], trimme
     return length, _widths((directions[0, across] * x + directions[1, across] * y).reshape(1, n), trimmed)[0]
 
 
-@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+@kernel(nogil=True, fastmath={"nnan", "nsz"})
 def _extents(x: NDArray[np.float64], y: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
     """(m,) from the lowest to the highest of (n,) places along each of (2, m) directions."""
     extents = np.empty(directions.shape[1])
@@ -191,7 +191,7 @@ def _extents(x: NDArray[np.float64], y: NDArray[np.float64], directions: NDArray
     return extents
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _widths(along: NDArray[np.float64], trimmed: float) -> NDArray[np.float64]:
     """(n,) distance of the quantiles `trimmed` and 1 - `trimmed` of each row: NumPy's numbers, without its partition.
 
@@ -250,20 +250,20 @@ def _ranked(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     return np.partition(values, (below, min(below + 1, len(values) - 1)))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _between(a: float, b: float, share: float) -> float:
     """As NumPy interpolates, rounding included."""
     return b - (b - a) * (1.0 - share) if share >= 0.5 else a + (b - a) * share
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _common(a: int, b: int) -> int:
     while b:
         a, b = b, a % b
     return a
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _rim(
     inside: NDArray[np.bool_], level: NDArray[np.float64], heights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
@@ -296,7 +296,7 @@ def _hull_m2(rim: NDArray[np.float32]) -> float:
     return float(cv2.contourArea(cv2.convexHull(rim))) if len(rim) >= 3 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
     """(6,) of 1, x, y, xx, xy, yy: least squares through heights over (n, 2) places, in units of `unit` about their
     middle, with a little ridge.
@@ -318,7 +318,7 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
     return np.linalg.solve(normal, right).astype(np.float64)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _top(
     xy: NDArray[np.float64], heights: NDArray[np.float64], over_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

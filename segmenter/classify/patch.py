@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.classify.quadric import departures
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
@@ -175,7 +175,7 @@ def observe_instance(
     return Observation(height_mm, seen, inside)
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(error_model="numpy")
 def _from_above(
     height_mm: NDArray[np.float32],
     measured: NDArray[np.uint8],

@@ -8,8 +8,9 @@ fits it (algebraic distance; Taubin 1991, "Estimation of planar curves, surfaces
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 SURE, PARTLY = 0.8, 0.3
 """Share of a cell that must be the body's to be fitted, and to be compared."""
@@ -20,7 +21,7 @@ RIDGE_MID, RIDGE = 1e-4, 1e-7
 """Of the mid-surface, which a flat body does not fix, and of the rest."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def departures(mean_mm: NDArray[np.float32], share: NDArray[np.float32]) -> NDArray[np.float32]:
     """(n, s, s) float32 millimetres above the quadric through each body, times `share`; 0 outside and where too little
     of a body is seen.
@@ -35,7 +36,7 @@ def departures(mean_mm: NDArray[np.float32], share: NDArray[np.float32]) -> NDAr
     return out
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _departure(mean_mm: NDArray[np.float32], share: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     size = mean_mm.shape[0]
     half = size / 2 - 0.5

@@ -5,11 +5,12 @@ into that band is cut there although it does not touch the image's border.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+
+@kernel()
 def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], reach: int) -> NDArray[np.int64]:
     """How many rows or columns of each label lie first or last of all that was seen.
 
@@ -48,7 +49,7 @@ def cut_by_unseen(labels: NDArray[np.int32], n: int, seen: NDArray[np.uint8], re
     return touching
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _note(cells: NDArray[np.int32], touching: NDArray[np.int64]) -> None:
     """Count the first label among a few cells, once."""
     for label in cells:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.frame.marks import marked, row_of_marks
 
 LEVEL_MM = 0.25
@@ -20,7 +20,7 @@ BACKGROUND = np.float32(-1)
 """Its relief; its level is 0."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _find(parents: NDArray[np.int32], peak: Any) -> Any:
     while parents[peak] != peak:
         parents[peak] = parents[parents[peak]]
@@ -28,7 +28,7 @@ def _find(parents: NDArray[np.int32], peak: Any) -> Any:
     return peak
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def flood(
     relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8], least_mm: float, share: float
 ) -> tuple[NDArray[np.int32], int]:
@@ -57,7 +57,7 @@ def flood(
     return _named(basins, relief[peaks], peaks, parents, relief_mm.shape)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _rimmed(relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8]) -> NDArray[np.float32]:
     """((h + 2) * (w + 2),) the relief with a rim of background, so that no neighbour needs a check."""
     rows, columns = relief_mm.shape
@@ -74,19 +74,19 @@ def _rimmed(relief_mm: NDArray[np.float32], foreground: NDArray[np.uint8]) -> ND
     return relief
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _level(relief_mm: Any) -> Any:
     """Its level, 0 for the background, at most `MOST_LEVELS`."""
     return np.int32(min(relief_mm * PER_MM, MOST_STEPS)) + 1 if relief_mm >= 0 else 0
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _around(width: int) -> Any:
     """Steps to the eight neighbours of a cell: four that come before it and four after."""
     return -width - 1, -width, -width + 1, -1, 1, width - 1, width, width + 1
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _neighbours(cells: NDArray[Any], first: int, width: int) -> Any:
     """The eight neighbours of a row's cells, the first of which is `first`, as eight views: four before, four after."""
     columns, above, below = width - 2, first - width, first + width
@@ -102,7 +102,7 @@ def _neighbours(cells: NDArray[Any], first: int, width: int) -> Any:
     )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _basins(relief: NDArray[np.float32], width: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Before anything is merged: (cells,) -1 - the row of the peak that each leads up to, 0 in the background; (peaks,)
     their cells. Cells of one level come in the order of their rows and columns.
@@ -132,7 +132,7 @@ def _basins(relief: NDArray[np.float32], width: int) -> tuple[NDArray[np.int32],
     return basins, peaks[:found]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _point_up(
     relief: NDArray[np.float32],
     basins: NDArray[np.int32],
@@ -171,7 +171,7 @@ def _point_up(
         marks[j] = labelled & (not higher)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _same_level_before(relief: NDArray[np.float32], cell: int, width: int) -> Any:
     """The highest of the neighbours before a cell that are of its level; 0 where none is."""
     level = _level(relief[cell])
@@ -182,7 +182,7 @@ def _same_level_before(relief: NDArray[np.float32], cell: int, width: int) -> An
     return up
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _between(basins: NDArray[np.int32], relief: NDArray[np.float32], width: int) -> NDArray[np.int32]:
     """(n,) cells with a neighbour that comes before them and leads up to another peak than they do."""
     cells = np.empty(len(relief), np.int32)
@@ -201,13 +201,13 @@ def _between(basins: NDArray[np.int32], relief: NDArray[np.float32], width: int)
     return cells[:n]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _comes_before(relief: NDArray[np.float32], cell: int, step: int) -> Any:
     """Whether the neighbour of a cell that is a step away is flooded before it."""
     return _level(relief[cell + step]) >= _level(relief[cell]) + (step > 0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _mark_borders(basins: NDArray[np.int32], first: int, width: int, marks: NDArray[np.uint8]) -> None:
     """Mark the cells of a row that have a neighbour in another basin; the background is none."""
     a, b, c, d, e, f, g, h = _neighbours(basins, first, width)
@@ -219,12 +219,12 @@ def _mark_borders(basins: NDArray[np.int32], first: int, width: int, marks: NDAr
         marks[j] = (k != 0) & (before | after)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _differs(near: Any, own: Any) -> Any:
     return (near != own) & (near != 0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _falling(cells: NDArray[np.int32], relief: NDArray[np.float32]) -> NDArray[np.int32]:
     """The cells, highest level first, in their order within a level: a counting sort."""
     levels = np.empty(len(cells), np.int64)
@@ -245,7 +245,7 @@ def _falling(cells: NDArray[np.int32], relief: NDArray[np.float32]) -> NDArray[n
     return order
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _meet(
     cell: int,
     basins: NDArray[np.int32],
@@ -274,7 +274,7 @@ def _meet(
                     root = high
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _named(
     basins: NDArray[np.int32],
     peaks_mm: NDArray[np.float32],
@@ -305,7 +305,7 @@ def _named(
     return labels, n
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: float, steps: int) -> None:
     """Grow all labels ring by ring, in place, into unlabelled cells higher than `floor_mm`, at most `steps` cells.
 
@@ -331,7 +331,7 @@ def regrow(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: 
         front, fresh, rimmed, fresh_rimmed, size = fresh, front, fresh_rimmed, rimmed, grown
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _bare(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: Any) -> NDArray[np.uint8]:
     """((h + 2) * (w + 2),) 1 where a cell has no label and is higher than `floor_mm`; with a rim of 0."""
     rows, columns = labels.shape
@@ -344,7 +344,7 @@ def _bare(labels: NDArray[np.int32], height_mm: NDArray[np.float32], floor_mm: A
     return bare
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _beside_bare(labels: NDArray[np.int32], bare: NDArray[np.uint8]) -> Any:
     """(cells,) labelled cells beside a bare one, as (n,) numbers without and with a rim; n."""
     rows, columns = labels.shape
@@ -363,7 +363,7 @@ def _beside_bare(labels: NDArray[np.int32], bare: NDArray[np.uint8]) -> Any:
     return cells, rimmed, size
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def relabel(labels: NDArray[np.int32], names: NDArray[np.int32]) -> None:
     """Rename labels in place: label k becomes `names[k]`; `names[0]` is 0."""
     for i in range(labels.shape[0]):

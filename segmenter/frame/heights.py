@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import CEILING_MM, GAP_MM
 from segmenter.frame.marks import WORD, marked, row_of_marks
@@ -51,7 +51,7 @@ def height_map(depth: NDArray[np.uint16], *, depth_scale_m: float, belt: BeltGeo
     return HeightMap(height_mm, seen, stride, cell_mm)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _blocks(
     depth: NDArray[np.uint16], scale: float, a: float, b: float, c: float, t: float, stride: int, ceiling: float
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
@@ -85,7 +85,7 @@ def _blocks(
     return height, seen
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: int) -> None:
     """Unseen runs between two seen cells of a row or a column take the lower side: a hole on a tuber becomes tuber, the
     shadow beside it becomes belt.
@@ -121,7 +121,7 @@ def _close_gaps(height: NDArray[np.float32], seen: NDArray[np.uint8], longest: i
             _close_above(height, seen, i, j, longest)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _close_above(height: NDArray[np.float32], seen: NDArray[np.uint8], i: int, j: int, longest: int) -> None:
     """Close the gap above cell (i, j), which is seen and the one over it not, if it is short enough and has an end."""
     last = i - 2

@@ -12,9 +12,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from conveyor.reasons import InstanceRefusal
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import (
@@ -126,7 +126,7 @@ def split(heights: HeightMap, belt: BeltGeometry, settings: SplitSettings) -> In
     return _describe(labels, n, smooth_mm, heights.seen, heights.stride, belt, settings)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _quantised(height_mm: NDArray[np.float32], per_mm: np.float32) -> NDArray[np.uint8]:
     """(h, w) heights in steps of the 8-bit raster, at most 255."""
     steps = np.empty(height_mm.shape, np.uint8)
@@ -136,7 +136,7 @@ def _quantised(height_mm: NDArray[np.float32], per_mm: np.float32) -> NDArray[np
     return steps
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _foreground(
     quantised: NDArray[np.uint8], jump: NDArray[np.uint8], over: float, steepest: float
 ) -> NDArray[np.uint8]:
@@ -148,7 +148,7 @@ def _foreground(
     return foreground
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _relief(
     quantised: NDArray[np.uint8], distance: NDArray[np.float32], quantum_mm: Any, cell_mm: Any, share: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

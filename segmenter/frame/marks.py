@@ -5,21 +5,22 @@ look at the few marked cells one by one.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 WORD = 8
 """So many marks of one byte are looked at as one word."""
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def row_of_marks(columns: int) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """((n,) uint8 marks of a row of cells, none set, n a whole number of words; (n,) int32 room for their places)."""
     padded = -(-columns // WORD) * WORD
     return np.zeros(padded, np.uint8), np.empty(padded, np.int32)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def marked(marks: NDArray[np.uint8], room: NDArray[np.int32]) -> NDArray[np.int32]:
     """Places of the marks that are set, rising, in `room`. What lies behind the row's last cell must be 0."""
     words = marks.view(np.uint64)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 LEAST_OF_CELL = 8
 """Samples that a coarse cell needs to stand for the belt."""
@@ -27,7 +28,7 @@ def _highs(n: int, count: int) -> NDArray[np.int64]:
     return np.tile(np.array([n - 3, n - 2, n - 1, 2, 1]), count)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _shuffled(drawn: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     triples = np.empty((len(drawn), 3), np.int64)
     for k in range(len(drawn)):
@@ -41,7 +42,7 @@ def _shuffled(drawn: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     return triples
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(error_model="numpy")
 def samples_of(
     grid: NDArray[np.uint16], scale_m: float, k: tuple[float, float, float, float], first: int, stride: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -76,7 +77,7 @@ def far_samples(
     return _far(*_cells(x, y), q, share)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _cells(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
     """(n,) coarse cell of each sample, column after column, and how many cells there are."""
     column, row = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
@@ -86,7 +87,7 @@ def _cells(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.i
     return (column - column.min()) * rows + (row - row.min()), (column.max() - column.min() + 1) * rows
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: float) -> NDArray[np.int64]:
     ends = np.zeros(cells + 1, np.int64)
     for n in range(len(cell)):
@@ -119,7 +120,7 @@ def _far(cell: NDArray[np.int64], cells: int, q: NDArray[np.float64], share: flo
     return far[:found]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def planes_through(
     triples: NDArray[np.int64], x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64], clear: float
 ) -> NDArray[np.float64]:
@@ -141,7 +142,7 @@ def planes_through(
     return planes[:found]
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(error_model="numpy")
 def heights_over(
     plane: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64], q: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -154,7 +155,7 @@ def heights_over(
     return heights
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def support(heights: NDArray[np.float64], band_m: float) -> tuple[int, float]:
     """How many samples lie within `band_m` of their plane, and the sum of their squared heights, m2."""
     count, squares = 0, 0.0
@@ -165,7 +166,7 @@ def support(heights: NDArray[np.float64], band_m: float) -> tuple[int, float]:
     return count, squares
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def row_means(
     along: NDArray[np.float64], height: NDArray[np.float64], band_m: float, fewest: int
 ) -> NDArray[np.float64]:
@@ -202,7 +203,7 @@ def quantile(values: NDArray[np.float64], share: float) -> float:
     return high - (high - low) * (1.0 - part) if part >= 0.5 else low + (high - low) * part
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def best_plane(
     planes: NDArray[np.float64],
     x: NDArray[np.float64],
@@ -228,7 +229,7 @@ def best_plane(
     return best
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def trimmed(
     plane: NDArray[np.float64],
     x: NDArray[np.float64],

@@ -7,8 +7,9 @@ half of it somewhere. One that lies on others ends high above the belt, and look
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 STEP_MM = 1.0
 STEPS = 256
@@ -44,7 +45,7 @@ def rim_heights(
     return _quantiles(counts, _RINGS, _SHARES)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _quantiles(counts: NDArray[np.int64], rings: NDArray[np.int64], shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n,) the height that share n of the cells in ring n are not higher than; NaN where there are none."""
     found = np.full(len(rings), np.nan)
@@ -60,7 +61,7 @@ def _quantiles(counts: NDArray[np.int64], rings: NDArray[np.int64], shares: NDAr
     return found
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _rings(
     labels: NDArray[np.int32], height_mm: NDArray[np.float32], label: int, bounds: NDArray[np.float64]
 ) -> NDArray[np.int64]:
@@ -87,7 +88,7 @@ def _rings(
     return counts
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _away(labels: NDArray[np.int32], label: int) -> NDArray[np.int32]:
     """(h + 2, w + 2) chamfer distance, in thirds of a cell, of each cell to the nearest one on the other side of the
     outline of `label`; a rim of one cell all round is far from it.

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.frame.flood import relabel
 from segmenter.frame.marks import marked, row_of_marks
 
@@ -112,7 +112,7 @@ def _main_neighbour(seams: _Seams, small: int, cell_mm: float, seam: SeamSetting
     return other if clear else None
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _add_seam(
     labels: NDArray[np.int32],
     height_mm: NDArray[np.float32],
@@ -144,7 +144,7 @@ def _add_seam(
     jump[b, a] += step
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _seams(labels: NDArray[np.int32], n: int, height_mm: NDArray[np.float32]) -> _Seams:
     rows, columns = labels.shape
     length = np.zeros((n + 1, n + 1))

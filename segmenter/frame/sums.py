@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.frame.marks import marked, row_of_marks
 
 InstanceSums = np.dtype(
@@ -69,7 +69,7 @@ def instance_sums(
     return sums, histogram
 
 
-@njit(cache=True, error_model="numpy")  # type: ignore[untyped-decorator, unused-ignore]
+@kernel(error_model="numpy")
 def _add_cells(
     labels: NDArray[np.int32],
     height_mm: NDArray[np.float32],
@@ -137,7 +137,7 @@ def _add_cells(
             )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _mark_ends(own: NDArray[np.int32], marks: NDArray[np.uint8]) -> None:
     """Mark the last cell of each run of one label along a row."""
     last = len(own) - 1
@@ -146,7 +146,7 @@ def _mark_ends(own: NDArray[np.int32], marks: NDArray[np.uint8]) -> None:
     marks[last] = 1
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _mark_outline(
     own: NDArray[np.int32], above: NDArray[np.int32], below: NDArray[np.int32], marks: NDArray[np.uint8]
 ) -> None:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 KNOWN_BASELINES_M = {"D405": 0.018, "D415": 0.055, "D435": 0.050, "D455": 0.095}
 """Distance of the imagers by RealSense model."""
@@ -100,7 +101,7 @@ def _finer(comb: Comb, than: Comb) -> bool:
     return same and comb.steps_per_px > than.steps_per_px
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _matches(
     tried: NDArray[np.float64], edges: NDArray[np.float64], share: NDArray[np.float64], weight: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -7,8 +7,9 @@ ties fall as they fall there. Its package takes a third of a second to import, a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from conveyor.kernels import kernel
 
 
 def least_cost_pairs(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
@@ -21,7 +22,7 @@ def least_cost_pairs(cost: NDArray[np.float64]) -> list[tuple[int, int]]:
     return sorted((row, column) for column, row in enumerate(rows))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _columns_of_rows(cost: NDArray[np.float64]) -> NDArray[np.int64]:
     """(n,) the column of each row of a (n, m) matrix, n at most m."""
     rows, columns = cost.shape

@@ -12,10 +12,10 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from conveyor.camera_clock import STANDS_AFTER_S
+from conveyor.kernels import kernel
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.track.constants import (
@@ -181,7 +181,7 @@ class TravelEstimator:
         return (float(shifts[best]) + fraction) * CELL_M
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _raster(
     height_mm: NDArray[np.float32],
     stride: int,

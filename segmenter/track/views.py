@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
@@ -153,7 +153,7 @@ def cut_out(frame: Frame, instances: Instances, index: int, belt: BeltGeometry, 
     )
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _load(
     crop: NDArray[np.uint16],
     inside: NDArray[np.bool_],

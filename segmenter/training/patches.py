@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from conveyor.kernels import kernel
 from segmenter.classify.patch import SIZE, as_channels
 from segmenter.training.pack import HEIGHT_STEP_MM
 from segmenter.training.samples import INSIDE_BIT, TrainingSample
@@ -72,7 +72,7 @@ def _drawn(count: int, rng: Generator) -> NDArray[np.int64]:
     return first + rng.permutation(last - first)[:taken]
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator, unused-ignore]
+@kernel()
 def _sums(observations: NDArray[np.uint16], chosen: NDArray[np.int64], step_mm: float, inside_bit: np.uint16) -> Sums:
     """(4, 48, 48) height, its square, seen and inside, summed over the chosen observations as a `Patch` keeps them.
 

@@ -1,0 +1,43 @@
+"""Loops over pixels and points as machine code: numba's compiler as all kernels here use it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from numba import njit
+from numba.np import linalg
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(**options: Any) -> Callable[[F], F]:
+    """Compile a function at its first call, and keep what was compiled beside its file for all later processes.
+
+    Args:
+        options: numba's, as `nogil`, `error_model` or `fastmath`.
+    """
+    compiled: Callable[[F], F] = njit(cache=True, **options)
+    return compiled
+
+
+def _leave_blas() -> None:
+    """Let numba load its code for arrays without SciPy's linear algebra, a quarter of a second of each process.
+
+    It looks whether that is there when it loads a process's first kernel. A kernel that multiplies matrices asks for it
+    again; ours do not.
+    """
+    ensure_blas = linalg.ensure_blas
+
+    def later() -> None:
+        raise ImportError
+
+    linalg.ensure_blas = later
+    try:
+        from numba.np import arraymath
+    finally:
+        linalg.ensure_blas = ensure_blas
+    arraymath._HAVE_BLAS = True
+
+
+_leave_blas()
