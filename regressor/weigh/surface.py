@@ -296,11 +296,19 @@ def _hull_m2(rim: NDArray[np.float32]) -> float:
     return float(cv2.contourArea(cv2.convexHull(rim))) if len(rim) >= 3 else 0.0
 
 
-@kernel(nogil=True)
 def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
     """(6,) of 1, x, y, xx, xy, yy: least squares through heights over (n, 2) places, in units of `unit` about their
     middle, with a little ridge.
     """
+    normal, right = _normal_equations(xy, heights, unit)
+    return np.asarray(np.linalg.solve(normal, right), np.float64)
+
+
+@kernel(nogil=True)
+def _normal_equations(
+    xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(6, 6) and (6,) of `_quadric`."""
     n = len(xy)
     middle_x, middle_y = xy[:, 0].sum() / n, xy[:, 1].sum() / n
     normal, right, terms = np.zeros((6, 6)), np.zeros(6), np.empty(6)
@@ -315,7 +323,7 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
         normal[p, p] += 1e-6 * n
         for q in range(p):
             normal[p, q] = normal[q, p]
-    return np.linalg.solve(normal, right).astype(np.float64)
+    return normal, right
 
 
 @kernel(nogil=True)

@@ -8,10 +8,14 @@ import sys
 LOADED = """
 import sys
 import numpy as np
-from conveyor.depth_noise import crop_noise_px
-depth = np.full((40, 60), 400, np.uint16)
-crop_noise_px(depth, depth_scale_m=0.001, fx=400.0)
-assert 'scipy.linalg' not in sys.modules, 'a first kernel'
+from regressor.serve.node import warm_up as warm_up_views
+from regressor.weigh.weigher import Weigher
+from segmenter.pipeline import Settings
+from segmenter.warmup import warm_up as warm_up_frames
+
+warm_up_frames(Settings().split.pixel_mm)
+warm_up_views(Weigher.load())
+assert 'scipy.linalg' not in sys.modules, 'a frame and a view'
 
 from numba import njit
 
@@ -24,7 +28,7 @@ assert 'scipy.linalg' in sys.modules, 'a product of matrices'
 """
 
 
-def test_kernels_load_no_linear_algebra_and_leave_it_to_those_that_need_it() -> None:
+def test_a_frame_and_a_view_load_no_linear_algebra_and_a_kernel_that_needs_it_finds_it() -> None:
     """numba looks for it with a process's first kernel: a quarter of a second of each start."""
     said = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stderr
