@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +166,7 @@ class BeltKeeper:
 
     def _followed(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """(4, 4) the given pose with its height over the belt as seen; drifts are along the optical axis."""
-        drift_m = float(np.median(self._drifts_m))
+        drift_m = median(self._drifts_m)
         scatter_m = float(np.mean(np.abs(np.array(self._drifts_m) - drift_m)))
         often = 2 * sum(self._seen) >= len(self._seen)
         if abs(drift_m) > self._follow_m or scatter_m > AGREE_M or not often:

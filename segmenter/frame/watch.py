@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ class BeltWatch:
     def _middle(self) -> BeltCheck:
         drifts = [check.drift_m for check in self._checks if check.drift_m is not None]
         tilts = [check.tilt_off_deg for check in self._checks if check.tilt_off_deg is not None]
-        return BeltCheck(None, float(np.median(drifts)), float(np.median(tilts)) if tilts else None)
+        return BeltCheck(None, median(drifts), median(tilts) if tilts else None)
 
     def _vote(self, instances: Instances, travel_m: float) -> None:
         """Where the tubers of the last frame should be now, had they moved with the travel, or against it."""

@@ -8,6 +8,7 @@ neighbour. Tracks that are decided go on absorbing what lies at their place unti
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ class Tracker:
             if self.tracks[i].trust >= STEADY_TRUST and not instances.cut[j, :2].any()
             and abs(np.log(instances.area_m2[j] / self.tracks[i].area_m2)) < 0.2
         ]  # fmt: skip
-        return float(np.median(residuals)) if residuals else None
+        return median(residuals) if residuals else None
 
     def update(
         self, seq: int, instances: Instances, pairs: list[tuple[int, int]], history: TravelHistory, travel_m: float,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,7 @@ class TravelEstimator:
     @property
     def speed_mps(self) -> float:
         """Median of the last readings; 0 before the first one."""
-        return float(np.median(self._speeds)) if self._speeds else 0.0
+        return median(self._speeds) if self._speeds else 0.0
 
     @property
     def unfollowed_ms(self) -> int:
