@@ -63,16 +63,19 @@ def oldest_until_final(line: DisturbedLine) -> float:
 
 @pytest.mark.slow
 def test_five_times_too_many_frames_are_dropped_and_every_tuber_is_weighed(
-    live_recording: Path, tmp_path: Path
+    loaded_recording: Path, tmp_path: Path
 ) -> None:
+    """Of an evenly loaded belt, as where a share of it is held against a share of its tubers."""
     ages: list[float] = []
-    summary = live_run(live_recording, tmp_path / "run", lambda line: ages.append(oldest_until_final(line)), speed=5.0)
+    summary = live_run(
+        loaded_recording, tmp_path / "run", lambda line: ages.append(oldest_until_final(line)), speed=5.0
+    )
     frames, views, tracks = sheet_of(summary)
     assert frames["dropped_overwritten"] > 0
     assert frames["processed"] < frames["published"]
     assert 0.0 < max(ages) <= MAX_AGE_MS
     assert views["weighed"] >= tracks["counted"] > 0
-    score = score_of(tmp_path / "run", live_recording)
+    score = score_of(tmp_path / "run", loaded_recording)
     assert score["double_counted"] == 0
     assert score["count"] / score["true_count"] >= summary["totals"]["coverage"] - 0.1
 
