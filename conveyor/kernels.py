@@ -25,9 +25,11 @@ def _leave_blas() -> None:
     """Let numba load its code for arrays without SciPy's linear algebra, a quarter of a second of each process.
 
     It looks whether that is there when it loads a process's first kernel. A kernel that multiplies matrices asks for it
-    again; ours do not.
+    again; ours do not. A numba that does otherwise is left as it is.
     """
-    ensure_blas = linalg.ensure_blas
+    ensure_blas = getattr(linalg, "ensure_blas", None)
+    if ensure_blas is None:
+        return
 
     def later() -> None:
         raise ImportError
