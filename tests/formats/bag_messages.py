@@ -44,8 +44,12 @@ def image(
     big_endian: bool = False,
     ros1: bool = False,
     nearer_mm: int = 0,
+    stamp: int | None = None,
 ) -> bytes:
-    """Image n, serialised: metres for 32FC1, else millimetres; `pad` bytes behind each row."""
+    """Image n, serialised: metres for 32FC1, else millimetres; `pad` bytes behind each row.
+
+    Its time is that of image `stamp`, where that is given.
+    """
     pixels = (np.maximum(depth_mm(n), nearer_mm) - nearer_mm).astype(">u2" if big_endian else "<u2")
     if encoding == "32FC1":
         metres = np.where(depth_mm(n) > 0, depth_mm(n) / 1000.0, np.nan)
@@ -53,7 +57,8 @@ def image(
     rows = np.full((HEIGHT, pixels.itemsize * WIDTH + pad), 255, np.uint8)
     rows[:, : pixels.itemsize * WIDTH] = pixels.view(np.uint8).reshape(HEIGHT, -1)
     fields = {"height": HEIGHT, "width": WIDTH, "encoding": encoding, "is_bigendian": int(big_endian)}
-    return _serialised(IMAGE, {**fields, "step": rows.shape[1], "data": rows.ravel()}, n, ros1=ros1)
+    at = n if stamp is None else stamp
+    return _serialised(IMAGE, {**fields, "step": rows.shape[1], "data": rows.ravel()}, at, ros1=ros1)
 
 
 def info(
