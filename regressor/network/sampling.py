@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
 
-LANES = 64
+LANES = 32
+"""Points of a block."""
+SAFE = np.float32(0.9999)
+"""Of the squared distance to a block, so that no rounding makes it larger than that to one of its points."""
 
 
 def farthest_points(points: NDArray[np.float32], count: int, *, start: int = 0) -> NDArray[np.int64]:
@@ -38,43 +41,65 @@ def farthest_points(points: NDArray[np.float32], count: int, *, start: int = 0) 
 
 @kernel(nogil=True)
 def _farthest(columns: NDArray[np.float32], n: int, count: int, start: int) -> NDArray[np.int64]:
-    # 64 running maxima side by side: LLVM vectorises the lanes, which it cannot do for one argmax.
+    # Points in the order of pixels lie together. So a pick changes few blocks: it is too far from the others for any of
+    # their points. Within a block LLVM vectorises the lanes.
     padded = columns.shape[1]
     x, y, z = columns[0], columns[1], columns[2]
     near = np.full(padded, np.float32(np.inf), np.float32)
     near[n:] = np.float32(-1.0)
-    best = np.empty(LANES, np.float32)
-    block_of = np.empty(LANES, np.int32)
+    low, high = _boxes(columns, n)
+    blocks = padded // LANES
+    farthest = np.full(blocks, np.float32(np.inf), np.float32)
+    least = np.empty(blocks, np.float32)
+    lanes = np.empty(LANES, np.float32)
     chosen = np.empty(count, np.int64)
     last = start
     chosen[0] = start
     for pick in range(1, count):
         px, py, pz = x[last], y[last], z[last]
-        best[:] = np.float32(-2.0)
-        block_of[:] = 0
-        for block in range(padded // LANES):
-            offset = block * LANES
-            for lane in range(LANES):
-                i = offset + lane
-                dx = x[i] - px
-                dy = y[i] - py
-                dz = z[i] - pz
-                distance = dx * dx + dy * dy + dz * dz
-                kept = near[i]
-                kept = distance if distance < kept else kept
-                near[i] = kept
-                larger = kept > best[lane]
-                best[lane] = kept if larger else best[lane]
-                block_of[lane] = np.int32(block) if larger else block_of[lane]
-        top = best[0]
-        for lane in range(1, LANES):
-            top = max(top, best[lane])
-        last = padded
-        for lane in range(LANES):
-            if best[lane] == top:
-                last = min(last, block_of[lane] * LANES + lane)
+        for block in range(blocks):
+            dx = max(max(low[0, block] - px, px - high[0, block]), np.float32(0))
+            dy = max(max(low[1, block] - py, py - high[1, block]), np.float32(0))
+            dz = max(max(low[2, block] - pz, pz - high[2, block]), np.float32(0))
+            least[block] = (dx * dx + dy * dy + dz * dz) * SAFE
+        for block in range(blocks):
+            if least[block] < farthest[block]:
+                for lane in range(LANES):
+                    i = block * LANES + lane
+                    dx = x[i] - px
+                    dy = y[i] - py
+                    dz = z[i] - pz
+                    distance = dx * dx + dy * dy + dz * dz
+                    kept = near[i]
+                    kept = distance if distance < kept else kept
+                    near[i] = kept
+                    lanes[lane] = kept
+                half = LANES // 2
+                while half > 0:
+                    for lane in range(half):
+                        lanes[lane] = max(lanes[lane], lanes[lane + half])
+                    half //= 2
+                farthest[block] = lanes[0]
+        top = 0
+        for block in range(1, blocks):
+            top = block if farthest[block] > farthest[top] else top
+        last = top * LANES
+        while near[last] != farthest[top]:
+            last += 1
         chosen[pick] = last
     return chosen
+
+
+@kernel(nogil=True)
+def _boxes(columns: NDArray[np.float32], n: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(3, B) lowest and highest coordinate of each block's points; what is behind the first `n` of them is none."""
+    blocks = columns.shape[1] // LANES
+    low, high = np.empty((3, blocks), np.float32), np.empty((3, blocks), np.float32)
+    for axis in range(3):
+        for block in range(blocks):
+            part = columns[axis, block * LANES : min(n, (block + 1) * LANES)]
+            low[axis, block], high[axis, block] = part.min(), part.max()
+    return low, high
 
 
 @kernel(nogil=True)

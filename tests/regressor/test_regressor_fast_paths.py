@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _tuber, _windows, disparity
+from regressor.network.sampling import farthest_points
 from regressor.weigh.completed import LEAST_HEIGHT, _about_middle, _directions, _extremes, _reach_mm, _turned
 from regressor.weigh.grown import view_heights_m
 from regressor.weigh.prepare import _areas, _centred, _points
@@ -201,3 +202,21 @@ def test_windows_are_those_that_lie_on_one_surface() -> None:
             plain.append(window.ravel())
     assert 10 < len(plain) < 90
     np.testing.assert_array_equal(_windows(d, 7), np.array(plain, np.float64))
+
+
+def test_the_farthest_points_are_those_of_a_search_through_all() -> None:
+    """Blocks that lie too far off are passed by; of equally far points the first is taken, within and across blocks."""
+    rows, columns = np.mgrid[0:23, 0:41] * 0.0015
+    surface = np.stack([rows, columns, 0.02 * np.sin(40 * rows) + 0.01 * columns], axis=2).reshape(-1, 3)
+    flat = np.stack([rows, columns, 0 * rows], axis=2).reshape(-1, 3)
+    clouds = [surface, RNG.permutation(surface), flat, RNG.normal(0, 0.03, (333, 3)), np.zeros((70, 3)), flat[:1]]
+    for cloud in clouds:
+        points = cloud.astype(np.float32)
+        for start in {0, len(points) // 2}:
+            near, picked = np.full(len(points), np.inf, np.float32), [start]
+            for _ in range(min(len(points), 200) - 1):
+                apart = points - points[picked[-1]]
+                squares = apart * apart
+                near = np.minimum(near, squares[:, 0] + squares[:, 1] + squares[:, 2])
+                picked.append(int(near.argmax()))
+            assert farthest_points(points, len(picked), start=start).tolist() == picked
