@@ -1,10 +1,12 @@
 """The fast exact form of PointRAFT for one cloud at a time on the CPU.
 
 Against the readable form: batch norm is folded into the weights, first layers are computed per point instead of per
-edge, only the centroids that are read are computed, and the edges pass through in blocks of centroids that stay in the
-second-level cache. Of the last stage only those units are carried on that some row of this cloud wakes: behind a ReLU
-two in three are zero in all 128 rows, which adds nothing to a product. Clouds do not meet in a product, so a weight
-does not depend on the batch it came with; on a CPU nothing is lost by that, the products of one cloud are large enough.
+edge, only the centroids that are read are computed, and the edges of the first stage pass through in blocks of
+centroids that stay in the second-level cache. The second stage takes four rows of each neighbour in place of one for
+each centroid (`regressor.network.affine`). Of the last stage only those units are carried on that some row of this
+cloud wakes: behind a ReLU two in three are zero in all 128 rows, which adds nothing to a product. Clouds do not meet in
+a product, so a weight does not depend on the batch it came with; on a CPU nothing is lost by that, the products of one
+cloud are large enough.
 
 Products are NumPy's. Torch's take as long where it has routines for the processor, and torch takes two seconds and 200
 MB to import: a scale that only weighs does without.
@@ -27,6 +29,7 @@ from llvmlite import binding
 from numpy.typing import NDArray
 
 from conveyor.threads import own_threads
+from regressor.network.affine import AffineStage
 from regressor.network.architecture import HEAD_NAME, HEIGHT_NAME, STAGES
 from regressor.network.grouping import GatheredGroups, SharedGroups
 from regressor.network.products import BLOCK_CENTROIDS, Array, Folded, PlainProducts, Wide, folded
@@ -64,12 +67,14 @@ class FastPointRaft:
         self._stages = [folded(state, name) for name in STAGES]
         self._height = folded(state, HEIGHT_NAME) if embeds_height(state) else None
         self._head = folded(state, HEAD_NAME)
+        self._second: AffineStage | None = None
         if form.precision == "bfloat16":
             from regressor.network.rounded import RoundedProducts
 
             self._wide: Wide = RoundedProducts(self._stages)
         else:
             self._wide = PlainProducts(self._stages)
+            self._second = AffineStage(self._stages[1])
 
     def weigh(self, groups: SharedGroups | GatheredGroups, height_m: float) -> float:
         """Grams of one cloud. `height_m`: above the belt, clamped, metres."""
@@ -89,7 +94,10 @@ class FastPointRaft:
             source, index1, index2 = groups.points, groups.neighbours1, groups.neighbours2
         centroids1, centroids2 = groups.centroids1, groups.centroids2[used]
         features1 = self._abstract(0, source, centroids1, index1)
-        features2 = self._abstract(1, np.concatenate([features1, centroids1], axis=1), centroids2, index2)
+        neighbours2 = np.concatenate([features1, centroids1], axis=1)
+        features2 = self._second.pooled(neighbours2, centroids2) if self._second and index2 is None else None
+        if features2 is None:
+            features2 = self._abstract(1, neighbours2, centroids2, index2)
         described = self._wide.describe(np.concatenate([features2, centroids2], axis=1))
         return described + self._stages[2].biases[2]
 
