@@ -1,4 +1,4 @@
-"""A replay from the command to its last line: as it is, exact and fast in turn, against the recording's real time.
+"""A replay from the command to its last line: as it is and fast in turn, against the recording's real time.
 
     python -m benchmarks replay [--tubers 1200 --rounds 3] [--peer "PATH/tuberline replay"]
 
@@ -80,8 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     torch.set_num_threads(1)
     ways = [
-        Way("three views of a track", OURS),
-        Way("`--exact`", (*OURS, "--exact")),
+        Way("exact, three views of a track", OURS),
         Way("`--fast`, one view", (*OURS, "--fast")),
     ]
     if options.peer is not None:

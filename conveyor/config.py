@@ -226,11 +226,11 @@ class RegressorConfig(Section):
     )
     precision: Literal["auto", "fastest", "float32", "bfloat16"] = Field(
         "auto",
-        description="float32: exact with all centroids; auto: with the fewest that are within 0.1 g of it, on a live "
-        "line bfloat16, too, if it pays; fastest: so in a replay, too; flagged",
+        description="float32: exact; auto: so in a replay, on a live line the fastest form within 0.1 g of that, "
+        "flagged; fastest: the same in a replay, too",
     )
     centroids: Literal[16, 32, 64] | None = Field(
-        None, description="of the 128 second-stage ones: the network takes a quarter of its time with 16, flagged"
+        None, description="of the 128 second-stage ones: the network takes four fifths of its time with 16, flagged"
     )
     state_dir: Path | None = Field(None, description="where weights given to a running line are kept across restarts")
 

@@ -36,8 +36,6 @@ CONFIG_FILE, RUN_FILE = "line.toml", "run"
 """In the folder of the results: the effective config, and the id of the run."""
 FAST: dict[str, dict[str, Any]] = {"segmenter": {"views_per_tuber": 1}, "regressor": {"precision": "fastest"}}
 """Sections of a replay that weighs as a busy live line does."""
-EXACT: dict[str, dict[str, Any]] = {"regressor": {"precision": "float32"}}
-"""Sections of a replay that weighs with all of the network's centroids."""
 MOST_CRASHES = 6
 """A node that crashed so often will not get through this recording."""
 
@@ -55,7 +53,6 @@ def replay_recording(
     resting_sd_mm: float | None = None,
     contract: Path | None = None,
     fast: bool = False,
-    exact: bool = False,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
@@ -67,7 +64,6 @@ def replay_recording(
             None: what the recording states.
         contract: a buyer's classes of size (TOML).
         fast: one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
-        exact: with all of the network's centroids, not the fewest that are within 0.1 g of them.
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
 
     Raises:
@@ -79,13 +75,11 @@ def replay_recording(
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
     cameras = line_names(recording, recording_cameras(recording))
-    if fast and exact:
-        raise InputError("--fast and --exact: a replay weighs in one form; give one of them, or none")
     _refuse_early(weights, contract)
     told = [open_source(recording, camera=name).description for name in cameras]
     belt = stated_belt(told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
-    asked = FAST if fast else EXACT if exact else {}
+    asked = FAST if fast else {}
     sections |= {name: {**section, **sections.get(name, {})} for name, section in asked.items()}
     if contract is not None:
         sections["aggregator"] = {**sections.get("aggregator", {}), "contract": str(contract.resolve())}

@@ -1,10 +1,9 @@
 """Which form of the network a worker computes.
 
-All of a tuber's centroids have the same neighbours, so most of the second stage's can be left out for a hundredth of a
-gram and a quarter of the time: a replay does that, and a live line, too. A live line weighs what it has time for, so it
-also takes products of bfloat16 where the processor has instructions that make them pay; they cost more exactness, and
-which machine takes them is tried at the start. A replay never does: on every machine of a kind it gives the same bytes.
-Every weight is flagged with the form it was computed in.
+A replay weighs exactly, and gives the same bytes on every machine of a kind. A live line weighs what it has time for:
+all of a tuber's centroids have the same neighbours, so most of the second stage's can be left out for a hundredth of a
+gram; and where the processor has instructions that make them pay, products of bfloat16 are taken, which cost more
+exactness. Which form a machine takes is tried at the start. Every weight that is not exact is flagged with its form.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ SIZES_M = ((0.030, 0.024, 0.020), (0.040, 0.030, 0.026), (0.055, 0.036, 0.030), 
 
 
 def form_of(config: LineConfig, weigher: Weigher) -> Form:
-    """The form that `config` asks for; `precision = "auto"` is `fewest` unless some camera is live, then `fastest`.
+    """The form that `config` asks for; `precision = "auto"` is the exact one, or `fastest` where some camera is live.
 
     Args:
         weigher: the weights that will be used; without a network there is nothing to choose.
@@ -45,23 +44,17 @@ def form_of(config: LineConfig, weigher: Weigher) -> Form:
     if asked.precision in ("float32", "bfloat16"):
         return Form(asked.precision, asked.centroids)
     if asked.precision == "auto" and not config.live:
-        return fewest(weigher, centroids=asked.centroids)
+        return Form(centroids=asked.centroids)
     return fastest(weigher, centroids=asked.centroids)
 
 
-def fewest(weigher: Weigher, *, centroids: int | None = None) -> Form:
-    """The form in float32 with the fewest centroids that is at most `MOST_OFF_G` off the exact one.
+def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
+    """The form with the fewest centroids that is at most `MOST_OFF_G` off the exact one, in bfloat16 where that pays.
+
+    bfloat16 is not tried where this processor does not multiply it: it is some thirty times as slow there.
 
     Args:
         centroids: take so many, whatever they cost.
-    """
-    return Form(centroids=centroids) if centroids is not None else _fewest(_nearness(weigher))
-
-
-def fastest(weigher: Weigher, *, centroids: int | None = None) -> Form:
-    """The form of `fewest`, in bfloat16 where that pays and is at most `MOST_OFF_G` off the exact one.
-
-    It is not tried where this processor does not multiply bfloat16: it is some thirty times as slow there.
     """
     near = _nearness(weigher)
     plain = Form(centroids=centroids) if centroids is not None else _fewest(near)

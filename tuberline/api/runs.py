@@ -55,7 +55,6 @@ def replay(
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
     fast: bool = False,
-    exact: bool = False,
 ) -> Ledger:
     """Count and weigh everything in a recording, with all processes of a real line on this machine.
 
@@ -69,7 +68,6 @@ def replay(
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
         fast: weigh one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
-        exact: weigh with all of the network's centroids, not the fewest that are within 0.1 g of them.
 
     Returns:
         The ledger of the run.
@@ -91,7 +89,6 @@ def replay(
         ignore_masks=ignore_masks,
         resting_offset_mm=resting_offset_mm,
         fast=fast,
-        exact=exact,
     )
     return read_ledger(out)
 

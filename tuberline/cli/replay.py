@@ -27,7 +27,6 @@ def replay(
     resting_sd_mm: RestingSd | None = None,
     contract: Path | None = None,
     fast: bool = False,
-    exact: bool = False,
     resume: bool = False,
     json: bool = False,
 ) -> None:
@@ -58,8 +57,6 @@ def replay(
     fast
         Weigh as a busy live line does: one view of a tuber from each camera, in the fastest form within 0.1 g of the
         exact one. Every weight is flagged with the form; what is counted stays the same.
-    exact
-        Weigh with all of the network's centroids; by default with the fewest that are within 0.1 g of them.
     resume
         Go on with a replay into the same folder that was killed or gave up. The options of its first start hold.
     json
@@ -83,7 +80,6 @@ def replay(
             resting_sd_mm=resting_sd_mm,
             contract=contract,
             fast=fast,
-            exact=exact,
             show=not json,
         )
     if rrd is not None and (trouble := unwritable(rrd.absolute().parent)):
