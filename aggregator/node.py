@@ -224,7 +224,7 @@ class AggregatorNode:
             self._core.set_aside(LoggedEntry(bare, entry.encode(), refused=str(Refusal.CONTENT), ends=ends))
 
     def _set_aside(self, key: str, payload: bytes, error: MessageError) -> None:
-        """An entry that can never be read must not hold up those behind it, nor come again for ever."""
+        """An entry that can never be read must not hold up those behind it, nor come again forever."""
         logged = set_aside(payload, error)
         if logged is None or logged.entry.camera != topics.TRACK.parts(key)["camera"]:
             return

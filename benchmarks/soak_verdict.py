@@ -3,7 +3,7 @@
 Samples of one life hang together, so they are averaged over half a minute first: the error of the slope would be told
 far too small otherwise. Lives are pooled with a level of their own each: a restart takes nothing back.
 
-What grows for ever grows in the last half of the time too. A cache that is filled once, or what a link that was lost
+What grows forever grows in the last half of the time too. A cache that is filled once, or what a link that was lost
 needs to come back for the first time, does not: such a process is called settled, and the last half's slope is told.
 """
 

@@ -31,7 +31,7 @@ class LinkConfig(Section):
     listen: tuple[Endpoint, ...] = Field((), description="what the router listens on; default: the endpoint above")
     lease_ms: int = Field(2000, ge=200, le=60000, description="a frozen host is noticed after this")
     connect_timeout_s: float = Field(
-        20.0, ge=0.1, le=3600, description="a command that looks at a line gives up by then; its nodes wait for ever"
+        20.0, ge=0.1, le=3600, description="a command that looks at a line gives up by then; its nodes wait forever"
     )
     root_ca: Path | None = Field(None, description="TLS: certificate authority of this site (PEM)")
     certificate: Path | None = Field(None, description="TLS: this node's certificate (PEM)")

@@ -6,7 +6,7 @@ traceback.
 
 An error is permanent or passing. A permanent one (input, configuration, version, a name that is taken) would come again
 at every start: supervisor and systemd leave the process alone. A passing one (link, disk, device) may be gone in a
-minute: they start the process again, with back-off, for ever.
+minute: they start the process again, with back-off, forever.
 """
 
 from __future__ import annotations

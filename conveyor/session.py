@@ -107,7 +107,7 @@ def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = Non
 
 
 def client_settings(link: LinkConfig, *, name: str, timeout_ms: int | None = None) -> dict[str, Any]:
-    """Zenoh settings of a node; `name` shows up in the router's admin space. `timeout_ms` -1 waits for ever."""
+    """Zenoh settings of a node; `name` shows up in the router's admin space. `timeout_ms` -1 waits forever."""
     return {
         "mode": "client",
         "connect": {

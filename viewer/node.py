@@ -75,7 +75,7 @@ def run_viewer(
     """Show the line until stopped, or until `until` says so; `cells`: where the field's yield is put.
 
     Returns:
-        The sinks that hang. Hold on to them and leave by `os._exit`: their destructors wait for the hub for ever.
+        The sinks that hang. Hold on to them and leave by `os._exit`: their destructors wait for the hub forever.
     """
     target.check()
     with Node("viewer", name, config=config, run=run or "any") as node:

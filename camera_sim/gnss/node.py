@@ -34,7 +34,7 @@ class GnssNode:
         self._refused = 0
 
     def run(self) -> None:
-        """Read, keep and publish; a receiver that is gone is opened again, with back-off, for ever."""
+        """Read, keep and publish; a receiver that is gone is opened again, with back-off, forever."""
         with PositionsWriter(self._path) as file, self._node as node:
             out = ReliablePublisher(node, topics.POSITION, receiver=node.name)
             for counter in COUNTED:

@@ -1,4 +1,4 @@
-"""Values by key, so many at most: keys come from outside, and who can send could send new ones for ever.
+"""Values by key, so many at most: keys come from outside, and who can send could send new ones forever.
 
 Who stands in the line's config, and who proves to be alive, is kept before others; among equals the first one stays.
 """

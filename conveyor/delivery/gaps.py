@@ -33,7 +33,7 @@ class Gaps:
     is no loss.
 
     Nothing here calls Zenoh from within one of its callbacks: it delivers what waited while it takes down a link that
-    was cut, and a question asked then waits for that to be done, for ever.
+    was cut, and a question asked then waits for that to be done, forever.
 
     Args:
         session: asks the senders' caches.

@@ -3,7 +3,7 @@
 The dispatcher sends a worker no more views than it gave it credits for, so the inbox never overflows in an orderly
 line; should it do so, the loss is counted and the dispatcher sends the view again. A view that comes twice is weighed
 once and answered twice, with the same bits: a worker slower than the dispatcher's deadline is sent views again before
-it comes to them, and would fall behind for ever if it weighed all of these.
+it comes to them, and would fall behind forever if it weighed all of these.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class CameraProfile:
     """What one camera's depth is like. Pixels of disparity are the camera's own.
 
     Attributes:
-        baseline_m: distance of its imagers; `baseline_by` says whence: given, found from the steps, or assumed.
+        baseline_m: distance of its imagers; `baseline_by` says how: given, found from the steps, or assumed.
         step: the comb of its disparity; None where the depth unit hides it.
         noise_px: 10, 50 and 90 % quantiles of the residual to a quadric of 11 x 11 pixels.
         neighbour_px: 99 and 99.9 % quantiles and maximum of the step between neighbours.

@@ -1,4 +1,4 @@
-"""One flipped bit: the audit fails whatever it hit, a reader tells of it in one error, nobody sees a false row."""
+"""One flipped bit: the audit fails whatever it hit, a reader tells of it in one error, no one sees a false row."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def test_there_is_no_way_to_rows_but_the_verifying_one() -> None:
 
 
 def test_a_killed_writer_leaves_no_seal_and_a_sound_ledger(finished: Path, tmp_path: Path) -> None:
-    """The seal is broken before the first write: a ledger that nobody closed is judged by its rows alone."""
+    """The seal is broken before the first write: a ledger that no one closed is judged by its rows alone."""
     path = copied(finished, tmp_path / "copy")
     ledger = Ledger(path).__enter__()
     ledger.open_run("second", line="t", cameras=["a"], version="1", started_ns=0)

@@ -1,4 +1,4 @@
-"""A camera that falls silent holds nobody up for longer than it may, and its late tracks are not counted twice."""
+"""A camera that falls silent holds no one up for longer than it may, and its late tracks are not counted twice."""
 
 from __future__ import annotations
 
@@ -180,7 +180,7 @@ def test_a_segmenter_that_is_gone_holds_up_for_half_the_time_only(tmp_path: Path
 
 
 def test_marks_that_repeat_an_old_moment_are_no_sign_of_progress(tmp_path: Path) -> None:
-    """A segmenter whose camera died goes on repeating its last mark; it must not hold the others up for ever."""
+    """A segmenter whose camera died goes on repeating its last mark; it must not hold the others up forever."""
     told = tell(3, cameras=2).in_run(fresh_run("frozen"))
     with Ledger(tmp_path / "ledger.db") as ledger:
         it = Aggregator(ledger, told)

@@ -232,7 +232,7 @@ class Spoilt(TrackEntry):
 
 
 def test_an_entry_that_cannot_be_read_holds_nobody_up(line: tuple[LineConfig, Path], process: Process) -> None:
-    """It is acknowledged, so it does not come for ever; the summary says that it is lost, and the run ends."""
+    """It is acknowledged, so it does not come forever; the summary says that it is lost, and the run ends."""
     config, _ = line
     told = tell(15, cameras=2, n=6)
     bad = next(entry for entry in told.logs["cam0"] if entry.track is not None)

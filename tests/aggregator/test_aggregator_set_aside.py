@@ -1,4 +1,4 @@
-"""An entry that nobody can read is set aside: told, kept, acknowledged, and the log goes on."""
+"""An entry that no one can read is set aside: told, kept, acknowledged, and the log goes on."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_an_entry_out_of_range_is_lost_alone_and_told(tmp_path: Path, ahead: boo
 
 
 def test_a_final_mark_that_nobody_can_read_ends_its_camera(tmp_path: Path) -> None:
-    """The run waited for it for ever: the next numbers never come, for it was the last one."""
+    """The run waited for it forever: the next numbers never come, for it was the last one."""
     told = tell(3, cameras=2, n=8).in_run(fresh_run("aside-final"))
     kind, fields, _ = wire.unpack(told.logs["cam0"][-1].encode())
     assert fields["mark"]["final"]

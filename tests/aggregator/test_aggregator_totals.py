@@ -1,4 +1,4 @@
-"""Totals: what is seen, what is estimated for belt that was not, and an interval that does not shrink for ever."""
+"""Totals: what is seen, what is estimated for belt that was not, and an interval that does not shrink forever."""
 
 from __future__ import annotations
 

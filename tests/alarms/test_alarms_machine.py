@@ -1,4 +1,4 @@
-"""The laws of alarms: each beginning has one end, none comes back too soon, nothing ends that nobody could see."""
+"""The laws of alarms: each beginning has one end, none comes back too soon, nothing ends that no one could see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording that plays by the clock: what nobody took in time is gone, as with a camera."""
+"""A recording that plays by the clock: what no one took in time is gone, as with a camera."""
 
 from __future__ import annotations
 

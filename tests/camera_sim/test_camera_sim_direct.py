@@ -164,7 +164,7 @@ def test_a_supervisor_gives_its_folder_to_cameras_whose_segmenter_it_runs_too(tm
 def test_a_camera_whose_frames_no_one_takes_says_so(
     link: LinkConfig, small_recording: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One started by hand beside a `run` published for ever: the segmenter of a run hears that run's camera."""
+    """One started by hand beside a `run` published forever: the segmenter of a run hears that run's camera."""
     monkeypatch.setattr(outlet, "ALONE_S", 0.0)
     config = line(link, path=small_recording, direct="off")
     frame = next(iter(open_source(small_recording, camera="front").frames(run=RUN)))

@@ -77,7 +77,7 @@ def test_what_is_not_done_is_sent_again_in_order_when_nothing_moves() -> None:
 
 
 def test_a_slow_link_is_not_filled_with_repeats() -> None:
-    """Frames that took 5 s were sent again every 2 s for ever: most of a slow link carried repeats."""
+    """Frames that took 5 s were sent again every 2 s forever: most of a slow link carried repeats."""
     window, now, resent = SendWindow(1), 0.0, []
     for seq in range(8):
         window.sent(_frame(seq), now)

@@ -1,4 +1,4 @@
-"""The camera's process on a real router: it loses nothing while it waits, and holds up nobody when it does not."""
+"""The camera's process on a real router: it loses nothing while it waits, and holds up no one when it does not."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_a_replay_waits_for_the_segmenter_and_loses_nothing(
     config, frames = line(link, path=small_recording, speed=0, window=3), _count(small_recording)
     with other_side(config) as side, process(config, tmp_path, "camera", "--camera", "front") as camera:
         side.wait_for_state("starting")
-        assert side.take() == []  # nobody asked for frames yet
+        assert side.take() == []  # no one asked for frames yet
         side.done(-1)
         wait_until(lambda: side.take() is not None and len(side.seen) >= 3, what="the first window")
         wait_until(

@@ -198,7 +198,7 @@ def live_run(
     by_the_clock: bool = False,
     timeout_s: float = 150.0,
 ) -> dict[str, Any]:
-    """Like `disturbed_replay`, with cameras that wait for nobody and start when everybody else is there.
+    """Like `disturbed_replay`, with cameras that wait for no one and start when everybody else is there.
 
     `by_the_clock`: what a camera's process does not take in time is gone, as with a device.
     """

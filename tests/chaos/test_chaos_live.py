@@ -1,4 +1,4 @@
-"""Cameras that wait for nobody: a flooded line sheds by plan, a dead segmenter's belt is missing in the open."""
+"""Cameras that wait for no one: a flooded line sheds by plan, a dead segmenter's belt is missing in the open."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ CALLBACKS = (
 def test_every_one_ends_the_node_and_nothing_is_lost(
     faults: tuple[str, ...], recording: Path, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A regressor's thread waited for a stop that nobody set: 12 of 102 views were weighed, and its token lived."""
+    """A regressor's thread waited for a stop that no one set: 12 of 102 views were weighed, and its token lived."""
     raised = inject(faults, tmp_path, monkeypatch)
     wanted = {f"{role} {function}" for role, _, function, _ in (fault.split() for fault in faults)}
 

@@ -53,7 +53,7 @@ RECORDER = (
 
 @pytest.fixture
 def line(live_recording: Path, tmp_path: Path) -> Path:
-    """The file of a line with one camera that plays slowly; nobody takes its frames but who records."""
+    """The file of a line with one camera that plays slowly; no one takes its frames but who records."""
     config = parse_config(
         {
             "link": {"router": f"tcp/127.0.0.1:{free_port()}"},

@@ -47,7 +47,7 @@ def tubers(out: Path) -> int:
 def test_a_router_that_dies_while_the_line_starts_changes_nothing(
     recording: Path, run_dir: Path, tmp_path: Path
 ) -> None:
-    """It was never started again: nobody looked after it before an observer had connected."""
+    """It was never started again: no one looked after it before an observer had connected."""
     out = tmp_path / "run"
     replay = begin(recording, out, "--regressors", "1")
     for after_s in (0.0, 1.0):

@@ -19,7 +19,7 @@ STUCK = Path(__file__).parent / "stuck"
 def test_a_frozen_node_and_one_whose_loop_is_stuck_are_started_again(
     recording: Path, run_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody saw them: their tokens lived, and the replay waited for them until its limit."""
+    """No one saw them: their tokens lived, and the replay waited for them until its limit."""
     monkeypatch.setattr(heartbeat, "STILL_AFTER_S", 8.0)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(STUCK), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep))
 

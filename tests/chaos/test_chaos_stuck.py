@@ -31,7 +31,7 @@ def at_work(line: DisturbedLine) -> None:
 def test_one_that_holds_the_interpreter_lock_for_3_s_and_one_frozen_for_4_s_change_nothing(
     recording: Path, run_dir: Path, tmp_path: Path
 ) -> None:
-    """The first keeps its token, the second loses it and comes back with answers that nobody needs."""
+    """The first keeps its token, the second loses it and comes back with answers that no one needs."""
 
     def disturb(line: DisturbedLine) -> None:
         at_work(line)

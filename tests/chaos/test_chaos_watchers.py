@@ -1,4 +1,4 @@
-"""Watching changes nothing: viewer, recorder and `top`, frozen or killed, alter no number and hold nobody up."""
+"""Watching changes nothing: viewer, recorder and `top`, frozen or killed, alter no number and hold no one up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounded under foreign hands: names that nobody configured and nobody lives under fill no memory and hide nobody."""
+"""Bounded under foreign hands: names that no one configured and no one lives under fill no memory and hide no one."""
 
 from __future__ import annotations
 

@@ -242,7 +242,7 @@ def test_a_gap_that_the_cache_no_longer_holds_is_a_loss_with_a_count(nodes: tupl
 
 def test_a_link_that_is_cut_while_the_first_messages_are_asked_for_blocks_nothing(free_port: int) -> None:
     """Zenoh then hands over what waited while it takes the link down: a question asked within that callback stopped
-    the node's session for ever, and with it each call of Zenoh and the goodbye.
+    the node's session forever, and with it each call of Zenoh and the goodbye.
     """
     endpoint = f"tcp/127.0.0.1:{free_port}"
     router = start_router(endpoint)

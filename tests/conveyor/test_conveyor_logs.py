@@ -107,7 +107,7 @@ def test_a_flood_of_one_kind_is_counted_and_holds_no_other_up() -> None:
 def test_texts_without_arguments_share_a_limit_and_what_was_left_out_is_told_at_the_end() -> None:
     log, written, handler = logger("node")
     for n in range(500):
-        log.warning(f"made anew each time: {n}")
+        log.warning(f"made again each time: {n}")
     handler.close()
     lines = written.getvalue().splitlines()
     assert len(lines) == LINES_PER_MIN + 1

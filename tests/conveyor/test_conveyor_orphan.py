@@ -62,5 +62,5 @@ def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> 
         assert len(pids) >= 4
         replay.send_signal(signal.SIGTERM)
         assert replay.wait(30) == 128 + signal.SIGTERM
-    # One that was being started when the signal came is known to nobody; it ends by itself, within a second.
+    # One that was being started when the signal came is known to no one; it ends by itself, within a second.
     wait_until(lambda: all(gone(pid) for pid in pids), what="the nodes are gone")

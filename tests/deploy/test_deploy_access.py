@@ -1,4 +1,4 @@
-"""Over TLS with access rules: intruders and forgers reach nobody, and every delivery class works for the honest."""
+"""Over TLS with access rules: intruders and forgers reach no one, and every delivery class works for the honest."""
 
 from __future__ import annotations
 

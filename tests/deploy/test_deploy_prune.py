@@ -98,7 +98,7 @@ def test_what_was_written_just_now_stays(tmp_path: Path) -> None:
 
 
 def test_names_with_blanks_line_ends_and_signs_are_taken_as_they_are(tmp_path: Path) -> None:
-    """A name with a line end was never found, and prune went round for ever; one with a sign was a pattern to it."""
+    """A name with a line end was never found, and prune went round forever; one with a sign was a pattern to it."""
     odd = ("-rf", "two words.mcap", "[a-z]*.mcap", "*", "a+b/", "back\\slash", " blank ", "ümlaut.mcap")
     recordings(tmp_path, "new.mcap", *odd, "line\nend", "of\n1 new/", ".hidden")
     (tmp_path / "link").symlink_to(ROOT)

@@ -1,5 +1,5 @@
 """deploy/proxy with a real nginx before a real hub and a real operator's page: TLS and password needed, pages and
-data come, nobody writes.
+data come, no one writes.
 """
 
 from __future__ import annotations

@@ -84,19 +84,19 @@ def at_work(line_site: Site) -> Iterator[DisturbedLine]:
 
 
 def wait_reports(line: DisturbedLine) -> None:
-    """Until all regressors have counted anew: what they say once a second may be from before a moment ago."""
+    """Until all regressors have counted again: what they say once a second may be from before a moment ago."""
     nodes = line.observer.nodes()
     then_s = {name: node.uptime_s for name, node in nodes.items() if node.role == "regressor"}
 
-    def anew() -> bool:
+    def again() -> bool:
         return all(line.observer.nodes()[name].uptime_s > uptime_s + 1.5 for name, uptime_s in then_s.items())
 
-    line.wait(anew, what="counters made since")
+    line.wait(again, what="counters made since")
 
 
 @contextmanager
 def a_newcomer(line: DisturbedLine, line_site: Site) -> Iterator[None]:
-    """A third regressor, which nobody has told of new weights."""
+    """A third regressor, which no one has told of new weights."""
     (known, *_) = line_site.parts("regressor")
     newcomer = ProcessSpec("regressor-r3", tuple("r3" if part == "r1" else part for part in known.args))
     with Supervisor([newcomer], log_dir=line_site.out / "logs") as supervisor:

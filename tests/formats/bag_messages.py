@@ -25,7 +25,7 @@ STORE1 = get_typestore(Stores.ROS1_NOETIC)
 
 
 def depth_mm(n: int) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """(H, W) uint16, another for every n, with a column of no depth."""
+    """(H, W) uint16, another forevery n, with a column of no depth."""
     depth = (np.arange(WIDTH * HEIGHT, dtype=np.uint16).reshape(HEIGHT, WIDTH) % 50 + 400 + n).astype(np.uint16)
     depth[:, 3] = 0
     return depth
@@ -116,7 +116,7 @@ def foxglove_json(n: int) -> tuple[bytes, bytes]:
 
 
 def foxglove_protobuf(n: int) -> tuple[bytes, bytes]:
-    """(RawImage n, CameraCalibration) as protobuf, with a field that nobody knows."""
+    """(RawImage n, CameraCalibration) as protobuf, with a field that no one knows."""
     stamp = _field(1, _varint_field(1, stamp_ns(n) // 10**9) + _varint_field(2, stamp_ns(n) % 10**9))
     size = _fixed(2, WIDTH) + _fixed(3, HEIGHT)
     image = stamp + size + _field(4, b"16UC1") + _fixed(5, 2 * WIDTH) + _field(6, depth_mm(n).tobytes())

@@ -147,7 +147,7 @@ def test_of_two_orders_one_holds_whoever_looks() -> None:
     assert one.newer_than(two)
     assert not two.newer_than(one)
     assert two.newer_than(config)
-    assert not config.newer_than(replace(config, digest="a")), "the config's own weights follow nobody's"
+    assert not config.newer_than(replace(config, digest="a")), "the config's own weights follow no one's"
 
 
 def test_the_shipped_weights_know_the_reference_potatoes() -> None:

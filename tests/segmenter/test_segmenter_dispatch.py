@@ -252,7 +252,7 @@ def test_only_tubers_that_nobody_can_weigh_in_time_are_given_up_and_the_newest_f
 @pytest.mark.parametrize("names", [set(), {"a"}])
 def test_the_queue_is_bounded_while_no_one_or_too_few_weigh(names: set[str]) -> None:
     """What had been given up stayed in the queue until its turn: without a regressor, and for the spare views of an
-    overload that lasts, for ever. 0.6 GB a day at ten tubers a second."""
+    overload that lasts, forever. 0.6 GB a day at ten tubers a second."""
     dispatcher, now_s = Dispatcher(DispatchSettings(shed_over=8)), 0.0
     dispatcher.present(names)
     for number in range(600):

@@ -191,7 +191,7 @@ def test_what_waits_when_another_log_was_committed_is_numbered_on(tmp_path: Path
 
 @pytest.mark.parametrize("step", ["commit: begin", "commit: commit", "commit: done"])
 def test_a_process_that_dies_while_it_numbers_on_loses_nothing(tmp_path: Path, step: str) -> None:
-    """What waits was forgotten in one transaction and written anew in the next: killed between them, it was lost."""
+    """What waits was forgotten in one transaction and written again in the next: killed between them, it was lost."""
 
     def die(name: str) -> None:
         if name == step:

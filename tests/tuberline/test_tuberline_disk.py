@@ -153,7 +153,7 @@ threading.Event().wait()
     ("command", "code"), [(("-m", "tuberline", "info", "no-such-place"), 2), (("-c", CRASHES), 70)]
 )
 def test_a_full_disk_under_the_log_lets_a_process_end(command: tuple[str, ...], code: int) -> None:
-    """Its last words could not be written, and it stayed until it was killed: 'ended with code -9', for ever."""
+    """Its last words could not be written, and it stayed until it was killed: 'ended with code -9', forever."""
     with open("/dev/full", "w") as full:
         done = subprocess.run([sys.executable, *command], stderr=full, env=ENV, check=False, timeout=60)
     assert done.returncode == code
@@ -185,7 +185,7 @@ def test_a_disk_without_room_is_known_before_the_work(tiny_disk: Path) -> None:
 @pytest.mark.graph
 @pytest.mark.timeout(300)
 def test_a_replay_whose_disk_fills_up_ends_and_is_resumed(tmp_path: Path, belt: Path) -> None:
-    """Nodes were started again for ever, each 'ended with code -9', and no one said why."""
+    """Nodes were started again forever, each 'ended with code -9', and no one said why."""
     small, out = tmp_path / "small", tmp_path / "small" / "run"
     small.mkdir()
     mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(small)], check=False)

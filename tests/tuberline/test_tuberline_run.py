@@ -49,7 +49,7 @@ exit_when_final = true
 
 
 def test_a_line_ends_with_its_load_where_that_is_set(tmp_path: Path) -> None:
-    """The aggregator had gone, and everybody else stayed for ever."""
+    """The aggregator had gone, and everybody else stayed forever."""
     recording = simulate(tmp_path / "belt", scene="singulated", tubers="4")
     done = tuberline("run", line_file(tmp_path, recording))
     assert done.returncode == 0

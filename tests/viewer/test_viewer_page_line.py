@@ -1,4 +1,4 @@
-"""`tuberline page` as its own process on a real line: figures arrive, grow old, come back; and it holds nobody up."""
+"""`tuberline page` as its own process on a real line: figures arrive, grow old, come back; and it holds no one up."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_a_frozen_page_holds_nobody_up(link: LinkConfig) -> None:
         sys.stdout.write(
             f"slowest put {1e3 * slowest_s:.1f} ms, {time.thread_time() - used_s:.2f} s of processor time\n"
         )
-        assert slowest_s < 2.0, "a put waits for nobody"
+        assert slowest_s < 2.0, "a put waits for no one"
         wait_until(
             lambda: shown.lines().get("north", {}).get("load", {}).get("count") == 3,
             what="it goes on",

@@ -90,7 +90,7 @@ def test_pictures_are_asked_for_while_somebody_looks(link: LinkConfig) -> None:
                 image = cv2.imdecode(np.frombuffer(base64.b64decode(str(told["jpeg"])), np.uint8), cv2.IMREAD_COLOR)
                 assert image is not None
                 assert image.shape == (HEIGHT, WIDTH, 3)
-        wait_until(lambda: not out.has_listener, what="nobody looks any more", timeout_s=60)
+        wait_until(lambda: not out.has_listener, what="no one looks any more", timeout_s=60)
 
 
 def test_who_may_look_and_at_how_much_is_bounded() -> None:

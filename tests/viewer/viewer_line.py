@@ -186,7 +186,7 @@ def camera_info(*, run: str = RUN, camera: str = "front", lens: Intrinsics = LEN
 
 
 def free_port() -> int:
-    """A port nobody listens on now."""
+    """A port no one listens on now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])

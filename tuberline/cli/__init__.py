@@ -41,7 +41,7 @@ def main() -> None:
     code = _flushed(_run())
     if "zenoh" in sys.modules:
         logging.shutdown()
-        # The interpreter's goodbye can wait for ever for a Zenoh thread that wants to call back into it.
+        # The interpreter's goodbye can wait forever for a Zenoh thread that wants to call back into it.
         os._exit(code)
     sys.exit(code)
 

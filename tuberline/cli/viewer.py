@@ -155,7 +155,7 @@ def _has_display() -> bool:
 
 
 def _end(hanging: list[Sink]) -> None:
-    """Leave without destructors and exit handlers when a hub hangs: they would wait for it for ever."""
+    """Leave without destructors and exit handlers when a hub hangs: they would wait for it forever."""
     if hanging:
         logging.shutdown()
         os._exit(0)

@@ -229,7 +229,7 @@ class pipeline:
             self._lost |= not _there()
             if not self._lost and not _is("stalled") and time.monotonic() >= due:
                 self._number = int((time.monotonic() - self._started) * FPS)
-                return frame(self._number, (time.monotonic() - self._started) * 1000)  # its clock starts anew too
+                return frame(self._number, (time.monotonic() - self._started) * 1000)  # its clock starts again too
             time.sleep(0.004)
         raise RuntimeError(f"Frame didn't arrive within {timeout_ms}")
 

@@ -1,4 +1,4 @@
-"""On PYTHONPATH of a real process: SIGUSR1 makes it hold the interpreter lock for 3 s, SIGUSR2 for ever.
+"""On PYTHONPATH of a real process: SIGUSR1 makes it hold the interpreter lock for 3 s, SIGUSR2 forever.
 SIGHUP makes its main thread sleep, while all others go on.
 
 It is what a native call does that never lets go: no Python thread runs, and Zenoh keeps the liveliness token.
@@ -20,7 +20,7 @@ def hold(number: int, _frame: FrameType | None) -> None:
 
 
 def sleep(_number: int, _frame: FrameType | None) -> None:
-    """The main loop is stuck, as in a call that waits for ever; the node still reports."""
+    """The main loop is stuck, as in a call that waits forever; the node still reports."""
     time.sleep(100_000)
 
 
