@@ -21,7 +21,8 @@ from regressor.network.products import Array, Folded
 AFFINE_ROWS = 4
 """Of a neighbour: a constant and three slopes."""
 MOST_ROWS = 16
-"""Of a neighbour, in the mean over a cloud: with more of them the plain form is as fast."""
+"""Of a neighbour, in the mean over a cloud. On an AVX2 core the plain form is as fast from some 45 on with 128
+centroids, from 8 on with 16."""
 
 
 class AffineStage:
