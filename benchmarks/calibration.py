@@ -38,7 +38,7 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--draws", type=int, default=DRAWS)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
-    parser.add_argument("--json", type=Path, help="file forevery draw")
+    parser.add_argument("--json", type=Path, help="file for every draw")
     given = parser.parse_args(arguments)
     errors, widths = {}, {}
     for between_sd in BETWEEN_SDS:

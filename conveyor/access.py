@@ -97,7 +97,7 @@ def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
 
 
 def access_control(config: LineConfig, identities: Iterable[Identity] | None = None) -> dict[str, Any]:
-    """Zenoh's `access_control` section for the router of `config`; default foreverybody who belongs to the line."""
+    """Zenoh's `access_control` section for the router of `config`; default for everybody who belongs to the line."""
     rules, subjects, policies = [], [], []
     for identity in line_identities(config) if identities is None else identities:
         subject = identity.common_name(config.name)

@@ -286,7 +286,7 @@ def replay_config(
         # A busy machine or a cut link must not decide how many views a tuber of the same recording gets.
         "segmenter": {"state_dir": str(out.resolve() / "state"), "weigh_deadline_s": 600.0},
         "regressor": {"processes": regressors, "state_dir": str(out.resolve() / "weights")},
-        # A replay waits foreverybody, so a silent camera is one that is being restarted: no one goes on without it.
+        # A replay waits for everybody, so a silent camera is one that is being restarted: no one goes on without it.
         "aggregator": {"out": str(out.resolve()), "exit_when_final": True, "camera_stall_s": 600.0},
     }
     if ignore_masks:

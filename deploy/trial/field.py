@@ -32,7 +32,7 @@ TUBERLINE = (sys.executable, "-m", "tuberline")
 
 
 def config(*, router: str = "tcp/127.0.0.1:7447", listen: str = "", speed: float = 1.0) -> str:
-    """A line that replays /recordings/belt: it waits forevery node as a replay does, so its ledger is the replay's."""
+    """A line that replays /recordings/belt: it waits for every node as a replay does, so its ledger is the replay's."""
     return f"""name = "field"
 
 [link]

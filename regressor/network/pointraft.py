@@ -49,7 +49,7 @@ class _Norm(nn.Module):
 
 
 class SharedMlp(nn.Module):
-    """Linear, BatchNorm, ReLU, Dropout forevery layer but the last; the last is Linear alone."""
+    """Linear, BatchNorm, ReLU, Dropout for every layer but the last; the last is Linear alone."""
 
     def __init__(self, widths: Sequence[int], *, norm: bool = True, dropout: float = 0.0) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Fresh augmentation of training clouds, forevery epoch and every cloud.
+"""Fresh augmentation of training clouds, for every epoch and every cloud.
 
 The paper's: jitter of 0.5 mm, rotation by up to 2 degrees about each axis, flips in x and y, shear of 0.2. The
 reference also lets the shear tilt and thicken a cloud without changing its height or its weight, and augments its
@@ -34,7 +34,7 @@ class Augmentation:
 
     @classmethod
     def paper(cls) -> Augmentation:
-        """As in the paper, fresh forevery epoch."""
+        """As in the paper, fresh for every epoch."""
         return cls(jitter_m=5e-4, tilt_deg=2.0, turn_deg=2.0, flip=True, plane_shear=0.0, shear=0.2, scale=0.0)
 
     @classmethod

@@ -15,7 +15,7 @@ FREE = ("device",)
 
 
 def differences(begun: Mapping[str, Any], given: Mapping[str, Any]) -> list[str]:
-    """'lr 0.001, now 0.01' forevery setting that both know and that differs; parts of a setting by their own names."""
+    """'lr 0.001, now 0.01' for every setting that both know and that differs; parts of a setting by their own names."""
     before, now = dict(_flat(begun)), dict(_flat(given))
     return [
         f"{name} {before[name]}, now {now[name]}"

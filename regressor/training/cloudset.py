@@ -1,7 +1,7 @@
 """Labelled views as arrays: prepared once, cached, and ready for training and evaluation.
 
 Each cloud is kept as its first `KEEP` farthest points, which hold the network's 128 exactly and enough more to draw a
-fresh sample from forevery epoch (PointNet reads 1024). The cache carries a hash of the input files and of the code
+fresh sample from for every epoch (PointNet reads 1024). The cache carries a hash of the input files and of the code
 that prepares them, so it is made again when either changed.
 """
 

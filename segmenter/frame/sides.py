@@ -1,6 +1,6 @@
 """Tubers cut by the left or right border: where their centre is, though only a part of them is seen.
 
-The centroid of what is seen lies inside the image forevery one of them; the ellipse through the free part of the
+The centroid of what is seen lies inside the image for every one of them; the ellipse through the free part of the
 outline says whether the tuber's own centre does, and where a second camera will see it.
 """
 

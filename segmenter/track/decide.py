@@ -72,7 +72,7 @@ class TrackDecider:
     def decide(self, now: Moment, *, everything: bool) -> list[ClosedTrack]:
         """Decide the tracks that are due, in the order in which they were opened; with `everything` all open ones.
 
-        Where tracks take turns and frames come fast, one is classified a frame, and one more forevery three that wait
+        Where tracks take turns and frames come fast, one is classified a frame, and one more for every three that wait
         since the last.
         """
         closed = []

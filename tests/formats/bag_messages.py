@@ -25,7 +25,7 @@ STORE1 = get_typestore(Stores.ROS1_NOETIC)
 
 
 def depth_mm(n: int) -> np.ndarray[Any, np.dtype[np.uint16]]:
-    """(H, W) uint16, another forevery n, with a column of no depth."""
+    """(H, W) uint16, another for every n, with a column of no depth."""
     depth = (np.arange(WIDTH * HEIGHT, dtype=np.uint16).reshape(HEIGHT, WIDTH) % 50 + 400 + n).astype(np.uint16)
     depth[:, 3] = 0
     return depth

@@ -19,7 +19,7 @@ NEVER_S = 1e9
 @pytest.mark.parametrize(("credits", "workers"), [(2, 2), (8, 1), (8, 2)])
 def test_regressors_slower_than_the_deadline_cost_a_replay_no_view(credits: int, workers: int) -> None:
     """Starved for minutes, two regressors let views pass their deadline five times: 24 of 84 were lost. And once these
-    no longer counted, each was weighed again forevery time it had been sent, and the line never came to an end.
+    no longer counted, each was weighed again for every time it had been sent, and the line never came to an end.
     """
     expected = calm()
     dispatch = replace(SETTINGS.dispatch, max_attempts=SHIPPED.max_attempts, credits=credits)

@@ -277,7 +277,7 @@ def luminance(colour: str) -> float:
 
 
 def test_contrast_is_made_for_sunlight() -> None:
-    """7 to 1 (WCAG AAA) forevery word on every ground, by day and by night."""
+    """7 to 1 (WCAG AAA) for every word on every ground, by day and by night."""
     themes = re.findall(r"\{\s*color-scheme: \w+;(.*?)\}", CSS.read_text(), re.S)
     assert len(themes) == 3
     pairs = [("ink", ground) for ground in ("ground", "card", "good-ground", "trouble-ground", "warning-ground")]

@@ -88,7 +88,7 @@ class Outbox:
         return AlarmMachine(line, timing, self._prefix, self._number, active, recent)
 
     def put(self, messages: Iterable[AlarmMessage], machine: AlarmMachine, *, now_s: float, unix_s: float) -> None:
-        """Keep `messages` forevery channel, and that their alarms have begun or ended: both or neither."""
+        """Keep `messages` for every channel, and that their alarms have begun or ended: both or neither."""
         changes: list[Change] = []
         with self._changed:
             for message in messages:

@@ -28,7 +28,7 @@ certs = App(name="certs", help="A site's own certificates: make them, add one, s
 def make(
     config: Path, *, out: Path | None = None, host: tuple[str, ...] = (), days: Days = 730, renew: bool = False
 ) -> None:
-    """Make what a line lacks: an authority, the router's certificate and one forevery node that may connect.
+    """Make what a line lacks: an authority, the router's certificate and one for every node that may connect.
 
     Parameters
     ----------
