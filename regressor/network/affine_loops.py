@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
-
-Array = NDArray[np.float32]
+from regressor.network.products import Array
 
 
 @kernel(nogil=True)

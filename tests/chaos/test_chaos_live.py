@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -60,19 +62,13 @@ def missing_belt_m(recording: Path, missed: set[str]) -> tuple[float, float]:
     """The least and the most belt that has to be unseen where these tubers are missed."""
     tubers = json.loads((recording / "truth.json").read_text())["tubers"]
     places = sorted((tuber["place_x_m"], str(tuber["id"]) in missed) for tuber in tubers)
-    places = [(places[0][0] - EDGE_M, False), *places, (places[-1][0] + EDGE_M, False)]
+    ends = (places[0][0] - EDGE_M, False), (places[-1][0] + EDGE_M, False)
+    # Counted and missing ones take turns, the ends are counted.
+    runs = [[place_m for place_m, _ in run] for _, run in groupby([ends[0], *places, ends[1]], key=itemgetter(1))]
     least_m = most_m = 0.0
-    counted_m, first_m = places[0][0], None
-    for place_m, is_missed in places:
-        if is_missed:
-            first_m = place_m if first_m is None else first_m
-            last_m = place_m
-        elif first_m is not None:
-            least_m += max(0.0, last_m - first_m - EDGE_M)
-            most_m += place_m - counted_m + EDGE_M
-            first_m = None
-        if not is_missed:
-            counted_m = place_m
+    for before, missing, after in zip(runs[:-1:2], runs[1::2], runs[2::2], strict=True):
+        least_m += max(0.0, missing[-1] - missing[0] - EDGE_M)
+        most_m += after[0] - before[-1] + EDGE_M
     return least_m, most_m
 
 

@@ -13,12 +13,10 @@ from regressor.network.affine import AFFINE_ROWS, MOST_ROWS, AffineStage
 from regressor.network.affine_loops import behind_relu
 from regressor.network.fast import FastPointRaft
 from regressor.network.grouping import SharedGroups, group_prefix
-from regressor.network.products import Folded
+from regressor.network.products import Array, Folded
 from regressor.network.stored import load_weights
 from regressor.weigh.prepare import prepare_view
 from tests.regressor.ellipsoids import ellipsoid_view
-
-Array = NDArray[np.float32]
 
 
 def stage(rng: np.random.Generator, slope: float) -> Folded:

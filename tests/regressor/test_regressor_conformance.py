@@ -106,34 +106,27 @@ def test_a_batch_gives_what_each_cloud_gives_alone(clouds: dict[str, NDArray[np.
     assert weights == pytest.approx([float(clouds[f"{name}/weight_g"]) for name in NAMES], rel=1e-4)
 
 
-@pytest.mark.parametrize("most_rows", [0, 1000])
+@pytest.fixture(params=[0, 1000], ids=["edges", "rows"])
+def second_stage(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By every edge, and by rows of a neighbour, though these weights need more of them than a line takes."""
+    monkeypatch.setattr(affine, "MOST_ROWS", request.param)
+
+
+@pytest.mark.usefixtures("second_stage")
 @pytest.mark.parametrize("name", NAMES)
-def test_fast_form_equals_the_reference(
-    clouds: dict[str, NDArray[np.generic]],
-    model: PointRaft,
-    name: str,
-    most_rows: int,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """By every edge of the second stage, and by rows of a neighbour, of which these weights need 14 to 39."""
-    monkeypatch.setattr(affine, "MOST_ROWS", most_rows)
+def test_fast_form_equals_the_reference(clouds: dict[str, NDArray[np.generic]], model: PointRaft, name: str) -> None:
     groups = group_given(clouds[f"{name}/points"])
     assert isinstance(groups, GatheredGroups) == (name in WIDE)
     weight = FastPointRaft(state_of(model)).weigh(groups, _height(clouds, name))
     assert weight == pytest.approx(float(clouds[f"{name}/weight_g"]), rel=1e-4)
 
 
-@pytest.mark.parametrize("most_rows", [0, 1000])
+@pytest.mark.usefixtures("second_stage")
 @pytest.mark.parametrize("name", NAMES)
 def test_prefix_form_equals_the_readable_form_on_sampled_clouds(
-    clouds: dict[str, NDArray[np.generic]],
-    model: PointRaft,
-    name: str,
-    most_rows: int,
-    monkeypatch: pytest.MonkeyPatch,
+    clouds: dict[str, NDArray[np.generic]], model: PointRaft, name: str
 ) -> None:
     """128 sampled points stand for 1024: the prediction depends on no other."""
-    monkeypatch.setattr(affine, "MOST_ROWS", most_rows)
     centred = clouds[f"{name}/centred"]
     sampled = centred[farthest_points(centred, min(1024, len(centred)))]
     with torch.inference_mode():
