@@ -44,9 +44,11 @@ class Coverage:
 
     def earlier(self, moves: Iterable[EarlierMove]) -> None:
         """Belt that had moved before its travel could be told. It was looked at where it was bare: load on it was
-        followed from no frame to the next, and is not counted.
+        followed from no frame to the next, and is not counted. Where it ran backwards none of it is counted.
         """
         for move in moves:
+            if move.moved_m <= 0:
+                continue
             self.travelled_m += move.all_m
             self.looked_at_m += move.times * min(move.moved_m, self._reach_m) if move.bare else 0.0
             self._highest_m = (self._highest_m or 0.0) + move.all_m
