@@ -19,7 +19,8 @@ from aggregator.core.committed import CommittedTuber
 from aggregator.core.machine import Aggregation
 from aggregator.opening import LIVE_REACH_MM
 from benchmarks.line_watch import percentile
-from conveyor.config import CameraConfig, LineConfig
+from conveyor.config import LineConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame, Track, TrackEntry, View, Weight
 from segmenter.camera_run import CameraRun

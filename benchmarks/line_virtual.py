@@ -15,7 +15,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from benchmarks.line_watch import percentile
-from conveyor.config import CameraConfig, LineConfig
+from conveyor.config import LineConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.messages import View
 from segmenter.camera_run import RunSettings
 from segmenter.setup import run_settings

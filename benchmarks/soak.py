@@ -28,7 +28,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict, worst
-from conveyor.config import CameraConfig, dump_toml
+from conveyor.config import dump_toml
+from conveyor.config_camera import CameraConfig
 from tuberline.processes import line_processes
 from tuberline.replayer import prepare_out, recording_cameras, replay_config
 from tuberline.supervisor import ProcessSpec, Supervisor

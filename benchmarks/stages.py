@@ -23,7 +23,8 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.config import CameraConfig, LineConfig
+from conveyor.config import LineConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.formats import camera_names, open_source
 from conveyor.heap import keep_buffers
 from conveyor.messages import Frame, View

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from camera_sim.clocked import ClockedSource
+from camera_sim.placed import placed
 from conveyor.config import LineConfig
 from conveyor.errors import ConfigError
 from conveyor.formats import Source, camera_names, open_source
@@ -19,11 +20,11 @@ def configured_source(config: LineConfig, camera: str) -> Source:
     if settings.source == "realsense":
         from camera_sim.live.realsense import RealSenseSource
 
-        return RealSenseSource.connect(camera, settings)
+        return placed(RealSenseSource.connect(camera, settings), settings)
     if settings.source == "ros2":
         from camera_sim.live.ros2 import Ros2Source
 
-        return Ros2Source.connect(camera, settings, config.link)
+        return placed(Ros2Source.connect(camera, settings, config.link), settings)
     if settings.path is None:
         raise ConfigError(f"cameras.{camera}: a recording needs its path, e.g. path = 'recordings/monday.mcap'")
     wanted = settings.camera
@@ -34,6 +35,8 @@ def configured_source(config: LineConfig, camera: str) -> Source:
         camera=wanted,
         name=camera,
         belt_distance_m=settings.belt_distance_m,
+        place=settings.place,
+        belt_from_camera=settings.pose,
         depth_scale_m=settings.depth_scale_m,
         ignore_masks=settings.ignore_masks,
     )

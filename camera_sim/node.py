@@ -12,7 +12,8 @@ from camera_sim.flow import Pace, SendWindow
 from camera_sim.outlet import FrameOutlet
 from conveyor import topics
 from conveyor.camera_clock import CameraClock
-from conveyor.config import CameraConfig, LineConfig
+from conveyor.config import LineConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber
 from conveyor.errors import TuberlineError, UnsendableError
 from conveyor.formats import PolledSource, Refused, Source

@@ -25,9 +25,10 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     if gauges.get("belt_backwards"):
         found["belt_backwards"] = (
             f"camera '{camera}': the belt runs against the direction that the camera's pose or the encoder says, so "
-            "tubers do not cross as expected. Give a belt_from_camera whose x points along the travel: negate its "
-            "first two rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in "
-            "metres); an encoder must count upwards"
+            "tubers do not cross as expected. Set turned_deg = 180 for it in the line's file (`tuberline calibrate "
+            "cameras` measures it), or give a belt_from_camera whose x points along the travel: negate its first two "
+            "rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in metres); an "
+            "encoder must count upwards"
         )
     if gauges.get("encoder_off"):
         told_m, seen_m = gauges.get("encoder_told_m", 0.0), gauges.get("encoder_seen_m", 0.0)

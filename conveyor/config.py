@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import difflib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import tomli_w
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
-from conveyor.config_base import BeltSd, Endpoint, Metres, RestingOffset, RestingSd, Section, checked_name
+from conveyor.config_base import BeltSd, Endpoint, RestingOffset, RestingSd, Section, checked_name
+from conveyor.config_camera import CameraConfig
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
@@ -39,73 +40,6 @@ class LinkConfig(Section):
     certs: Path | None = Field(
         None, description="TLS: folder from `tuberline certs`, where every process finds its own three files"
     )
-
-
-class CameraConfig(Section):
-    """One camera: where its frames come from."""
-
-    source: Literal["recording", "realsense", "ros2"] = Field(
-        "recording", description="where frames come from: a file, a RealSense device, a ROS 2 topic"
-    )
-    path: Path | None = Field(None, description="recording to replay (folder, .mcap, 3DPotatoTwin)")
-    camera: str | None = Field(None, description="camera of that recording; default: this camera's own name")
-    speed: Annotated[float, Field(ge=0)] = Field(1.0, description="times real time; 0 = as fast as the line takes it")
-    waits: bool = Field(True, description="wait for the segmenter and lose nothing; false behaves like a live camera")
-    starts_at_s: float | None = Field(
-        None,
-        gt=0,
-        description="play a recording as a camera that began then (s since 1970): late is gone; with waits = false",
-    )
-    window: int = Field(1, ge=1, le=64, description="frames in flight while waiting")
-    compress: Literal["raw", "zstd"] = Field("raw", description="how frames travel")
-    direct: str = Field(
-        "auto",
-        pattern=r"^(auto|off|unixsock-stream/.+|tcp/(127\.0\.0\.1|\[::1\]|localhost):\d{1,5})$",
-        description="the segmenter's socket on the camera's own host, past the router, e.g. "
-        "unixsock-stream//dev/shm/tuberline/front.sock; auto: where one `run` starts both; off: by the router",
-    )
-    serial: str | None = Field(None, description="realsense: serial number of the device")
-    realsense: RealSenseConfig = RealSenseConfig()
-    topic: str | None = Field(None, description="ros2: depth image topic, e.g. /camera/camera/depth/image_rect_raw")
-    info_topic: str | None = Field(None, description="ros2: its CameraInfo topic; default: camera_info beside it")
-    ros_domain: int = Field(0, ge=0, le=232, description="ros2: ROS_DOMAIN_ID of the publishing nodes")
-    ros_router: Endpoint | None = Field(
-        None, description="ros2: endpoint of their rmw_zenohd; default: the line's router"
-    )
-    belt_distance_m: Metres | None = Field(None, description="overrides what the recording says")
-    depth_scale_m: Annotated[float, Field(gt=0, le=0.01)] | None = Field(None, description="overrides the recording")
-    ignore_masks: bool = Field(False, description="find tubers though the recording has masks of its own")
-
-    @property
-    def held_back(self) -> bool:
-        """It waits for the segmenter, as only a recording can; what is not held back is live."""
-        return self.waits and self.source == "recording"
-
-    @property
-    def pace(self) -> float | None:
-        """Seconds of its clock in one of ours; None where the line holds it back or takes it as fast as it can."""
-        if self.source != "recording":
-            return 1.0
-        return None if self.waits or self.speed == 0 else self.speed
-
-    @field_validator("path")
-    @classmethod
-    def _at_home(cls, path: Path | None) -> Path | None:
-        return path.expanduser() if path else None
-
-    @model_validator(mode="after")
-    def _by_the_clock(self) -> Self:
-        if self.starts_at_s is not None and (self.waits or self.speed == 0 or self.source != "recording"):
-            raise ValueError("starts_at_s plays a recording by the clock: it needs waits = false and a speed above 0")
-        return self
-
-    @model_validator(mode="after")
-    def _settings_of_that_source(self) -> Self:
-        if self.source != "recording" and self.path is not None:
-            raise ValueError(f"source '{self.source}' takes no path ({self.path}); remove one of both")
-        if self.source != "realsense" and self.realsense != RealSenseConfig():
-            raise ValueError(f"a section realsense is for source = 'realsense'; the source is '{self.source}'")
-        return self
 
 
 class BeltConfig(GaugeSection):

@@ -19,7 +19,8 @@ from typing import Self
 
 import zenoh
 
-from conveyor.config import CameraConfig, LinkConfig
+from conveyor.config import LinkConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.counters import CounterSet
 from conveyor.delivery.endpoint import Endpoint
 from conveyor.errors import LinkError

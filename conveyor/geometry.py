@@ -107,3 +107,11 @@ def deproject(
 def transform_points(a_from_b: NDArray[np.float64], points_in_b: NDArray[np.floating]) -> NDArray[np.float64]:
     """(N, 3) points of frame b in frame a, for a rigid (4, 4) transform."""
     return points_in_b @ a_from_b[:3, :3].T + a_from_b[:3, 3]
+
+
+def inverse_rigid(a_from_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) b_from_a of a rigid transform."""
+    b_from_a = np.eye(4)
+    b_from_a[:3, :3] = a_from_b[:3, :3].T
+    b_from_a[:3, 3] = -a_from_b[:3, :3].T @ a_from_b[:3, 3]
+    return b_from_a

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from camera_sim.live.realsense_options import apply, check_stream, depth_filters
-from conveyor.config import CameraConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.errors import DeviceError, InputError
 from conveyor.extras import needed
 from conveyor.formats.source import CameraDescription, Refused

@@ -13,7 +13,8 @@ import zenoh
 
 from camera_sim.live.rmw_zenoh import Attachment, Numbering, check_topic, key_of, published_topic, read_attachment
 from camera_sim.live.ros2_calibration import INFO, Calibrations
-from conveyor.config import CameraConfig, LinkConfig
+from conveyor.config import LinkConfig
+from conveyor.config_camera import CameraConfig
 from conveyor.errors import ConfigError, DeviceError, InputError, MessageError
 from conveyor.formats.mcap.reader import rate_of
 from conveyor.formats.png16 import Refusal

@@ -79,14 +79,6 @@ def random_rotation(rng: Generator) -> Vertices:
     )
 
 
-def inverse_rigid(a_from_b: Vertices) -> Vertices:
-    """(4, 4) b_from_a of a rigid transform."""
-    b_from_a = np.eye(4)
-    b_from_a[:3, :3] = a_from_b[:3, :3].T
-    b_from_a[:3, 3] = -a_from_b[:3, :3].T @ a_from_b[:3, 3]
-    return b_from_a
-
-
 def rotation_about(axis: Vertices, angle_rad: float) -> Vertices:
     """(3, 3) rotation by `angle_rad` about the unit vector `axis` (Rodrigues)."""
     x, y, z = axis

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from camera_sim.sim.belt import belt_depth, draw_belt
 from camera_sim.sim.conditions import Conditions, StatedRest, draw_tuber_of
 from camera_sim.sim.lowering import settled, underside_of
-from camera_sim.sim.meshes import Vertices, inverse_rigid, rotation_about
+from camera_sim.sim.meshes import Vertices, rotation_about
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.poses import free_rotation, rest_on_belt
 from camera_sim.sim.presets import PRESETS, initial_rotation
@@ -29,7 +29,7 @@ from camera_sim.sim.view_setting import (
     draw_setting,
 )
 from camera_sim.sim.view_truth import Pose, Rim, pose_of, rim_of
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera, transform_points
+from conveyor.geometry import Intrinsics, inverse_rigid, straight_down_belt_from_camera, transform_points
 
 __all__ = ["SimulatedView", "ViewPlan", "ViewSimulator"]
 

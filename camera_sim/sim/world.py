@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from camera_sim.sim.belt import Belt, belt_depth
 from camera_sim.sim.drift import Drift
-from camera_sim.sim.meshes import Faces, Vertices, inverse_rigid, rotation_about
+from camera_sim.sim.meshes import Faces, Vertices, rotation_about
 from camera_sim.sim.motion import BeltMotion
 from camera_sim.sim.optics import BASELINE_M, Optics
 from camera_sim.sim.raster import Canvas, canvas_over, draw, whole_image
 from camera_sim.sim.tubers import Tuber
-from conveyor.geometry import Intrinsics, straight_down_belt_from_camera, transform_points
+from conveyor.geometry import Intrinsics, inverse_rigid, straight_down_belt_from_camera, transform_points
 
 REACH_M = 0.22
 """A body whose centre is further than this from the view cannot reach into it."""

@@ -13,6 +13,10 @@ from conveyor.formats.within import check_within, plain_name
 from conveyor.text_files import read_json
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from conveyor.camera_place import CameraPlace
     from conveyor.formats.prepared import PreparedSource
 
 Kind = Literal["folder", "mcap", "3dpotatotwin", "rosbag", "ros2-export"]
@@ -78,6 +82,8 @@ def open_source(
     camera: str | None = None,
     name: str | None = None,
     belt_distance_m: float | None = None,
+    place: CameraPlace | None = None,
+    belt_from_camera: NDArray[np.float64] | None = None,
     depth_scale_m: float | None = None,
     ignore_masks: bool = False,
     part: int | None = None,
@@ -87,7 +93,8 @@ def open_source(
     Args:
         camera: which one; may be left out where there is only one. Of a ROS bag also a depth topic ('/...').
         name: what the line calls it; default: the recording's own name.
-        belt_distance_m, depth_scale_m: instead of what the recording says.
+        belt_distance_m, place, belt_from_camera, depth_scale_m: instead of what the recording says; a place leaves
+            height and tilt as they are.
         ignore_masks: leave out the recording's own masks.
         part: which run of an MCAP file that holds several, from 1 on.
 
@@ -105,6 +112,8 @@ def open_source(
         where=str(path),
         name=name,
         belt_distance_m=belt_distance_m,
+        place=place,
+        belt_from_camera=belt_from_camera,
         depth_scale_m=depth_scale_m,
         ignore_masks=ignore_masks,
     )

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_place import CameraPlace
+from conveyor.errors import InputError
 from conveyor.formats.scale_check import check_depth_scale
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
 from conveyor.formats.turned import QuarterTurn, quarter_turn
@@ -27,6 +29,8 @@ class PreparedSource:
         where: str,
         name: str | None = None,
         belt_distance_m: float | None = None,
+        place: CameraPlace | None = None,
+        belt_from_camera: NDArray[np.float64] | None = None,
         depth_scale_m: float | None = None,
         ignore_masks: bool = False,
     ) -> None:
@@ -37,6 +41,10 @@ class PreparedSource:
         matrix = d.belt_from_camera
         if belt_distance_m is not None and matrix is not None:
             matrix = _at_distance(matrix, belt_distance_m)
+        if belt_from_camera is not None:
+            matrix = belt_from_camera
+        elif place is not None:
+            matrix = _at_place(place, matrix, belt_distance_m or d.belt_distance_m, where=where)
         self._description = replace(
             d,
             name=name or d.name,
@@ -44,7 +52,8 @@ class PreparedSource:
             depth_scale_m=d.depth_scale_m if depth_scale_m is None else depth_scale_m,
             belt_from_camera=matrix,
         )
-        self._as_is = name in (None, d.name) and belt_distance_m is None and depth_scale_m is None
+        self._as_is = name in (None, d.name) and depth_scale_m is None and matrix is d.belt_from_camera
+        self._as_is &= belt_distance_m is None
 
     @property
     def description(self) -> CameraDescription:
@@ -86,6 +95,17 @@ class PreparedSource:
                 checked += 1
                 check_depth_scale(frame, where=self._where)
             yield turn.frame(frame) if turn else frame
+
+
+def _at_place(
+    place: CameraPlace, belt_from_camera: NDArray[np.float64] | None, distance_m: float | None, *, where: str
+) -> NDArray[np.float64]:
+    """(4, 4) the recorded height and tilt, at another place."""
+    if belt_from_camera is not None:
+        return place.put(belt_from_camera)
+    if distance_m is None:
+        raise InputError(f"{where}: a camera's place needs its belt_distance_m, which the recording does not say")
+    return place.straight_down(distance_m)
 
 
 def _at_distance(belt_from_camera: NDArray[np.float64], distance_m: float) -> NDArray[np.float64]:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
+from conveyor.pose import pose_fault
 
 
 @dataclass(frozen=True, slots=True)

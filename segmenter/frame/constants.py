@@ -55,6 +55,8 @@ TILT_OFF_DEG = 1.0
 """Degrees between the belt seen and the belt given that are an alarm; a calibrated belt stays below 0.3."""
 TILT_WORTH_DEG = 0.5
 """Degrees; a smaller tilt is taken for none. A tilt of 3 degrees taken for none costs a fifth of all tubers."""
+TILT_SURE_DEG = 1.5
+"""Degrees from which on it is seen for sure: a given pose that looks straight down to the last digit was assumed."""
 CLEAR_SHARE = 0.25
 """A plane that more of the samples support is seen clearly: it may contradict the calibration."""
 CONSENSUS_TRIES = 120

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics, belt_distance_m, straight_down_belt_from_camera
 from segmenter.frame.constants import (
@@ -36,6 +37,7 @@ from segmenter.frame.constants import (
     ROW_SAMPLES,
     SAMPLE_STRIDE,
     TILT_OFF_DEG,
+    TILT_SURE_DEG,
     TILT_WORTH_DEG,
 )
 from segmenter.frame.plane_kernels import (
@@ -211,26 +213,35 @@ def given_or_fitted(
     """The belt pose to work with: the given one; else straight down at the given distance; else the fitted one.
 
     A camera said to look straight down that visibly does not gets the tilt that is seen, about the given distance: a
-    tilt of 3 degrees taken for none costs a fifth of all tubers.
+    tilt of 3 degrees taken for none costs a fifth of all tubers. So does one whose given pose looks straight down to
+    the last digit, as no measured one does, where the tilt is past doubt.
 
     Raises:
         InputError: nothing is given and no belt is seen.
     """
+    tilt_deg = fit.tilt_deg if fit is not None and fit.share > 0.3 and fit.tilt_deg < 15 else 0.0
     if belt_from_camera is not None:
-        return belt_from_camera
-    tilted = fit is not None and fit.share > 0.3 and TILT_WORTH_DEG < fit.tilt_deg < 15
+        assumed = not belt_from_camera[2, :2].any()
+        if fit is None or not assumed or tilt_deg <= TILT_SURE_DEG:
+            return belt_from_camera
+        return CameraPlace.of(belt_from_camera).put(leaning_pose(fit, belt_distance_m(belt_from_camera)))
     if distance_m is not None:
-        if not tilted or fit is None:
+        if fit is None or tilt_deg <= TILT_WORTH_DEG:
             return straight_down_belt_from_camera(distance_m)
-        scale = fit.distance_m / distance_m
-        a, b, c = (value * scale for value in fit.inverse_depth)
-        return plane_pose(PlaneFit((a, b, c), distance_m, fit.tilt_deg, fit.residual_m, fit.share))
+        return leaning_pose(fit, distance_m)
     if fit is None:
         raise InputError(
             f"camera '{camera}' has neither belt_from_camera nor belt_distance_m, and no belt is seen in the frame "
             f"(a plane must carry {MIN_SHARE:.0%} of its pixels): give belt_distance_m in the recording or the config"
         )
-    return plane_pose(fit) if tilted else straight_down_belt_from_camera(fit.distance_m)
+    return plane_pose(fit) if tilt_deg > TILT_WORTH_DEG else straight_down_belt_from_camera(fit.distance_m)
+
+
+def leaning_pose(fit: PlaneFit, distance_m: float) -> NDArray[np.float64]:
+    """(4, 4) belt_from_camera of the plane seen, moved to a given distance along the optical axis."""
+    scale = fit.distance_m / distance_m
+    a, b, c = (value * scale for value in fit.inverse_depth)
+    return plane_pose(PlaneFit((a, b, c), distance_m, fit.tilt_deg, fit.residual_m, fit.share))
 
 
 def _samples(depth: NDArray[np.uint16], scale_m: float, k: Intrinsics, mask: NDArray[np.uint16] | None) -> Samples:

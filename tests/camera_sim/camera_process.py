@@ -11,7 +11,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from conveyor import topics
-from conveyor.config import CameraConfig, LineConfig, LinkConfig, dump_toml
+from conveyor.config import LineConfig, LinkConfig, dump_toml
+from conveyor.config_camera import CameraConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber, LatestSubscriber
 from conveyor.delivery.endpoint import Endpoint
 from conveyor.direct import DirectLink, direct_endpoint

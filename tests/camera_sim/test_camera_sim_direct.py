@@ -11,7 +11,8 @@ import pytest
 
 from camera_sim import outlet
 from conveyor import topics
-from conveyor.config import CameraConfig, LineConfig, LinkConfig, parse_config
+from conveyor.config import LineConfig, LinkConfig, parse_config
+from conveyor.config_camera import CameraConfig
 from conveyor.delivery import LatestSubscriber
 from conveyor.direct import ENVIRONMENT, LONGEST_PATH, direct_endpoint
 from conveyor.errors import ConfigError

@@ -17,7 +17,8 @@ import pytest
 
 from camera_sim.live.realsense import RealSenseSource
 from camera_sim.live.realsense_options import apply, check_stream, depth_filters
-from conveyor.config import CameraConfig, parse_config
+from conveyor.config import parse_config
+from conveyor.config_camera import CameraConfig
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.errors import ConfigError, InputError
 from conveyor.formats import open_source

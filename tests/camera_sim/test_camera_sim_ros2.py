@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from camera_sim.live.rmw_zenoh import Attachment, Numbering, key_of, published_topic, read_attachment
+from conveyor.camera_place import CameraPlace
 from conveyor.config import CameraConfig, LinkConfig
 from conveyor.errors import ConfigError, InputError, MessageError
 from conveyor.formats.png16 import Refusal
@@ -61,7 +62,9 @@ def test_lost_messages_are_gaps_and_a_publisher_that_starts_again_leaves_one_too
 
 @pytest.mark.graph
 def test_a_camera_process_hears_ros_2_and_counts_what_is_lost(link: LinkConfig, tmp_path: Path) -> None:
-    config = line(link, source="ros2", topic=TOPIC, ros_domain=7, belt_distance_m=0.46)
+    hung = {"belt_distance_m": 0.46, "across_m": 0.3, "turned_deg": 180.0}
+    config = line(link, source="ros2", topic=TOPIC, ros_domain=7, **hung)
+    pose = CameraPlace(0.0, 0.3, 180.0).straight_down(0.46)
     skips = {12: 3, 20: 1}
     with ros2_session(link) as session, other_side(config) as side:
         camera = Ros2Camera(session, TOPIC, gid=ONE, domain=7)
@@ -97,6 +100,7 @@ def test_a_camera_process_hears_ros_2_and_counts_what_is_lost(link: LinkConfig, 
                 n = round((frame.captured_ns - stamp_ns(0)) / (stamp_ns(1) - stamp_ns(0)))
                 assert np.array_equal(frame.depth, depth_mm(n % 50))
                 assert (frame.depth_scale_m, frame.belt_distance_m, frame.intrinsics.height) == (0.001, 0.46, HEIGHT)
+                assert np.array_equal(frame.belt_from_camera, pose), "it hangs where the line's file says"
             wait_until(lambda: (c := side.counters()) and c.gauges["source_silent_s"] > 1, what="the silence to show")
             running.send_signal(signal.SIGTERM)
             assert running.wait(30) == 0  # within 2 s by its own clock: later, it leaves with 70

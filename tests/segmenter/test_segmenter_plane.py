@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from segmenter_scene import MEDIUM, SMALL, Scene, scattered, tilted
 
+from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
 from segmenter.frame.belt import BeltGeometry
@@ -68,6 +69,20 @@ def test_without_any_calibration_the_belt_is_measured() -> None:
     assert core.belt is not None
     assert core.belt.distance_m == pytest.approx(0.40, abs=0.0007)
     np.testing.assert_allclose(core.belt.belt_from_camera[2], scene.belt_from_camera[2], atol=0.003)
+
+
+@pytest.mark.parametrize(("tilt_deg", "taken"), [(3.0, True), (-2.2, True), (1.0, False)])
+def test_a_pose_that_was_assumed_gets_the_tilt_past_doubt_and_keeps_its_place(tilt_deg: float, taken: bool) -> None:
+    """A line's file says where a camera hangs in words: that it looks straight down is then no more than a hope."""
+    place = CameraPlace(0.06, -0.3, 175.0)
+    true = place.put(tilted(0.46, tilt_deg))
+    scene = Scene([], SMALL, true, noise_m=0.001)
+    fit = fit_plane(scene.render(0.0)[0], depth_scale_m=0.001, intrinsics=SMALL)
+    assumed = place.straight_down(belt_distance_m(true))
+    found = given_or_fitted(assumed, None, fit, camera="front")
+    np.testing.assert_allclose(found, true if taken else assumed, atol=0.002)
+    measured = place.put(tilted(0.46, 0.1))
+    assert given_or_fitted(measured, None, fit, camera="front") is measured, "what was measured is believed"
 
 
 def test_a_tilt_seen_clearly_corrects_a_camera_said_to_look_straight_down() -> None:

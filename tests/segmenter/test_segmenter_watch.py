@@ -84,6 +84,17 @@ def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_corrected(encode
     assert corrected.counted == len(bodies)
 
 
+def test_a_belt_that_runs_the_other_way_from_bare_to_loaded_has_no_negative_metres() -> None:
+    """Before the load told its speed, belt passed unseen: told backwards, it ended the process with each mark."""
+    true = scene()
+    frames = (true.frame(i, 0.9 - i * STEP_M, encoder=False) for i in range(70))
+    core, levels = watched(frames)
+    assert core.travel_m < -0.4
+    assert levels["belt_backwards"] == 1
+    assert (core.looked_at_m, core.travelled_m) == (0.0, 0.0)
+    assert "turned_deg = 180" in belt_findings("front", levels)["belt_backwards"]
+
+
 def test_a_belt_that_backs_up_a_little_is_no_finding() -> None:
     travels = np.cumsum([0.0] + [STEP_M] * 20 + [-0.005] * 20 + [STEP_M] * 20)
     _, levels = watched(scene().frame(i, float(t)) for i, t in enumerate(travels))

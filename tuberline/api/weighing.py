@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.clouds import read_cloud
-from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.geometry import belt_distance_m as distance_of
+from conveyor.pose import pose_fault
 from conveyor.stated import BELT_DISTANCE_M, BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
 from regressor.network import stored
 from regressor.network.fast import groups_tensor

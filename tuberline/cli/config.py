@@ -9,6 +9,7 @@ from pathlib import Path
 from cyclopts import App
 
 from conveyor.config import LineConfig, dump_toml, load_config
+from conveyor.config_camera import at_one_place, hang_together
 from tuberline.cli.named_files import unreadable_files
 
 config = App(name="config", help="Check, show or explain a line's configuration.")
@@ -18,7 +19,8 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
-    Recordings, tickets and contracts that cannot be read here are warned of, and cameras without a recording.
+    Recordings, tickets and contracts that cannot be read here are warned of, cameras without a recording, and live
+    cameras that hang at one place.
 
     Parameters
     ----------
@@ -33,6 +35,8 @@ def check(config: Path) -> None:
             sys.stderr.write(f"warning: cameras.{name}.path: {camera.path} is not on this computer\n")
         if camera.path is None and camera.source == "recording":
             sys.stderr.write(f"warning: cameras.{name} has no path: a camera that replays a recording cannot start\n")
+    if together := at_one_place(line.cameras):
+        sys.stderr.write(f"warning: {hang_together(together)}\n")
     for fault in unreadable_files(line):
         sys.stderr.write(f"warning: {fault}\n")
 

@@ -41,7 +41,7 @@ These commands check a file, print every setting in effect, and explain one key:
     tuberline config show --explain segmenter.ring
     tuberline config schema                              # JSON schema, for editors
 """
-_UNITS = {"mm2": "mm²", "mm": "mm", "ms": "ms", "us": "µs", "mw": "mW", "m": "m", "s": "s", "g": "g"}
+_UNITS = {"mm2": "mm²", "mm": "mm", "ms": "ms", "us": "µs", "mw": "mW", "m": "m", "s": "s", "g": "g", "deg": "°"}
 """Unit by the last part of a key's name."""
 _UNITS_OF = {
     "cameras.<camera>.depth_scale_m": "m per unit of depth",
@@ -58,7 +58,7 @@ _TYPES = {
     "integer": "whole number",
     "boolean": "true or false",
 }
-_LISTS = {"string": "list of text", "number": "list of numbers"}
+_LISTS = {"string": "list of text", "number": "list of numbers", "array": "list of lists of numbers"}
 
 
 @dataclass(frozen=True, slots=True)

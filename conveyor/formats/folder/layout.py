@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from conveyor.errors import InputError
-from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
+from conveyor.pose import pose_fault
 from conveyor.ranges import INT64_MAX, MAX_COUNT
 from conveyor.text_files import read_json
 

@@ -26,10 +26,10 @@ from conveyor.formats.mcap.layout import (
     camera_of,
     topic_of,
 )
-from conveyor.formats.pose import pose_fault
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.formats.versions import check_version
 from conveyor.messages import Frame
+from conveyor.pose import pose_fault
 
 DAMAGE = (
     McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, KeyError, MemoryError, OverflowError

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.files import NamedArray, read_meta, read_shard, write_meta
-from conveyor.formats.pose import pose_fault
 from conveyor.geometry import Intrinsics
+from conveyor.pose import pose_fault
 
 VERSION = 1
 FORMAT_NAME = "belt pack"
