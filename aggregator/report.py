@@ -19,6 +19,7 @@ from aggregator.core.loads import Load, LoadEvent
 from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
 from aggregator.core.totals import LoadTotals
+from aggregator.ledger.apart import cameras_apart
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
@@ -28,13 +29,14 @@ from aggregator.ledger.stated import told_belt
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
+from conveyor.apart import apart_in_words
 from conveyor.config import LineConfig
 from conveyor.contract import read_contract
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
 from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
-from conveyor.messages import LoadNow, Totals, Tuber
+from conveyor.messages import CamerasApart, LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
 TABLE_IN_HASTE = 5_000
@@ -43,6 +45,8 @@ TABLE_IN_HASTE = 5_000
 ROWS_A_TURN = 1000
 LOOK_AT_TICKETS_EVERY_S = 5.0
 """What a load with a ticket came to changes while its last tubers come."""
+APART_EVERY = 50
+"""Tubers after which it is looked at again whether the cameras agree on places: 15 ms."""
 
 
 class Reporter:
@@ -58,6 +62,7 @@ class Reporter:
         self._by_loads: tuple[tuple[int, int], tuple[Ticket, ...]] = ((0, 0), ())
         self._earlier: dict[int, tuple[tuple[int, int], list[HeightSums]]] = {}
         self._contract = read_contract(settings.contract) if settings.contract else None
+        self._apart: tuple[int, tuple[CamerasApart, ...]] = (-APART_EVERY, ())
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -126,6 +131,14 @@ class Reporter:
             earlier=self._heights_before(load, now_s),
         )
 
+    def _cameras_apart(self, count: int) -> tuple[CamerasApart, ...]:
+        """How far cameras disagree on places, by the newest of `count` tubers; at the end by the last of them."""
+        new, cameras = count - self._apart[0], self._core.cameras.names
+        if len(cameras) > 1 and new >= (1 if self._over or self._core.finished else APART_EVERY):
+            gate_mm = self._config.aggregator.merge_gate_mm
+            self._apart = count, cameras_apart(self._ledger.view, self._core.run, cameras, gate_mm=gate_mm)
+        return self._apart[1]
+
     def totals(self, now_s: float) -> Totals:
         """The totals as they are now."""
         cameras, seen, sums = self._core.cameras, self.coverage(now_s), self._ledger.sums(self._core.run)
@@ -154,6 +167,7 @@ class Reporter:
             contract=contract.told if contract else "",
             classes=class_totals(totals, contract) if contract else (),
             foreign=foreign_total(totals, self._config.foreign),
+            apart=self._cameras_apart(sums.load.count),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:
@@ -211,12 +225,13 @@ class Reporter:
             return f"nothing seen: {totals.reason}; final={totals.final}"
         layers = layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
         heights = heights_in_words(totals.load.heights) if totals.load else ""
+        apart = apart_in_words(totals.apart)
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
             f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
-            f"{layers and '; ' + layers}{heights and '; ' + heights}"
+            f"{layers and '; ' + layers}{heights and '; ' + heights}{apart and '; ' + apart}"
         )
 
 

@@ -89,6 +89,8 @@ def told_totals(totals: Totals) -> dict[str, Any]:
     told: dict[str, Any] = plain(totals)
     if totals.load is None:  # a run in which no load is open tells what it always told
         del told["load"]
+    if not totals.apart:  # one camera, or cameras that share no tubers
+        del told["apart"]
     if not totals.contract:
         del told["contract"], told["classes"]
     if totals.state == LoadState.NOTHING_SEEN:

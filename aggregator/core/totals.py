@@ -14,7 +14,7 @@ from aggregator.calibration.tickets import Ticket
 from aggregator.core.layers import Hidden, hidden
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
-from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals
+from conveyor.messages import CamerasApart, ClassTotal, ForeignTotal, LoadNow, Totals
 from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
@@ -186,6 +186,7 @@ class LoadTotals:
         contract: str = "",
         classes: tuple[ClassTotal, ...] = (),
         foreign: ForeignTotal | None = None,
+        apart: tuple[CamerasApart, ...] = (),
     ) -> Totals:
         """The totals as published; `most_m` as in `estimated`."""
         low_g, high_g = self.interval_g()
@@ -228,4 +229,5 @@ class LoadTotals:
             contract=contract,
             classes=classes,
             foreign=foreign,
+            apart=apart,
         )

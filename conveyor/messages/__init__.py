@@ -1,5 +1,6 @@
 """Every message that crosses a process boundary. `conveyor.topics` says which topic carries which."""
 
+from conveyor.messages.apart import CamerasApart
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
@@ -16,6 +17,7 @@ from conveyor.messages.views import View, Weight
 
 __all__ = [
     "CameraInfo",
+    "CamerasApart",
     "ClassTotal",
     "Committed",
     "Counters",

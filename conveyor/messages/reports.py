@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from conveyor.messages.apart import CamerasApart
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
 from conveyor.messages.foreign import ForeignTotal
@@ -78,7 +79,8 @@ class Totals(Message):
     layer: `hidden` of them, `hidden_g` grams, are estimated to lie under others; they are in the estimate alone.
 
     `classes` are those of the contract, named and measured as `contract` says; none without one.
-    `foreign` is what is no tuber: clods, stones, haulm.
+    `foreign` is what is no tuber: clods, stones, haulm. `apart`: how far cameras disagree on the places of the newest
+    tubers that both saw.
     """
 
     LATER_FIELDS = "ignore"
@@ -112,6 +114,7 @@ class Totals(Message):
     contract: Line = ""
     classes: Annotated[tuple[ClassTotal, ...], Items(32)] = ()
     foreign: ForeignTotal | None = None
+    apart: Annotated[tuple[CamerasApart, ...], Items(256)] = ()
 
     @property
     def no_number(self) -> bool:

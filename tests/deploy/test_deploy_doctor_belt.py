@@ -14,6 +14,7 @@ from tuberline.doctor import Level
 from tuberline.doctor.belt import check_belt_seen, check_running_belts
 from tuberline.doctor.depth import check_running_noise
 from tuberline.doctor.examine import examine
+from tuberline.doctor.places import check_agreement, check_places
 
 
 @pytest.mark.parametrize(
@@ -75,6 +76,24 @@ def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
     noisy = check_running_noise(config, nodes, camera_range(("easy",)), alive=set(nodes))
     assert [(f.check, f.level) for f in noisy] == [("depth of right", Level.WARNING)]
     assert "measures 0.200 px of noise" in noisy[0].text
+
+
+def test_the_places_of_cameras_are_compared() -> None:
+    live = {"source": "realsense", "belt_distance_m": 0.46}
+    (found,) = check_places(parse_config({"cameras": {"left": live, "right": live}}, where="test"))
+    assert found.level is Level.WARNING
+    assert "cameras left, right are taken to hang at one place" in found.text
+    hung = {"left": {**live, "across_m": -0.3}, "right": {**live, "across_m": 0.3}}
+    assert check_places(parse_config({"cameras": hung}, where="test")) == []
+    apart = {"first": "left", "second": "right", "along_mm": -2.0, "across_mm": 41.0, "shared": 20, "twice": 0}
+    told = [
+        check_agreement({"apart": [{**apart, "twice": twice, "alarm": alarm}]})[0]
+        for twice, alarm in ((7, True), (0, True), (0, False))
+    ]
+    assert [finding.level for finding in told] == [Level.FAULT, Level.WARNING, Level.OK]
+    assert told[0].text == "the same tubers -2 mm along the belt, +41 mm across: 7 of 20 counted twice"
+    assert "calibrate cameras" in told[0].fix
+    assert check_agreement(None) == []
 
 
 def test_doctor_measures_a_recordings_belt(tmp_path: Path) -> None:

@@ -367,10 +367,17 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     sheet = {"frames": {"published": 100, "gaps": 7, "dropped_blind": 1}, "views": {"sent": 10, "lost_late": 5}}
     lower = {"cameras": "left", "lower_mm": 3.2, "lower_sd_mm": 0.5, "scale_percent": -1.0, "scale_sd_percent": 2.0}
     lower |= {"tubers": 900, "loads": 3, "alarm": True}
+    apart = {"first": "left", "second": "right", "along_mm": 1.0, "across_mm": 40.0}
+    apart |= {"shared": 20, "twice": 18, "alarm": True}
     heights = [{"name": "7 trailer", "number": 1, "heights": [lower]}, {"name": "", "number": 2}]
     broken = replace(
         of_run,
-        summary={"cameras": {"left": sheet}, "differences": ["tubers do not add up"], "loads": heights},
+        summary={
+            "cameras": {"left": sheet},
+            "differences": ["tubers do not add up"],
+            "loads": heights,
+            "totals": {"apart": [apart, {**apart, "second": "rear", "alarm": False}]},
+        },
     )
     told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, replace(of_run, run="b", summary={}))))
     assert told[0] == (
@@ -380,6 +387,9 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     assert told[1].startswith("Load 7 trailer: its ticket says ")
     assert told[3:] == [
         "The balance sheet of run monday does not hold: tubers do not add up. `tuberline audit` says more.",
+        "Run monday: cameras left and right put the same tubers 1 mm apart along the belt and 40 mm across, 18 of 20 "
+        "counted twice. A camera moved, or its place is not right: record both, then run `tuberline calibrate "
+        "cameras`.",
         "Load 7 trailer: under camera left tubers lie 3.2 mm lower (± 0.8) than in 3 earlier loads of this variety; "
         "height over width -1 % (± 3).",
         "Camera left of run monday: of 100 frames 7 lost on the way.",

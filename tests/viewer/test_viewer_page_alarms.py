@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from conveyor.messages import HeightChange
+from conveyor.messages import CamerasApart, HeightChange
 from tests.viewer.page_states import camera_info, good_state, loaded_state, node, segmenter, totals, with_node
 from viewer.page.alarms import alarms
 from viewer.page.snapshot import FORGET_GONE_S, MAX_NODES, snapshot
@@ -70,6 +70,22 @@ def test_tubers_that_lie_lower_than_in_earlier_loads(lower_mm: float, said: str)
     assert f"Under camera left tubers lie {said} than in earlier loads" in alarm.text
     assert "Height over width: -1 % (± 3)" in alarm.text
     assert "calibrate bucket" in alarm.fix
+
+
+@pytest.mark.parametrize(
+    ("twice", "level", "said"),
+    [(9, "trouble", ": 9 of 21 were counted twice."), (0, "warning", "None is counted twice yet")],
+)
+def test_cameras_that_put_the_same_tubers_at_different_places(twice: int, level: str, said: str) -> None:
+    state = good_state()
+    assert state.totals is not None
+    apart = CamerasApart("left", "right", -3.2, 41.7, shared=21, twice=twice, alarm=True)
+    agree = replace(apart, first="rear", alarm=False)
+    (alarm,) = alarms(replace(state, totals=replace(state.totals, apart=(agree, apart))))
+    assert (alarm.key, alarm.level) == ("apart-left-right", level)
+    assert "Cameras left and right put the same tubers 3 mm apart along the belt and 42 mm across" in alarm.text
+    assert said in alarm.text
+    assert "calibrate cameras" in alarm.fix
 
 
 @pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])

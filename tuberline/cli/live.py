@@ -12,6 +12,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from conveyor.apart import apart_in_words
 from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, LoadNow, Totals
@@ -113,6 +114,8 @@ def totals_panel(totals: Totals | None) -> Panel:
     text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
     if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
+    if apart := apart_in_words(totals.apart):
+        text += f"\n[yellow]{apart}[/]"
     if totals.belt_unknown:
         text += f"\n[yellow]{totals.reason}[/]"
     if totals.state == "starting":

@@ -8,7 +8,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from conveyor.apart import apart_told
 from conveyor.layers import layers_in_words
+from conveyor.messages import CamerasApart
 from tuberline.cli.class_table import class_table, foreign_line
 from tuberline.cli.live import histogram_lines
 
@@ -32,7 +34,8 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
         console.print(f"[bold red]nothing seen[/]: {summary['reason']}", highlight=False)
     else:
         _print_load(console, summary, totals)
-    for finding in summary.get("findings", []):
+    apart = [CamerasApart(**one) for one in totals.get("apart", ())]
+    for finding in [*summary.get("findings", []), *(apart_told(one) for one in apart if one.alarm)]:
         console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
     for name, n in summary.get("restarts", {}).items():
         console.print(f"[yellow]{name} was restarted {n} times[/]")

@@ -17,6 +17,7 @@ from conveyor.errors import InputError, TuberlineError
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.doctor.finding import Finding, fault, ok
+from tuberline.doctor.places import check_agreement, check_places
 
 LISTEN_S = 2.5
 LOOK_AT_FRAMES = 5
@@ -70,7 +71,7 @@ def examine(
     if config.segmenter.state_dir:
         findings += machine.check_disk(config.segmenter.state_dir, what="the camera log")
     findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
-    findings += link.check_certificates(config, now=datetime.now(UTC))
+    findings += check_places(config) + link.check_certificates(config, now=datetime.now(UTC))
     on_work("weighing the reference clouds", 1, 4)
     findings += _weights(config)
     on_work("listening to the line", 2, 4)
@@ -100,6 +101,7 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
     return [
         *check_nodes(config, live.nodes, alive=live.alive),
         *check_running_belts(config, live.nodes, alive=live.alive),
+        *check_agreement(live.totals),
         *check_running_noise(config, live.nodes, trained_range(config), alive=live.alive),
         *live.weights,
         *check_versions({name: c for name, c in live.nodes.items() if name in live.alive}, own=__version__),

@@ -60,6 +60,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_coverage(state),
         *_layers(state),
         *_heights(state),
+        *_apart(state),
         *_versions(state),
     ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
@@ -176,6 +177,23 @@ def _heights(state: LineState) -> Iterator[Alarm]:
             }
             say = "alarm.heights_lower" if change.lower_mm > 0 else "alarm.heights_higher"
             yield Alarm(f"camera-{change.cameras}-heights", "warning", say, "todo.heights", values)
+
+
+def _apart(state: LineState) -> Iterator[Alarm]:
+    """Two cameras that put the same tubers at different places."""
+    for apart in () if state.totals is None else state.totals.apart:
+        if apart.alarm:
+            values: dict[str, Value] = {
+                "first": apart.first,
+                "second": apart.second,
+                "along": abs(apart.along_mm),
+                "across": abs(apart.across_mm),
+                "twice": apart.twice,
+                "n": apart.shared,
+            }
+            level: Level = "trouble" if apart.twice else "warning"
+            say = "alarm.apart_twice" if apart.twice else "alarm.apart"
+            yield Alarm(f"apart-{apart.first}-{apart.second}", level, say, "todo.apart", values)
 
 
 def layers(totals: Totals) -> dict[str, Value]:

@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from conveyor.apart import apart_in_words
 from conveyor.heights import heights_in_words
-from conveyor.messages import HeightChange
+from conveyor.messages import CamerasApart, HeightChange
 from tuberline.alarms.message import AlarmMessage
 from tuberline.alarms.outbox import FILE as OUTBOX
 from tuberline.export.report.gather import DayFacts, LoadFacts, RunFacts
@@ -89,6 +90,8 @@ def _of_run(run: RunFacts) -> Iterator[str]:
         return
     for text in summary.get("differences", []):
         yield f"The balance sheet of run {run.run} does not hold: {text}. `tuberline audit` says more."
+    if said := apart_in_words(CamerasApart(**apart) for apart in summary.get("totals", {}).get("apart", ())):
+        yield f"Run {run.run}: {said}."
     if summary.get("layers"):
         yield f"Run {run.run}: {summary['layers']}."
     for load in summary.get("loads", []):
