@@ -59,10 +59,20 @@ def calibrate_recording(
     Raises:
         InputError: the recording cannot be used, or too little belt is seen in it.
     """
-    return [_camera(camera, frames, on_frame) for camera in open_cameras(recording, ignore_masks=True)]
+    return [
+        calibrate_camera(camera, frames=frames, on_frame=on_frame)[0]
+        for camera in open_cameras(recording, ignore_masks=True)
+    ]
 
 
-def _camera(camera: CameraFrames, frames: int, on_frame: Callable[[int, int], None]) -> BeltCalibration:
+def calibrate_camera(
+    camera: CameraFrames, *, frames: int = 30, on_frame: Callable[[int, int], None] = lambda done, of: None
+) -> tuple[BeltCalibration, PlaneFit]:
+    """The calibration of one camera, and the plane that it rests on, of the image as it is read.
+
+    Raises:
+        InputError: too little belt is seen.
+    """
     fits: list[PlaneFit] = []
     asked, given_m = 0, None
     for frame in islice(camera, frames):
@@ -82,7 +92,7 @@ def _camera(camera: CameraFrames, frames: int, on_frame: Callable[[int, int], No
     residual_m = float(np.median([fit.residual_m for fit in fits]))
     share = float(np.median([fit.share for fit in fits]))
     middle = PlaneFit((a, b, c), 1 / c, tilt_deg, residual_m, share)
-    return BeltCalibration(
+    calibration = BeltCalibration(
         camera=camera.description.name,
         frames=len(fits),
         asked=asked,
@@ -96,3 +106,4 @@ def _camera(camera: CameraFrames, frames: int, on_frame: Callable[[int, int], No
         disagreement_mm=None if given_m is None else (middle.distance_m - given_m) * 1000,
         unreadable=dict(camera.unreadable),
     )
+    return calibration, middle

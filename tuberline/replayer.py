@@ -21,6 +21,7 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.taken_port import check_port_free
 from conveyor.topics import check_name
+from tuberline.places import places_in
 from tuberline.processes import line_processes, usual_regressors
 from tuberline.supervisor import Supervisor
 
@@ -52,6 +53,7 @@ def replay_recording(
     resting_offset_mm: float | None = None,
     resting_sd_mm: float | None = None,
     contract: Path | None = None,
+    places: Path | None = None,
     fast: bool = False,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
@@ -63,6 +65,7 @@ def replay_recording(
         resting_offset_mm, resting_sd_mm: how far tubers' undersides lie below the belt, and how well that is known;
             None: what the recording states.
         contract: a buyer's classes of size (TOML).
+        places: a line's file that says where the cameras hang, instead of what the recording says.
         fast: one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
 
@@ -93,6 +96,7 @@ def replay_recording(
         rrd=rrd,
         settings=sections,
         ignore_masks=ignore_masks,
+        places=places_in(places, cameras) if places else {},
     )
     prepare_out(out)
     take_positions(recording, out)
@@ -277,12 +281,15 @@ def replay_config(
     rrd: Path | None,
     settings: Mapping[str, Any] | None,
     ignore_masks: bool = False,
+    places: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> LineConfig:
     """The line that replays `recording`: embedded defaults, a router on a free port of this machine."""
     raw: dict[str, Any] = {
         "name": "replay",
         "link": {"router": f"tcp/127.0.0.1:{free_port()}", "connect_timeout_s": 60.0},
-        "cameras": {name: {"path": str(recording.resolve()), "speed": speed} for name in cameras},
+        "cameras": {
+            n: {"path": str(recording.resolve()), "speed": speed, **(places or {}).get(n, {})} for n in cameras
+        },
         # A busy machine or a cut link must not decide how many views a tuber of the same recording gets.
         "segmenter": {"state_dir": str(out.resolve() / "state"), "weigh_deadline_s": 600.0},
         "regressor": {"processes": regressors, "state_dir": str(out.resolve() / "weights")},

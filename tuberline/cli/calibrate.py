@@ -9,6 +9,9 @@ calibrate.command(
     "tuberline.cli.calibrate_belt:calibrate_belt", name="belt", help="Fit the belt's plane to a recording."
 )
 calibrate.command(
+    "tuberline.cli.calibrate_cameras:calibrate_cameras", name="cameras", help="Where several cameras hang."
+)
+calibrate.command(
     "tuberline.cli.calibrate_bucket:calibrate_bucket", name="bucket", help="Calibrate by one bucket that passed."
 )
 calibrate.command(

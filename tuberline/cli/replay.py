@@ -26,6 +26,7 @@ def replay(
     resting_offset_mm: RestingOffset | None = None,
     resting_sd_mm: RestingSd | None = None,
     contract: Path | None = None,
+    places: Path | None = None,
     fast: bool = False,
     resume: bool = False,
     json: bool = False,
@@ -54,6 +55,9 @@ def replay(
         How well that is known, standard deviation in millimetres.
     contract
         A buyer's classes of size (TOML): count and weight of each come with the totals.
+    places
+        A line's file whose sections of the recording's cameras say where they hang, instead of what the recording says:
+        what `tuberline calibrate cameras` prints.
     fast
         Weigh as a busy live line does: one view of a tuber from each camera, in the fastest form within 0.1 g of the
         exact one. Every weight is flagged with the form; what is counted stays the same.
@@ -79,6 +83,7 @@ def replay(
             resting_offset_mm=resting_offset_mm,
             resting_sd_mm=resting_sd_mm,
             contract=contract,
+            places=places,
             fast=fast,
             show=not json,
         )

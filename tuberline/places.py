@@ -1,0 +1,34 @@
+"""Where the cameras of a recording hang, as a line's file says it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from conveyor.config import load_config
+from conveyor.config_camera import PLACE
+from conveyor.errors import InputError
+
+KEYS = ("belt_distance_m", "belt_from_camera", *PLACE)
+
+
+def places_in(file: Path, cameras: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """By camera of a recording, what the section of that name in a line's file says of its place.
+
+    Raises:
+        ConfigError: no line's file.
+        InputError: it says nothing of one of the cameras.
+    """
+    sections = load_config(file).cameras
+    found = {
+        camera: {key: value for key in KEYS if (value := getattr(sections[camera], key)) is not None}
+        for camera in cameras
+        if camera in sections
+    }
+    if silent := [camera for camera in cameras if not found.get(camera)]:
+        raise InputError(
+            f"--places {file} says nothing of camera {', '.join(silent)}: its section [cameras.{silent[0]}] needs "
+            f"{' or '.join(KEYS[:2])}, as `tuberline calibrate cameras` prints them"
+        )
+    return found
