@@ -10,8 +10,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
 
     Args:
         camera: its name.
-        gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, encoder_off,
-            encoder_told_m, encoder_seen_m.
+        gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -29,6 +29,12 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "cameras` measures it), or give a belt_from_camera whose x points along the travel: negate its first two "
             "rows (instead of null: [[0,-1,0,0],[-1,0,0,0],[0,0,-1,H],[0,0,0,1]], H the belt distance in metres); an "
             "encoder must count upwards"
+        )
+    if gauges.get("belt_turned"):
+        found["belt_turned"] = (
+            f"camera '{camera}': the load moves {gauges.get('belt_turned_deg', 0.0):+.1f} degrees aside of the way "
+            "that the camera's pose says: from 9 on tubers are counted several times. Turn the camera, or correct its "
+            "turned_deg in the line's file (`tuberline calibrate cameras RECORDING` measures it)"
         )
     if gauges.get("encoder_off"):
         told_m, seen_m = gauges.get("encoder_told_m", 0.0), gauges.get("encoder_seen_m", 0.0)

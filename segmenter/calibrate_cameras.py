@@ -21,9 +21,9 @@ from conveyor.formats.turned import quarter_turn
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame, Track
 from conveyor.resting import RestingLevel
-from segmenter.belt_direction import BeltDirection, heading_of
 from segmenter.calibrate import BeltCalibration, calibrate_camera
 from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.belt_direction import BeltDirection, heading_of
 from segmenter.frame.heights import height_map
 from segmenter.frame.plane import leaning_pose
 from segmenter.perception import Perception, PerceptionSettings

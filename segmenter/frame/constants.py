@@ -115,7 +115,7 @@ BACKWARDS_SHARE = 0.8
 BACKWARDS_M = -0.2
 """Metres; an estimated travel this far back is no shaking belt."""
 
-# Watching the encoder (`encoder_watch`)
+# Watching how the load moves (`motion_watch`)
 SHIFT_SAME_M = 0.005
 """Metres along and across the belt within which two pairs of tubers moved alike. Less loses tubers that rock, more
 takes neighbours for one another."""
@@ -123,6 +123,12 @@ SHIFT_AREA = 0.35
 """Logarithm of two visible areas that may be one tuber's: it is seen from another side, or touches another one."""
 SHIFT_KEPT, SHIFT_LEAST, SHIFT_LEAST_M = 60, 15, 0.25
 """Moves that are kept, and moves and metres of them that are needed to say anything: a jolt is no finding."""
+SHIFT_ASIDE_M = 0.03
+"""Metres across the belt by which pairs of tubers may lie apart: a camera turned by 50 degrees, at 40 mm a frame."""
+TURNED_DEG, TURNED_ALIKE = 5.0, 0.8
+"""Degrees by which the load must move aside of the belt's x to be a finding, and share of moves that must go to that
+side. On simulated belts a camera that is turned by 8 degrees against its pose counts right, one that is turned by 10
+counts half of the tubers twice; how cameras were turned was found to 0.6 degrees."""
 SHIFT_OFF, SHIFT_OFF_SHARE = 0.12, 0.6
 """Share of the way seen by which the way told must differ, over all moves kept and in so many of them. On simulated
 belts an encoder that is 10 % off changes places and no count, one that is 20 % off counts half of the tubers twice."""

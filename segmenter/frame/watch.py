@@ -18,15 +18,15 @@ from segmenter.frame.constants import (
     LONGEST_STEP_M,
     SAME_M,
 )
-from segmenter.frame.encoder_watch import EncoderWatch
 from segmenter.frame.instances import Instances
+from segmenter.frame.motion_watch import MotionWatch
 from segmenter.frame.plane import BeltCheck
 
 
 class BeltWatch:
     """Levels of one camera: 'belt_drift_mm' and 'belt_tilt_off_deg' (seen against given), 'belt_alarm', 1 where either
-    is too much, 'belt_backwards', 1 where tubers move against the belt's x, and 'encoder_off', 1 where they move
-    'encoder_seen_m' while the encoder tells 'encoder_told_m'.
+    is too much, 'belt_backwards', 1 where tubers move against the belt's x, 'belt_turned', 1 where they move aside, by
+    'belt_turned_deg', and 'encoder_off', 1 where they move 'encoder_seen_m' while the encoder tells 'encoder_told_m'.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class BeltWatch:
         self._backwards = 0
         self._first_m: float | None = None
         self._moved_m = 0.0
-        self._encoder = EncoderWatch()
+        self._motion = MotionWatch()
 
     def step(self, check: BeltCheck, instances: Instances | None, *, travel_m: float, estimated: bool) -> None:
         """Take what the core says after one more frame."""
@@ -47,15 +47,20 @@ class BeltWatch:
                 self._checks.append(check)
         self._first_m = travel_m if self._first_m is None else self._first_m
         self._moved_m = travel_m - self._first_m
-        if not estimated and instances is not None:
+        if instances is None:
+            return
+        if not estimated:
             self._vote(instances, travel_m)
-            self._encoder.step(instances, travel_m)
+        self._motion.step(instances, travel_m, told=not estimated)
 
     def gauges(self) -> dict[str, float]:
         """The levels that are known."""
         levels: dict[str, float] = {"belt_backwards": float(self.backwards), "encoder_off": float(self.encoder_off)}
         if self.encoder_off:
-            levels |= {"encoder_told_m": self._encoder.told_m, "encoder_seen_m": self._encoder.seen_m}
+            levels |= {"encoder_told_m": self._motion.told_m, "encoder_seen_m": self._motion.seen_m}
+        levels["belt_turned"] = float(self._motion.turned and not self.backwards)
+        if (turned_deg := self._motion.turned_deg) is not None:
+            levels["belt_turned_deg"] = turned_deg
         if self._checks:
             middle = self._middle()
             levels |= {
@@ -70,12 +75,12 @@ class BeltWatch:
         """The belt moves against its x: by the travel itself, or, where an encoder tells that, by the tubers."""
         votes = self._forwards + self._backwards
         by_tubers = votes >= LEAST_VOTES and self._backwards >= BACKWARDS_SHARE * votes
-        return by_tubers or self._moved_m < BACKWARDS_M or self._encoder.backwards
+        return by_tubers or self._moved_m < BACKWARDS_M or self._motion.backwards
 
     @property
     def encoder_off(self) -> bool:
         """The tubers move another way than the encoder tells, and not just against it."""
-        return self._encoder.off and not self.backwards
+        return self._motion.encoder_off and not self.backwards
 
     def _middle(self) -> BeltCheck:
         drifts = [check.drift_m for check in self._checks if check.drift_m is not None]

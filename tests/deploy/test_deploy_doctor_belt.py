@@ -60,6 +60,23 @@ def test_a_running_segmenter_is_believed() -> None:
     assert check_running_belts(config, nodes, alive=set()) == []
 
 
+@pytest.mark.parametrize(
+    ("level", "more", "said"),
+    [
+        ("belt_backwards", {}, "the belt runs against the direction"),
+        ("belt_turned", {"belt_turned_deg": 11.0}, "the load moves +11.0 degrees aside"),
+        ("encoder_off", {"encoder_told_m": 1.0, "encoder_seen_m": 2.0}, "the load moved 2.00 m while the encoder told"),
+    ],
+)
+def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, float], said: str) -> None:
+    config = parse_config({"cameras": {"left": {}}}, where="test")
+    gauges = {"belt_drift_mm": 0.1, level: 1.0, **more}
+    nodes = {"segmenter/left": Counters("segmenter", "left", "r", 1, "h", "1", 9.0, {}, gauges)}
+    other, belt = check_running_belts(config, nodes, alive=set(nodes))
+    assert (other.level, belt.level) == (Level.FAULT, Level.OK)
+    assert said in other.text
+
+
 def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
     config = parse_config({"cameras": {"left": {}, "right": {}}}, where="test")
     nodes = {

@@ -8,8 +8,8 @@ from segmenter_scene import SMALL, Scene, scattered, tilted
 
 from conveyor.camera_place import CameraPlace
 from conveyor.geometry import straight_down_belt_from_camera
-from segmenter.belt_direction import BeltDirection, common_move
 from segmenter.frame.belt import BeltGeometry
+from segmenter.frame.belt_direction import BeltDirection, common_move
 from segmenter.frame.heights import height_map
 from segmenter.perception import Perception
 from segmenter.pipeline import Settings

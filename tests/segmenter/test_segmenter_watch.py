@@ -10,6 +10,7 @@ import pytest
 from segmenter_scene import SMALL, Scene, scattered, tilted
 
 from conveyor.belt_findings import belt_findings
+from conveyor.camera_place import CameraPlace
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame
 from segmenter.frame.plane import check_belt, fit_plane
@@ -82,6 +83,33 @@ def test_a_belt_that_runs_the_other_way_is_said_and_counts_once_corrected(encode
     corrected.finish()
     assert levels["belt_backwards"] == 0
     assert corrected.counted == len(bodies)
+
+
+@pytest.mark.parametrize("encoder", [True, False])
+@pytest.mark.parametrize("turned_deg", [7.0, -12.0, 25.0])
+def test_a_camera_that_is_turned_against_its_pose_is_said(encoder: bool, turned_deg: float) -> None:
+    """From 10 degrees on half of the tubers were counted twice, and nothing was said."""
+    true = Scene(scattered(30, seed=3), SMALL, noise_m=0.001)
+    said = CameraPlace(turned_deg=turned_deg).straight_down(0.46)
+    frames = (replace(true.frame(i, i * STEP_M, encoder=encoder), belt_from_camera=said) for i in range(60))
+    _, levels = watched(frames)
+    assert levels["belt_turned"] == 1
+    assert levels["belt_turned_deg"] == pytest.approx(turned_deg, abs=0.7)
+    assert (levels["belt_backwards"], levels["encoder_off"]) == (0, 0)
+    text = belt_findings("front", levels)["belt_turned"]
+    assert f"the load moves {levels['belt_turned_deg']:+.1f} degrees aside" in text
+
+
+@pytest.mark.parametrize("turned_deg", [0.0, 3.5, -3.5])
+def test_a_camera_that_is_turned_as_hands_turn_it_counts_and_is_no_finding(turned_deg: float) -> None:
+    bodies = scattered(30, seed=4)
+    said = CameraPlace(turned_deg=turned_deg).straight_down(0.46)
+    true = Scene(bodies, SMALL, noise_m=0.001)
+    core, levels = watched(replace(true.frame(i, i * STEP_M), belt_from_camera=said) for i in range(140))
+    core.finish()
+    assert belt_findings("front", levels) == {}
+    assert levels["belt_turned_deg"] == pytest.approx(turned_deg, abs=0.7)
+    assert core.counted == len(bodies)
 
 
 def test_a_belt_that_runs_the_other_way_from_bare_to_loaded_has_no_negative_metres() -> None:

@@ -88,6 +88,23 @@ def test_cameras_that_put_the_same_tubers_at_different_places(twice: int, level:
     assert "calibrate cameras" in alarm.fix
 
 
+@pytest.mark.parametrize(
+    ("gauges", "said"),
+    [
+        ({"belt_backwards": 1.0}, "Under camera left the belt runs the other way than its pose or the encoder says"),
+        ({"belt_turned": 1.0, "belt_turned_deg": -11.8}, "the load moves 12° aside of the way its pose says"),
+        (
+            {"encoder_off": 1.0, "encoder_told_m": 1.14, "encoder_seen_m": 2.27},
+            "the load moved 2.27 m while the encoder told 1.14 m",
+        ),
+    ],
+)
+def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, float], said: str) -> None:
+    """Only the segmenter's log said so."""
+    (text,) = texts(with_node(good_state(), "segmenter/left", segmenter("left", gauges=gauges)), "trouble")
+    assert said in text
+
+
 @pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])
 def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
     moved = segmenter("left", gauges={"belt_drift_mm": drift_mm, "belt_alarm": 1.0})

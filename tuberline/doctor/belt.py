@@ -13,6 +13,12 @@ from tuberline.doctor.finding import Finding, fault, ok, warning
 OFF_MM, FAR_OFF_MM = 6.0, 20.0
 """From the first on the segmenter raises its alarm, at the second it refuses the camera where nothing bears it out."""
 LEAST_FRAMES = 2
+OTHER_WAY = {
+    "belt_backwards": "turned_deg = 180 in the camera's section, or turn the camera; an encoder must count upwards",
+    "belt_turned": "turn the camera, or `tuberline calibrate cameras RECORDING` and its turned_deg",
+    "encoder_off": "look at the encoder's cable and its metres a pulse",
+}
+"""Levels of a load that moves otherwise than pose or encoder say, and what to do."""
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
 
@@ -63,6 +69,9 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         if why:
             fix = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
             found.append(warning(f"gauge of {camera}", why[0], fix))
+        for key, fix in OTHER_WAY.items():
+            if gauges.get(key):
+                found.append(fault(f"belt of {camera}", belt_findings(camera, gauges)[key], fix))
         if gauges.get("belt_alarm"):
             fix = "has the camera or the belt's frame moved? `tuberline calibrate belt RECORDING` of the empty belt"
             found.append(fault(f"belt of {camera}", text, fix))

@@ -31,6 +31,7 @@ def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
     yield from _gone(source, segmenter)
     if segmenter is not None and segmenter.alive:
         yield from _belt(segmenter)
+        yield from _belt_way(segmenter)
         yield from _gauge(segmenter)
         waits = info is not None and info.waits
         yield from _frames(source, segmenter, waits=waits, frame_s=_frame_s(camera, state))
@@ -53,6 +54,18 @@ def _belt(segmenter: NodeState) -> Iterator[Found]:
         return
     say = "alarm.camera.belt_further" if drift_mm > 0 else "alarm.camera.belt_nearer"
     yield "belt", True, say, "todo.camera.belt", {"mm": round(abs(drift_mm))}
+
+
+def _belt_way(segmenter: NodeState) -> Iterator[Found]:
+    """The load moves otherwise than the camera's pose or the encoder says."""
+    if segmenter.level("belt_backwards"):
+        yield "backwards", True, "alarm.camera.backwards", "todo.camera.backwards", {}
+    if segmenter.level("belt_turned"):
+        deg = abs(segmenter.level("belt_turned_deg") or 0.0)
+        yield "turned", True, "alarm.camera.turned", "todo.camera.turned", {"deg": deg}
+    if segmenter.level("encoder_off"):
+        told, seen = segmenter.level("encoder_told_m") or 0.0, segmenter.level("encoder_seen_m") or 0.0
+        yield "encoder", True, "alarm.camera.encoder", "todo.camera.encoder", {"told": told, "seen": seen}
 
 
 def _gauge(segmenter: NodeState) -> Iterator[Found]:

@@ -9,13 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from segmenter.frame.constants import SHIFT_AREA, SHIFT_SAME_M
+
 REACH_M = 0.15
 """Metres that the belt may move from frame to frame."""
-SAME_M = 0.004
 STILL_M = 0.002
-ALIKE_AREA = 0.3
-LEAST_ALIKE = 2
-"""Instances that must move alike, where there are so many."""
 ENOUGH_M = 2.0
 LEAST_M = 0.15
 LEAST_MOVES = 8
@@ -82,26 +80,26 @@ def common_move(
     before_m2: NDArray[np.float64],
     after_m: NDArray[np.float64],
     after_m2: NDArray[np.float64],
+    *,
+    reach_m: tuple[float, float] = (REACH_M, REACH_M),
+    least: int = 1,
 ) -> NDArray[np.float64] | None:
-    """(2,) the move that most of a frame's instances share, metres; None where they do not move alike.
+    """(2,) the move that most of a frame's instances share, metres; None where too few of them move alike.
 
     Args:
-        before_m, after_m: (n, 2), (m, 2) centres; before_m2, after_m2: (n,), (m,) areas.
+        before_m, after_m: (n, 2), (m, 2) centres; before_m2, after_m2: (n,), (m,) areas: those of one tuber are alike.
+        reach_m: how far they may move along and across.
+        least: instances that must move alike; half of them in any case.
     """
-    if not len(before_m) or not len(after_m):
-        return None
     move_m = after_m[None] - before_m[:, None]
-    alike = np.hypot(move_m[..., 0], move_m[..., 1]) < REACH_M
-    alike &= np.abs(np.log(after_m2[None] / before_m2[:, None])) < ALIKE_AREA
-    if not alike.any():
+    ratio = after_m2[None] / before_m2[:, None]
+    alike = np.all(np.abs(move_m) < np.array(reach_m), axis=2) & (np.abs(np.log(ratio)) < SHIFT_AREA)
+    moves_m = move_m[alike]
+    least_alike = max(least, min(len(before_m), len(after_m)) / 2, 1)
+    if len(moves_m) < least_alike:
         return None
-    candidates = move_m[alike]
     # The shortest first: of two that as many share it is taken.
-    candidates = candidates[np.argsort(np.hypot(*candidates.T), kind="stable")]
-    gap_m = np.hypot(*np.moveaxis(candidates[:, None, None] - move_m[None], -1, 0))
-    near = (gap_m < SAME_M) & alike[None]
-    shared = near.any(axis=2).sum(axis=1)
-    best = int(np.argmax(shared))
-    if shared[best] < min(LEAST_ALIKE, len(before_m), len(after_m)):
-        return None
-    return np.asarray(move_m[near[best]].mean(axis=0))
+    moves_m = moves_m[np.argsort(np.hypot(*moves_m.T), kind="stable")]
+    near = np.all(np.abs(moves_m[:, None] - moves_m[None]) < SHIFT_SAME_M, axis=2)
+    shared = near[int(near.sum(axis=1).argmax())]
+    return np.asarray(np.median(moves_m[shared], axis=0)) if shared.sum() >= least_alike else None
