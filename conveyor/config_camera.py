@@ -1,20 +1,25 @@
-"""The section of one camera: where its frames come from, and where it hangs over the belt."""
+"""The section of one camera: where its frames come from, and where it hangs over the belt.
+
+A router reads it, too, and does without numpy: what needs it is imported where it is used.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from conveyor.camera_place import CameraPlace
 from conveyor.config_base import Endpoint, Metres, Section
 from conveyor.config_realsense import RealSenseConfig
-from conveyor.pose import pose_fault
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from conveyor.camera_place import CameraPlace
 
 Across = Annotated[float, Field(ge=-20, le=20)]
 Along = Annotated[float, Field(ge=-100, le=100)]
@@ -108,6 +113,8 @@ class CameraConfig(Section):
         if self.belt_from_camera is not None:
             if said := [*placed, *(("belt_distance_m",) if self.belt_distance_m is not None else ())]:
                 raise ValueError(f"belt_from_camera says it all: remove {', '.join(said)}, or belt_from_camera")
+            from conveyor.pose import pose_fault
+
             if fault := pose_fault([list(row) for row in self.belt_from_camera]):
                 raise ValueError(fault)
         elif placed and self.source != "recording" and self.belt_distance_m is None:
@@ -117,15 +124,19 @@ class CameraConfig(Section):
     @property
     def pose(self) -> NDArray[np.float64] | None:
         """(4, 4) `belt_from_camera` that is given; None where none is."""
+        import numpy as np
+
         return None if self.belt_from_camera is None else np.array(self.belt_from_camera, np.float64)
 
     @property
     def place(self) -> CameraPlace | None:
         """Where it is said to hang; None where nothing is said."""
+        if self.belt_from_camera is None and all(getattr(self, key) is None for key in PLACE):
+            return None
+        from conveyor.camera_place import CameraPlace
+
         if self.pose is not None:
             return CameraPlace.of(self.pose)
-        if all(getattr(self, key) is None for key in PLACE):
-            return None
         return CameraPlace(self.along_m or 0.0, self.across_m or 0.0, self.turned_deg or 0.0)
 
 
@@ -133,6 +144,8 @@ def at_one_place(cameras: Mapping[str, CameraConfig]) -> tuple[str, ...]:
     """Live cameras that are said, or by silence taken, to hang where another one hangs: they would see one tuber in two
     that lie side by side. By name.
     """
+    from conveyor.camera_place import CameraPlace
+
     live = {name: camera.place or CameraPlace() for name, camera in cameras.items() if camera.source != "recording"}
     spots = Counter((place.along_m, place.across_m) for place in live.values())
     return tuple(sorted(name for name, place in live.items() if spots[place.along_m, place.across_m] > 1))

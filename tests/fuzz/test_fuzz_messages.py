@@ -79,7 +79,7 @@ def changed(good: bytes, change: Any) -> bytes:
 
 def test_every_kind_of_message_is_here() -> None:
     parts = {m.Message, m.Outline, m.LoadNow, m.Track, m.Mark, m.Sizes, m.ClassTotal, m.ForeignTotal, m.WeighedView}
-    parts |= {m.TrackInView, m.HeightChange}
+    parts |= {m.TrackInView, m.HeightChange, m.CamerasApart}
     kinds = {getattr(m, name) for name in m.__all__} - parts
     assert kinds == {type(example) for example in EXAMPLES}
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hung_cameras import PLACES, belt, record
 
+import tuberline
 from conveyor.camera_place import CameraPlace
 from conveyor.config import load_config
 from conveyor.errors import InputError
 from conveyor.formats import open_source
-from tests.belts import replay, tuberline
+from tests.belts import replay
+from tests.belts import tuberline as command
 from tuberline.cli.calibrate_cameras import calibrate_cameras
 from tuberline.places import places_in
 
@@ -58,6 +61,9 @@ def test_two_cameras_are_placed_and_a_line_counts_by_it(
     (apart,) = summary["totals"]["apart"]
     assert (apart["twice"], apart["alarm"]) == (0, False)
     assert summary["tubers"]["merged"] >= apart["shared"] >= 10
+    totals = tuberline.read_ledger(tmp_path / "run").totals
+    assert totals is not None
+    assert asdict(totals.apart[0]) == apart
 
 
 def test_its_json_has_the_pose(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,7 +92,7 @@ def test_without_an_encoder_the_clocks_lay_the_cameras_side_by_side(
 def test_cameras_that_share_no_tubers_are_told_and_the_others_printed(tmp_path: Path) -> None:
     apart = {"left": CameraPlace(0.0, -0.7), "right": CameraPlace(0.0, 0.7)}
     record(tmp_path / "belt", belt(SEED + 2, half_width_m=1.1), places=apart)
-    done = tuberline("calibrate", "cameras", tmp_path / "belt", check=False)
+    done = command("calibrate", "cameras", tmp_path / "belt", check=False)
     assert done.returncode == 2
     assert "camera right shares too few tubers with the others" in done.stderr
     assert "[cameras.left]" in done.stdout

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
 from aggregator.ledger.totals_by import Total, totals_by
-from conveyor.messages import ClassTotal, ForeignTotal, LoadNow, Totals, Tuber
+from conveyor.messages import CamerasApart, ClassTotal, ForeignTotal, HeightChange, LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 from tuberline.api.values import in_range
 
@@ -54,6 +54,7 @@ def replay(
     weights: str | Path | None = None,
     ignore_masks: bool = False,
     resting_offset_mm: float | None = None,
+    places: str | Path | None = None,
     fast: bool = False,
 ) -> Ledger:
     """Count and weigh everything in a recording, with all processes of a real line on this machine.
@@ -67,6 +68,8 @@ def replay(
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
+        places: a line's file that says where the cameras hang, as `tuberline calibrate cameras` prints it; None: what
+            the recording says.
         fast: weigh one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
 
     Returns:
@@ -88,6 +91,7 @@ def replay(
         weights=Path(weights) if weights is not None else None,
         ignore_masks=ignore_masks,
         resting_offset_mm=resting_offset_mm,
+        places=Path(places) if places is not None else None,
         fast=fast,
     )
     return read_ledger(out)
@@ -141,8 +145,10 @@ def read_totals(
 
 def _totals(values: dict[str, Any]) -> Totals:
     load = values.get("load")
-    loads = {"load": LoadNow(**{**load, **_parts(load)})} if load else {}
-    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads, **_parts(values)})
+    heights = tuple(HeightChange(**each) for each in (load or {}).get("heights", ()))
+    loads = {"load": LoadNow(**{**load, **_parts(load), "heights": heights})} if load else {}
+    apart = tuple(CamerasApart(**each) for each in values.get("apart", ()))
+    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads, **_parts(values), "apart": apart})
 
 
 def _parts(values: dict[str, Any]) -> dict[str, Any]:
