@@ -17,6 +17,6 @@ def apart_told(apart: CamerasApart) -> str:
     twice = f"{apart.twice} of {apart.shared} counted twice" if apart.twice else "none counted twice yet"
     return (
         f"cameras {apart.first} and {apart.second} put the same tubers {abs(apart.along_mm):.0f} mm apart along the "
-        f"belt and {abs(apart.across_mm):.0f} mm across, {twice}. A camera moved, or its place is not right: record "
-        "both, then run `tuberline calibrate cameras`"
+        f"belt and {abs(apart.across_mm):.0f} mm across, {twice}. A camera moved, its place is not right or, "
+        "along the belt, two clocks differ: record both, then run `tuberline calibrate cameras`"
     )

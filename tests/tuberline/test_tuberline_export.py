@@ -388,8 +388,8 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     assert told[3:] == [
         "The balance sheet of run monday does not hold: tubers do not add up. `tuberline audit` says more.",
         "Run monday: cameras left and right put the same tubers 1 mm apart along the belt and 40 mm across, 18 of 20 "
-        "counted twice. A camera moved, or its place is not right: record both, then run `tuberline calibrate "
-        "cameras`.",
+        "counted twice. A camera moved, its place is not right or, along the belt, two clocks differ: record both, "
+        "then run `tuberline calibrate cameras`.",
         "Load 7 trailer: under camera left tubers lie 3.2 mm lower (± 0.8) than in 3 earlier loads of this variety; "
         "height over width -1 % (± 3).",
         "Camera left of run monday: of 100 frames 7 lost on the way.",
