@@ -46,7 +46,7 @@ ROWS_A_TURN = 1000
 LOOK_AT_TICKETS_EVERY_S = 5.0
 """What a load with a ticket came to changes while its last tubers come."""
 APART_EVERY = 50
-"""Tubers after which it is looked at again whether the cameras agree on places: 15 ms."""
+"""Tubers after which it is looked at again whether the cameras agree on places: 20 ms."""
 
 
 class Reporter:

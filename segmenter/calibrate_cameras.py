@@ -34,6 +34,8 @@ OnFrames = Callable[[str, int, int | None], None]
 ALONG_M = 6.0
 ACROSS_M = 3.0
 """How far apart cameras of one belt may hang."""
+MOST_TRACKS = 1500
+"""Of each camera: more are no surer, and every one of them is compared with every one of another camera."""
 SETTINGS = Settings(perception=PerceptionSettings(method="classical"), views_per_tuber=1)
 """A clod is as good as a tuber."""
 OVER_RODS = replace(SETTINGS, resting=RestingLevel("rods"))
@@ -188,6 +190,7 @@ def _places(load: SeenLoad, reference: SeenLoad) -> Places:
     """Of the whole bodies, along the belt by the reference's travel: each camera's own begins when it began."""
     ns, travel_m = reference.travel.T
     kept = [t for t in load.tracks if t.whole and t.visible_volume_ml > 0 and ns[0] <= t.crossed_ns <= ns[-1]]
+    kept = kept[:MOST_TRACKS]
     at_m = np.interp([float(t.crossed_ns) for t in kept], ns, travel_m)
     xy_m = np.array([(t.crossed_x_m, t.y_m) for t in kept]).reshape(-1, 2)
     xy_m[:, 0] -= at_m

@@ -13,7 +13,7 @@ from aggregator.ledger.rows import tuber_from
 from aggregator.ledger.schema import OBSERVATION, TUBER
 from aggregator.ledger.verified import LedgerView
 from conveyor.common_places import Places, common_offset
-from conveyor.messages import CamerasApart
+from conveyor.messages import CamerasApart, Tuber
 
 NEWEST = 160
 """Tracks of each camera that are looked at. More are surer, and slower to show that a camera was moved."""
@@ -32,13 +32,9 @@ def cameras_apart(view: LedgerView, run: str, cameras: Sequence[str], *, gate_mm
         gate_mm: within which two tracks are one tuber.
     """
     seen = {camera: _newest(view, run, camera) for camera in sorted(cameras)}
-    ids = sorted({tuber_id for rows in seen.values() for tuber_id, _, _ in rows})
-    if not ids:
-        return ()
-    where = "WHERE run = ? AND tuber_id BETWEEN ? AND ? ORDER BY tuber_id"
-    tubers = {t.tuber_id: t for t in map(tuber_from, view.rows(TUBER, where, (run, ids[0], ids[-1])))}
     places = {}
     for camera, rows in seen.items():
+        tubers = _tubers(view, run, [tuber_id for tuber_id, _, _ in rows])
         kept = [row for row in rows if row[0] in tubers and tubers[row[0]].weight_g > 0]
         own = [tubers[tuber_id] for tuber_id, _, _ in kept]
         xy_m = np.array([row[1:] for row in kept]).reshape(-1, 2)
@@ -62,6 +58,12 @@ def cameras_apart(view: LedgerView, run: str, cameras: Sequence[str], *, gate_mm
             )
         )
     return tuple(found)
+
+
+def _tubers(view: LedgerView, run: str, ids: Sequence[int]) -> dict[int, Tuber]:
+    """By id. Each is asked for: between those of a camera that sees few may lie the whole run."""
+    where = f"WHERE run = ? AND tuber_id IN ({', '.join('?' * len(ids))})"
+    return {tuber.tuber_id: tuber for tuber in map(tuber_from, view.rows(TUBER, where, (run, *ids)))}
 
 
 def _newest(view: LedgerView, run: str, camera: str) -> list[tuple[int, float, float]]:

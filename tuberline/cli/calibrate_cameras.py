@@ -12,6 +12,7 @@ from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from tuberline.cli.numbers import within
+from tuberline.setup.line_file import toml_key
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -137,7 +138,7 @@ def _findings(placed: Sequence[PlacedCamera]) -> Iterator[str]:
 def _section(one: PlacedCamera) -> str:
     """The camera's keys for the line's file."""
     place = one.place
-    lines = [f"[cameras.{one.seen.camera}]"]
+    lines = [f"[cameras.{toml_key(one.seen.camera)}]"]
     if one.seen.belt is None or one.seen.belt.tilt_deg <= STRAIGHT_DEG:
         lines += [
             f"belt_distance_m = {one.seen.distance_m:.4f}",

@@ -68,7 +68,7 @@ def _head(name: str, file: Path) -> str:
 
 
 def _camera(camera: str, settings: Mapping[str, Any], base: Path, *, distance_known: bool) -> str:
-    lines = [f"\n[cameras.{_key(camera)}]\n"]
+    lines = [f"\n[cameras.{toml_key(camera)}]\n"]
     for key, value in settings.items():
         shown = _relative(value, base) if isinstance(value, Path) else value
         lines.append(_row(key, shown, _REMARKS.get(key, "")))
@@ -120,7 +120,8 @@ def _aside(key: str, value: Any, remark: str) -> str:
     return _row(f"# {key}", value, remark)
 
 
-def _key(name: str) -> str:
+def toml_key(name: str) -> str:
+    """A name as a key of TOML, in quotes where it needs them."""
     return name if all(letter.isalnum() or letter in "-_" for letter in name) else f'"{name}"'
 
 
