@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -45,8 +46,8 @@ TABLE_IN_HASTE = 5_000
 ROWS_A_TURN = 1000
 LOOK_AT_TICKETS_EVERY_S = 5.0
 """What a load with a ticket came to changes while its last tubers come."""
-APART_EVERY = 50
-"""Tubers after which it is looked at again whether the cameras agree on places: 20 ms."""
+APART_EVERY, APART_EVERY_S = 50, 5.0
+"""Tubers and seconds after which it is looked at again whether the cameras agree on places: 20 ms."""
 
 
 class Reporter:
@@ -62,7 +63,7 @@ class Reporter:
         self._by_loads: tuple[tuple[int, int], tuple[Ticket, ...]] = ((0, 0), ())
         self._earlier: dict[int, tuple[tuple[int, int], list[HeightSums]]] = {}
         self._contract = read_contract(settings.contract) if settings.contract else None
-        self._apart: tuple[int, tuple[CamerasApart, ...]] = (-APART_EVERY, ())
+        self._apart: tuple[int, float, tuple[CamerasApart, ...]] = (-APART_EVERY, -math.inf, ())
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -131,13 +132,16 @@ class Reporter:
             earlier=self._heights_before(load, now_s),
         )
 
-    def _cameras_apart(self, count: int) -> tuple[CamerasApart, ...]:
+    def _cameras_apart(self, count: int, now_s: float) -> tuple[CamerasApart, ...]:
         """How far cameras disagree on places, by the newest of `count` tubers; at the end by the last of them."""
-        new, cameras = count - self._apart[0], self._core.cameras.names
-        if len(cameras) > 1 and new >= (1 if self._over or self._core.finished else APART_EVERY):
+        looked_at, looked_s, found = self._apart
+        cameras, ended = self._core.cameras.names, self._over or self._core.finished
+        due = count > looked_at if ended else count - looked_at >= APART_EVERY and now_s - looked_s >= APART_EVERY_S
+        if len(cameras) > 1 and due:
             gate_mm = self._config.aggregator.merge_gate_mm
-            self._apart = count, cameras_apart(self._ledger.view, self._core.run, cameras, gate_mm=gate_mm)
-        return self._apart[1]
+            found = cameras_apart(self._ledger.view, self._core.run, cameras, gate_mm=gate_mm)
+            self._apart = count, now_s, found
+        return found
 
     def totals(self, now_s: float) -> Totals:
         """The totals as they are now."""
@@ -167,7 +171,7 @@ class Reporter:
             contract=contract.told if contract else "",
             classes=class_totals(totals, contract) if contract else (),
             foreign=foreign_total(totals, self._config.foreign),
-            apart=self._cameras_apart(sums.load.count),
+            apart=self._cameras_apart(sums.load.count, now_s),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:
