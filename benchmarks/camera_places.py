@@ -21,15 +21,13 @@ from numpy.typing import NDArray
 from benchmarks.figures_in_docs import put_table
 from benchmarks.perception_line import run_line
 from camera_sim.sim.presets import PRESETS
-from camera_sim.sim.record import as_text
+from camera_sim.sim.record import as_text, write_folder
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named
 from camera_sim.sim.source import simulated_sources, truth_of
 from camera_sim.sim.world import CameraPose, mount
 from conveyor.camera_place import CameraPlace
 from conveyor.formats.cameras import open_cameras
-from conveyor.formats.folder.writer import FolderWriter
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
-from conveyor.messages import Frame
 from regressor.weigh.weigher import Weigher
 from segmenter.calibrate_cameras import PlacedCamera, place_cameras, see_load
 
@@ -86,12 +84,7 @@ def recorded(root: Path, n: int, *, seed: int, tubers: int) -> Belt:
     true = {camera.name: camera.belt_from_camera for camera in world.cameras}
     if not (out / "truth.json").is_file():
         sources = simulated_sources(world, settings, layout)
-        for source in sources:
-            with FolderWriter(out, source.description) as writer:
-                for frame in source.frames(run="simulated"):
-                    if isinstance(frame, Frame):
-                        writer.write(frame)
-        (out / "truth.json").write_text(as_text(truth_of(world, sources)), encoding="utf-8")
+        write_folder(out, sources, {"truth.json": as_text(truth_of(world, sources))}, lambda done, total: None)
     return Belt(out, preset, seed, encoder, true)
 
 

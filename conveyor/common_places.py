@@ -80,7 +80,8 @@ def common_offset(first: Places, second: Places, *, along_m: float, across_m: fl
     """
     if min(len(first.size), len(second.size)) < LEAST_PAIRS:
         return None
-    found = _clearest(*_hardly_alike(first, second, np.array([along_m, across_m])), np.array([along_m, across_m]))
+    reach_m = np.array([along_m, across_m])
+    found = _clearest(*_hardly_alike(first, second, reach_m), reach_m)
     if found is None:
         return None
     i, j, apart_m, centre_m = found

@@ -96,7 +96,7 @@ def replay_recording(
         rrd=rrd,
         settings=sections,
         ignore_masks=ignore_masks,
-        places=places_in(places, cameras) if places else {},
+        places=places_in(places, cameras) if places else None,
     )
     prepare_out(out)
     take_positions(recording, out)

@@ -50,7 +50,7 @@ def record_scene(
     truth |= world_truth(settings, layout)
     cameras = [camera.name for camera in world.cameras]
     texts = {"truth.json": as_text(truth), "line.json": as_text(line_file(cameras, belt_speed_mps=settings.speed_mps))}
-    write = {"folder": _write_folder, "mcap": _write_mcap, "ros2": _write_ros2}[target_format(out, form)]
+    write = {"folder": write_folder, "mcap": _write_mcap, "ros2": _write_ros2}[target_format(out, form)]
     write(out, sources, texts, on_frame)
     return truth
 
@@ -94,7 +94,8 @@ def as_text(values: dict[str, Any]) -> str:
     return json.dumps(values, indent=1) + "\n"
 
 
-def _write_folder(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
+def write_folder(out: Path, sources: list[SimulatedSource], texts: dict[str, str], on_frame: OnFrame) -> None:
+    """Every source's frames into a folder recording at `out`, and the `texts` by file name beside them."""
     total, done = _total(sources), 0
     out.mkdir(parents=True, exist_ok=True)
     for source in sources:

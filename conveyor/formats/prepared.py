@@ -52,8 +52,8 @@ class PreparedSource:
             depth_scale_m=d.depth_scale_m if depth_scale_m is None else depth_scale_m,
             belt_from_camera=matrix,
         )
-        self._as_is = name in (None, d.name) and depth_scale_m is None and matrix is d.belt_from_camera
-        self._as_is &= belt_distance_m is None
+        overrides = (belt_distance_m, place, belt_from_camera, depth_scale_m)
+        self._as_is = name in (None, d.name) and all(given is None for given in overrides)
 
     @property
     def description(self) -> CameraDescription:

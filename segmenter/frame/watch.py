@@ -55,10 +55,12 @@ class BeltWatch:
 
     def gauges(self) -> dict[str, float]:
         """The levels that are known."""
-        levels: dict[str, float] = {"belt_backwards": float(self.backwards), "encoder_off": float(self.encoder_off)}
-        if self.encoder_off:
+        backwards = self.backwards
+        # The tubers move another way than encoder or pose say, and not just against it.
+        encoder_off, turned = (off and not backwards for off in (self._motion.encoder_off, self._motion.turned))
+        levels = {"belt_backwards": float(backwards), "encoder_off": float(encoder_off), "belt_turned": float(turned)}
+        if encoder_off:
             levels |= {"encoder_told_m": self._motion.told_m, "encoder_seen_m": self._motion.seen_m}
-        levels["belt_turned"] = float(self._motion.turned and not self.backwards)
         if (turned_deg := self._motion.turned_deg) is not None:
             levels["belt_turned_deg"] = turned_deg
         if self._checks:
@@ -76,11 +78,6 @@ class BeltWatch:
         votes = self._forwards + self._backwards
         by_tubers = votes >= LEAST_VOTES and self._backwards >= BACKWARDS_SHARE * votes
         return by_tubers or self._moved_m < BACKWARDS_M or self._motion.backwards
-
-    @property
-    def encoder_off(self) -> bool:
-        """The tubers move another way than the encoder tells, and not just against it."""
-        return self._motion.encoder_off and not self.backwards
 
     def _middle(self) -> BeltCheck:
         drifts = [check.drift_m for check in self._checks if check.drift_m is not None]

@@ -105,9 +105,9 @@ def test_the_places_of_cameras_are_compared() -> None:
     apart = {"first": "left", "second": "right", "along_mm": -2.0, "across_mm": 41.0, "shared": 20, "twice": 0}
     told = [
         check_agreement({"apart": [{**apart, "twice": twice, "alarm": alarm}]})[0]
-        for twice, alarm in ((7, True), (0, True), (0, False))
+        for twice, alarm in ((7, True), (0, True), (0, False), (1, False))
     ]
-    assert [finding.level for finding in told] == [Level.FAULT, Level.WARNING, Level.OK]
+    assert [finding.level for finding in told] == [Level.FAULT, Level.WARNING, Level.OK, Level.OK]
     assert told[0].text == "the same tubers -2 mm along the belt, +41 mm across: 7 of 20 counted twice"
     assert "calibrate cameras" in told[0].fix
     assert check_agreement(None) == []

@@ -26,10 +26,10 @@ def check_agreement(totals: Mapping[str, Any] | None) -> list[Finding]:
         apart = CamerasApart(**told)
         check = f"places by {apart.first} and {apart.second}"
         text = f"the same tubers {apart.along_mm:+.0f} mm along the belt, {apart.across_mm:+.0f} mm across"
-        if apart.twice:
-            found.append(fault(check, f"{text}: {apart.twice} of {apart.shared} counted twice", FIX))
-        elif apart.alarm:
-            found.append(warning(check, f"{text}: none of {apart.shared} counted twice yet", FIX))
-        else:
+        if not apart.alarm:
             found.append(ok(check, f"{text} ({apart.shared} of them)"))
+        elif apart.twice:
+            found.append(fault(check, f"{text}: {apart.twice} of {apart.shared} counted twice", FIX))
+        else:
+            found.append(warning(check, f"{text}: none of {apart.shared} counted twice yet", FIX))
     return found

@@ -47,10 +47,10 @@ def line_file(
         belt: the resting level that they state.
     """
     parts = [_head(name, file)]
-    live = [camera for camera, settings in cameras.items() if "path" not in settings]
+    live = sum("path" not in settings for settings in cameras.values())
     for camera, settings in cameras.items():
         parts.append(_camera(camera, settings, file.resolve().parent, distance_known=distance_known))
-        if camera in live and len(live) > 1:
+        if "path" not in settings and live > 1:
             parts.append(_aside("across_m", 0.0, "where it hangs across the belt; `tuberline calibrate cameras`"))
     parts.append(_rest(name, processes, belt))
     return "".join(parts)
