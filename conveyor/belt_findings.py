@@ -11,7 +11,7 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     Args:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
-            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m.
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -40,13 +40,23 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         told_m, seen_m = gauges.get("encoder_told_m", 0.0), gauges.get("encoder_seen_m", 0.0)
         found["encoder_off"] = (
             f"camera '{camera}': the load moved {seen_m:.2f} m while the encoder told {told_m:.2f} m: tubers are "
-            "counted several times or not at all. Correct the encoder: its metres a pulse, its cable (travel_m of a "
-            "recording is in metres); or leave it out, and travel is taken from the frames"
+            f"counted several times or not at all. Correct the encoder: {_factor(told_m, seen_m)}its cable (travel_m "
+            "of a recording is in metres); or leave it out, and travel is taken from the frames"
+        )
+    if behind_m := gauges.get("encoder_behind_m"):
+        found["encoder_behind_m"] = (
+            f"camera '{camera}': the encoder came back {behind_m:.2f} m behind where the load had gone, so it counts "
+            "from another zero: the load alone tells the travel until the next run. Start a new run to use it again"
         )
     cause = _CAUSES.get(gauges.get("gauge_cause", 0.0))
     if cause is not None:
         found["gauge_" + cause] = _gauge_finding(camera, cause, gauges)
     return found
+
+
+def _factor(told_m: float, seen_m: float) -> str:
+    """What its metres a pulse must be multiplied by; nothing where it stands still."""
+    return f"multiply its metres_per_pulse by {seen_m / told_m:.3f}, or look at " if told_m else "look at "
 
 
 _CAUSES = {1.0: "mount", 2.0: "drift", 3.0: "both"}

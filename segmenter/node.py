@@ -249,9 +249,10 @@ class SegmenterNode:
     def _watch_belt(self, camera_run: CameraRun) -> None:
         """Levels of the belt, and each finding once in the log."""
         core = camera_run.core
-        self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+        self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, told=core.told)
         levels = self._belt.gauges()
         levels |= core.gauge.gauges()
+        levels["encoder_behind_m"] = core.encoder_behind_m
         if core.noise_px is not None:
             levels["camera_noise_px"] = core.noise_px
         for name, level in levels.items():

@@ -91,8 +91,18 @@ class Segmenter:
 
     @property
     def estimated(self) -> bool:
-        """Travel is estimated from the load; there is no encoder."""
+        """The run has no encoder: travel is estimated from the load, from the camera's own zero."""
         return self._running.follower.estimated if self._running else False
+
+    @property
+    def told(self) -> bool:
+        """An encoder told the travel of the newest frame."""
+        return self._running.follower.told if self._running else False
+
+    @property
+    def encoder_behind_m(self) -> float:
+        """How far the encoder is behind the load, where that is too much to believe it; else 0."""
+        return self._running.follower.behind_m if self._running else 0.0
 
     @property
     def belt(self) -> BeltGeometry | None:

@@ -49,7 +49,5 @@ class WaitingSegmenter:
 
     def with_belt(self, belt: BeltGeometry, frame: Frame) -> BeltSegmenter:
         """The belt was seen in `frame`, the first to be processed."""
-        resume = self.resume
-        if resume is not None and frame.travel_m is None:
-            resume = resume.brought_to(frame.captured_ns)
+        resume = self.resume.at_first(frame) if self.resume else None
         return BeltSegmenter(self.settings, belt, self.perception, resume)

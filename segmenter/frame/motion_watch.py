@@ -35,17 +35,17 @@ class MotionWatch:
 
     def __init__(self) -> None:
         self._moves: deque[tuple[float | None, float, float]] = deque(maxlen=SHIFT_KEPT)
-        self._last: tuple[float, Places, Places] | None = None
+        self._last: tuple[float | None, Places, Places] | None = None
 
     def step(self, instances: Instances, travel_m: float, *, told: bool) -> None:
         """Take one more frame: its instances, and the travel; `told`: by an encoder."""
         whole = ~instances.cut.any(axis=1)
         centre_m, area_m2 = instances.centre_m[whole], instances.area_m2[whole]
-        last, self._last = self._last, (travel_m, centre_m, area_m2)
+        last, self._last = self._last, (travel_m if told else None, centre_m, area_m2)
         if last is None:
             return
         move_m = common_move(last[1], last[2], centre_m, area_m2, reach_m=(math.inf, SHIFT_ASIDE_M), least=2)
-        told_m = travel_m - last[0] if told else None
+        told_m = travel_m - last[0] if told and last[0] is not None else None
         if move_m is not None and max(math.hypot(*move_m), abs(told_m or 0.0)) >= LEAST_STEP_M:
             self._moves.append((told_m, float(move_m[0]), float(move_m[1])))
 
@@ -59,6 +59,14 @@ class MotionWatch:
         """By the tubers, over the same moves; below 0 where they move against the belt's x."""
         moves = [(along_m, aside_m) for told_m, along_m, aside_m in self._moves if told_m is not None]
         return _length_m(sum(along_m for along_m, _ in moves), sum(aside_m for _, aside_m in moves))
+
+    @property
+    def scale(self) -> float | None:
+        """How many metres the load moved for each that the encoder told; None: not known."""
+        pairs = sum(told_m is not None for told_m, _, _ in self._moves)
+        if pairs < SHIFT_LEAST or abs(self.told_m) < SHIFT_LEAST_M:
+            return None
+        return self.seen_m / self.told_m
 
     @property
     def encoder_off(self) -> bool:

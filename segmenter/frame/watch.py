@@ -27,6 +27,7 @@ class BeltWatch:
     """Levels of one camera: 'belt_drift_mm' and 'belt_tilt_off_deg' (seen against given), 'belt_alarm', 1 where either
     is too much, 'belt_backwards', 1 where tubers move against the belt's x, 'belt_turned', 1 where they move aside, by
     'belt_turned_deg', and 'encoder_off', 1 where they move 'encoder_seen_m' while the encoder tells 'encoder_told_m'.
+    'encoder_scale' is how many metres they move for each that it tells.
     """
 
     def __init__(self) -> None:
@@ -39,8 +40,8 @@ class BeltWatch:
         self._moved_m = 0.0
         self._motion = MotionWatch()
 
-    def step(self, check: BeltCheck, instances: Instances | None, *, travel_m: float, estimated: bool) -> None:
-        """Take what the core says after one more frame."""
+    def step(self, check: BeltCheck, instances: Instances | None, *, travel_m: float, told: bool) -> None:
+        """Take what the core says after one more frame; `told`: its travel, by an encoder."""
         if check is not self._newest:
             self._newest = check
             if check.drift_m is not None:
@@ -49,9 +50,9 @@ class BeltWatch:
         self._moved_m = travel_m - self._first_m
         if instances is None:
             return
-        if not estimated:
+        if told:
             self._vote(instances, travel_m)
-        self._motion.step(instances, travel_m, told=not estimated)
+        self._motion.step(instances, travel_m, told=told)
 
     def gauges(self) -> dict[str, float]:
         """The levels that are known."""
@@ -61,6 +62,8 @@ class BeltWatch:
         levels = {"belt_backwards": float(backwards), "encoder_off": float(encoder_off), "belt_turned": float(turned)}
         if encoder_off:
             levels |= {"encoder_told_m": self._motion.told_m, "encoder_seen_m": self._motion.seen_m}
+        if (scale := self._motion.scale) is not None:
+            levels["encoder_scale"] = scale
         if (turned_deg := self._motion.turned_deg) is not None:
             levels["belt_turned_deg"] = turned_deg
         if self._checks:

@@ -74,7 +74,7 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         started = time.perf_counter()
         result = core.step(frame)
         elapsed_s += time.perf_counter() - started
-        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, told=core.told)
         frames += 1
         tracks += [closed.track for closed in result.closed]
         if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:

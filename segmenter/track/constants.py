@@ -38,6 +38,9 @@ TALLEST_M = 0.08
 """Metres. Only the belt on which even the tallest load is in the picture is compared: the border stands still."""
 MAX_SPEED_MPS = 3.0
 """Metres per second; ten times a harvester's belt."""
+BELIEVED_BACK_M = 0.5
+"""An encoder that comes back farther behind the load than this counts from another zero: the places that it told would
+be those of belt that is counted already. Load is followed to 1 %, so this is 50 m without an encoder."""
 
 # One track (`track`, `tracker`)
 TRUST_CAP = 8.0

@@ -10,6 +10,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.frame.instances import Instances
 from segmenter.resume import Resume
+from segmenter.track.constants import BELIEVED_BACK_M, MAX_SPEED_MPS
 from segmenter.track.history import TravelHistory
 from segmenter.track.tracker import Tracker
 from segmenter.track.travel import EarlierMove, TravelEstimator
@@ -34,17 +35,35 @@ class BeltMotion:
 
 
 class BeltFollower:
-    """Travel of one camera's belt. `estimated`: the load tells it, there is no encoder."""
+    """Travel of one camera's belt: by the encoder, where it told it at the run's first frame, else by the load.
+
+    Where an encoder falls silent the load tells it from there on; when it is back it is right, and what is in view is
+    moved to where it says. A run that began without one goes on without: another zero would lay its tubers elsewhere.
+
+    Attributes:
+        travel_m: of the newest frame.
+        told: by an encoder, in the newest frame.
+        behind_m: how far the encoder is behind the load, where that is too much to believe it; else 0.
+    """
 
     def __init__(self, belt: BeltGeometry, *, resume: Resume | None = None) -> None:
         self.travel_m = resume.travel_m if resume else 0.0
-        self.estimated = False
+        self.told = False
+        self.behind_m = 0.0
         self.history = TravelHistory()
+        self._by_encoder = resume.by_encoder if resume else None
         self._estimator = TravelEstimator(belt)
         self._begun = False
+        self._newest_ns = 0
+        self._before_m: float | None = None
         self._earlier: list[EarlierMove] = []
         if resume is not None:
             self._estimator.start_at(resume.travel_m, unfollowed_ms=resume.unfollowed_ms)
+
+    @property
+    def estimated(self) -> bool:
+        """The run has no encoder: travel counts from the camera's own zero."""
+        return self._by_encoder is False
 
     @property
     def unfollowed_ms(self) -> int:
@@ -53,26 +72,46 @@ class BeltFollower:
 
     def step(self, frame: Frame, heights: HeightMap, instances: Instances, tracker: Tracker) -> BeltMotion:
         """Travel at this frame, and the matches of tracks and instances."""
-        before_m = self.travel_m if self._begun else None
-        self._begun = True
-        follow = self._estimate if frame.travel_m is None else self._measure
-        pairs = follow(frame, heights, instances, tracker)
+        self._before_m = self.travel_m if self._begun else None
+        if self._by_encoder is None:
+            self._by_encoder = frame.travel_m is not None
+        told_m = frame.travel_m if self._by_encoder else None
+        if told_m is None or self._lost(told_m, frame.captured_ns):
+            pairs = self._estimate(frame, heights, instances, tracker)
+            self.told = told_m is not None and self._back_at(told_m, tracker)
+        else:
+            self.travel_m, self.told = told_m, True
+            pairs = tracker.match(instances, told_m)
+        if self.told:
+            self._estimator.told(self.travel_m, heights, frame.captured_ns)
+        self._begun, self._newest_ns = True, frame.captured_ns
         moved = self.history.step(frame.captured_ns, self.travel_m)
         earlier, self._earlier = self._earlier, []
-        return BeltMotion(self.travel_m, before_m, moved, pairs, earlier)
+        return BeltMotion(self.travel_m, self._before_m, moved, pairs, earlier)
 
-    def _measure(
-        self, frame: Frame, _heights: HeightMap, instances: Instances, tracker: Tracker
-    ) -> list[tuple[int, int]]:
-        assert frame.travel_m is not None
-        self.travel_m, self.estimated = frame.travel_m, False
-        self._estimator.start_at(frame.travel_m)
-        return tracker.match(instances, self.travel_m)
+    def _lost(self, told_m: float, captured_ns: int) -> bool:
+        """How the belt came from the last frame to where the encoder has it now, the load alone can tell."""
+        if not self._begun:
+            return False
+        reach_m = MAX_SPEED_MPS * max(0, captured_ns - self._newest_ns) * 1e-9
+        return not self.told or told_m < self.travel_m - BELIEVED_BACK_M - reach_m
+
+    def _back_at(self, told_m: float, tracker: Tracker) -> bool:
+        """All that is in view is where the encoder says; False: it cannot be believed."""
+        off_m = told_m - self.travel_m
+        self.behind_m = -off_m if off_m < -BELIEVED_BACK_M else 0.0
+        if self.behind_m:
+            return False
+        tracker.shift(off_m)
+        self.history.shift(off_m)
+        self.travel_m = told_m
+        self._before_m = None if self._before_m is None else self._before_m + off_m
+        return True
 
     def _estimate(
         self, frame: Frame, heights: HeightMap, instances: Instances, tracker: Tracker
     ) -> list[tuple[int, int]]:
-        self.travel_m, self.estimated = self._estimator.step(heights, frame.captured_ns), True
+        self.travel_m = self._estimator.step(heights, frame.captured_ns)
         # The speed is known for the first time: the belt moved before there was load to see that by.
         self._earlier = self._estimator.look_back()
         if self._earlier:

@@ -69,6 +69,7 @@ class TravelEstimator:
         self._shape = (int((max(sides) - self._y0) / CELL_M) + 1, int((x1 - self._x0) / CELL_M) + 1)
         self._length = 1 << int(np.ceil(np.log2(2 * self._shape[1])))
         self._last: tuple[int, NDArray[np.float32], NDArray[np.complex64]] | None = None
+        self._told: tuple[int, float, HeightMap] | None = None
         self._speeds: deque[float] = deque(maxlen=SPEEDS_KEPT)
         self._blind: Counter[tuple[int, bool]] = Counter()
         self._looked_back = False
@@ -91,10 +92,19 @@ class TravelEstimator:
         self._looked_back = not unfollowed_ms
         self._last = None
 
+    def told(self, travel_m: float, heights: HeightMap, captured_ns: int) -> None:
+        """An encoder says where the belt is at this frame: should it fall silent, the load is followed from there."""
+        before, self._told = self._told, (captured_ns, travel_m, heights)
+        if before is not None and 0 < (elapsed_s := (captured_ns - before[0]) * 1e-9) < SPEED_WITHIN_S:
+            self._speeds.append((travel_m - before[1]) / elapsed_s)
+        self.start_at(travel_m)
+
     def step(self, heights: HeightMap, captured_ns: int) -> float:
         """Travel at this frame."""
-        occupied = self._occupied(heights)
-        spectrum = np.fft.rfft(occupied, self._length, axis=1).astype(np.complex64)
+        if self._told is not None:
+            told_ns, _, told_heights = self._told
+            self._last, self._told = (told_ns, *self._seen(told_heights)), None
+        occupied, spectrum = self._seen(heights)
         if self._last is not None:
             elapsed_s = (captured_ns - self._last[0]) * 1e-9
             plausible = 0 < elapsed_s < STANDS_AFTER_S
@@ -125,6 +135,11 @@ class TravelEstimator:
         """Move the newest travel by what the tracked tubers say; returns it."""
         self.travel_m += residual_m
         return self.travel_m
+
+    def _seen(self, heights: HeightMap) -> tuple[NDArray[np.float32], NDArray[np.complex64]]:
+        """The raster, and the spectrum of its rows."""
+        occupied = self._occupied(heights)
+        return occupied, np.fft.rfft(occupied, self._length, axis=1).astype(np.complex64)
 
     def _occupied(self, heights: HeightMap) -> NDArray[np.float32]:
         k, m = self._belt.intrinsics, self._belt.belt_from_camera

@@ -184,7 +184,7 @@ def test_a_web_is_checked_by_its_rods_and_the_ground_between_is_no_belt() -> Non
     assert seen_m[1] - seen_m[0] == pytest.approx(0.005, abs=0.001)
     watch = BeltWatch()
     for check in (BeltCheck(None, 0.001), BeltCheck(None, 0.0082)):
-        watch.step(check, None, travel_m=0.0, estimated=True)
+        watch.step(check, None, travel_m=0.0, told=False)
     assert watch.gauges()["belt_alarm"] == 0.0
     with pytest.raises(InputError, match=r"calibrated for a belt at 0\.400 m"):
         BeltKeeper(web=web).belt_of(replace(frames[0], belt_distance_m=0.40, belt_from_camera=None))

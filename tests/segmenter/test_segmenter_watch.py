@@ -24,7 +24,7 @@ def watched(frames: Iterable[Frame]) -> tuple[Segmenter, dict[str, float]]:
     core, watch = Segmenter(Settings()), BeltWatch()
     for frame in frames:
         core.step(frame)
-        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, estimated=core.estimated)
+        watch.step(core.belt_check, core.instances, travel_m=core.travel_m, told=core.told)
     return core, watch.gauges()
 
 
