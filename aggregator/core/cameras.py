@@ -111,7 +111,9 @@ class CameraState:
 
 
 class Cameras:
-    """All cameras of a line; the first by name is the reference of travel where there is no encoder."""
+    """All cameras of a line. Without an encoder the first by name is the reference of travel; where it tells it to some
+    of them, the first of those is.
+    """
 
     def __init__(self, names: tuple[str, ...], *, stall_s: float, now_s: float) -> None:
         self.names = tuple(sorted(names))
@@ -120,6 +122,7 @@ class Cameras:
         self._began_s: float | None = now_s
         self._head_start_m: float | None = None
         self._encoder_m: float | None = None
+        self._encoder_first_m: float | None = None
         self._clocks = CameraClocks()
         self._laid = True
 
@@ -142,6 +145,8 @@ class Cameras:
         """An encoder says where the belt is. What a camera's own segmenter says is in its log."""
         if travel.source not in self.states and not travel.estimated:
             self._encoder_m = travel.travel_m
+            if self._encoder_first_m is None:
+                self._encoder_first_m = travel.travel_m
 
     def info(self, info: CameraInfo, now_s: float) -> None:
         """What a camera says of itself. Belt that ran under a live one since the load began, before its first frame, is
@@ -155,6 +160,8 @@ class Cameras:
         known.take(info)
         if first and info.live and self._began_s is not None:
             state.lead_until_s, known.lead_s = now_s + LEAD_WITHIN_S, math.inf
+            if self._encoder_first_m is not None and info.first_travel_m is not None:
+                known.lead_m = max(0.0, info.first_travel_m - self._encoder_first_m)
         if now_s < state.lead_until_s and self._began_s is not None:
             # What it said may have come late, and been old when it came: the least of some is the truth.
             published_s = ((info.last_captured_ns or 0) - (known.first_ns or 0)) / 1e9
@@ -208,6 +215,12 @@ class Cameras:
         return any(state.mark is not None and state.mark.travel_estimated for state in self.states.values())
 
     @property
+    def _told(self) -> str | None:
+        """The first camera by name to which an encoder tells its travel: one that has none is laid by that."""
+        told = (name for name in self.names if (mark := self.states[name].mark) and not mark.travel_estimated)
+        return next(told, None)
+
+    @property
     def place_slack_m(self) -> float:
         """How far from the watermark nothing is committed yet."""
         return ESTIMATED_SLACK_M if self.estimated else PLACE_SLACK_M
@@ -259,8 +272,7 @@ class Cameras:
         state.marks.append(mark)
         state.mark = mark
         state.sight.marked(mark)
-        if mark.travel_estimated:
-            state.curve.add(mark.captured_ns, mark.travel_m)
+        state.curve.add(mark.captured_ns, mark.travel_m)
 
     def ended(self, camera: str) -> None:
         """The camera's final mark came, and nothing else of it could be read."""
@@ -278,7 +290,7 @@ class Cameras:
     def restored(
         self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight
     ) -> None:
-        """A camera as the ledger knows it; `curve` are samples (capture time, estimated travel), oldest first."""
+        """A camera as the ledger knows it; `curve` are samples (capture time, travel), oldest first."""
         state = self.states[camera]
         state.marks, state.mark = list(marks), marks[-1] if marks else None
         state.sight = sight
@@ -305,11 +317,12 @@ class Cameras:
         if not self._laid:
             return None
         curves = {name: state.curve for name, state in self.states.items()}
+        reference = self._told or self.names[0]
         if self._head_start_m is None:
-            self._head_start_m = head_start_m(curves, reference=self.names[0])
+            self._head_start_m = 0.0 if self._told else head_start_m(curves, reference=reference)
         if self._head_start_m is None:
             return None
-        travel_m = common_travel_m(curves, reference=self.names[0], camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
+        travel_m = common_travel_m(curves, reference=reference, camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
         return None if travel_m is None else own_place_x_m + own_travel_m - travel_m - self._head_start_m
 
     def beyond_m(self, camera: str, place_x_m: float) -> float:

@@ -49,6 +49,8 @@ class Published:
     live: bool = False
     lead_s: float = 0.0
     """Seconds from the load's beginning to the first frame of a live camera, by the aggregator's clock."""
+    lead_m: float | None = None
+    """How far the belt moved in them, by an encoder of its own; None where none told it."""
 
     def take(self, info: CameraInfo) -> None:
         """What a camera says of itself; one that was started again goes on from here."""
@@ -217,7 +219,8 @@ class CameraSight:
             missed_m = self.first_travel_m - known.first_travel_m
         elif known.first_ns is not None:
             missed_m = (self.first_ns - known.first_ns) / 1e9 * speed - self.first_s
-        return max(0.0, missed_m) + max(0.0, known.lead_s) * speed
+        lead_m = max(0.0, known.lead_s) * speed if known.lead_m is None else known.lead_m
+        return max(0.0, missed_m) + lead_m
 
     def end_m(self, *, until_ns: int | None, ran_m: float | None = None) -> float:
         """Where the belt had come to, in terms of s: by the last frame published, by what an encoder of its own says

@@ -24,7 +24,7 @@ MARKS = 20
 """Marks of a camera that may not have been used for the watermark yet: its travel waits for the reference camera's."""
 
 SAMPLES = 5000
-"""Samples of estimated travel from a run's beginning, and from its end: 5000 s of each."""
+"""Samples of travel from a run's beginning, and from its end: 5000 s of each."""
 
 
 def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
@@ -38,9 +38,10 @@ def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
         head_start_m=sums.head_start_m,
         sights=dict(sums.sights),
     )
+    estimated = any(_estimated(view, run.run, camera) for camera in run.cameras)
     for camera in run.cameras:
         restored.marks[camera] = _marks(view, run.run, camera)
-        restored.curves[camera] = _curve(view, run.run, camera)
+        restored.curves[camera] = _curve(view, run.run, camera) if estimated else []
         settled = sums.settled.get(camera, 0)
         restored.applied[camera] = settled
         for found in read_entries_after(view, run.run, camera, settled):
@@ -58,15 +59,18 @@ def _marks(view: LedgerView, run: str, camera: str) -> list[Mark]:
     return [mark for n in numbers if (mark := read_mark(view, run, camera, n)) is not None]
 
 
-def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:
-    """(capture time, travel) of marks with estimated travel: the first and the newest."""
+def _estimated(view: LedgerView, run: str, camera: str) -> bool:
+    """No encoder tells this camera where the belt is."""
     last = read_coverage(view, run, camera, limit=1, newest=True)
-    if not last or not last[0][5]:
-        return []  # the belt has an encoder
+    return bool(last and last[0][5])
+
+
+def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:
+    """(capture time, travel) of marks: the first and the newest."""
     newest = read_coverage(view, run, camera, limit=SAMPLES, newest=True)
     first = []
     if len(newest) == SAMPLES:
         first = [
             found for found in read_coverage(view, run, camera, limit=SAMPLES, newest=False) if found[2] < newest[0][2]
         ]
-    return [(found[3], found[4]) for found in (*first, *newest) if found[5]]
+    return [(found[3], found[4]) for found in (*first, *newest)]

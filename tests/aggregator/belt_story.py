@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,6 +85,7 @@ def tell(
     length_m: float = 1.2,
     noise_mm: float = 3.0,
     estimated: bool = False,
+    told_to: Collection[str] = (),
     split: float = 0.05,
 ) -> Story:
     """A belt with up to `n` tubers under 1 to 3 cameras whose lanes overlap.
@@ -92,22 +94,27 @@ def tell(
         apart_m: no two tubers nearer than this.
         noise_mm: sd of a camera's place of a tuber.
         estimated: no encoder; each camera has its own zero and up to 1 % drift.
+        told_to: names of cameras that have one all the same.
         split: share of tracks told in two halves that never met in a frame.
     """
     rng = np.random.default_rng(seed)
     tubers = scatter(rng, n, apart_m=apart_m, length_m=length_m)
     lanes = {1: [(-1, 1)], 2: [(-1, 0.08), (-0.08, 1)], 3: [(-1, 0.08), (-0.08, 1), (-1, 1)]}[cameras]
+    estimates = [estimated and f"cam{i}" not in told_to for i in range(len(lanes))]
     looking = tuple(
         Camera(
             f"cam{i}",
             *lane,
             x_m=float(rng.uniform(-0.1, 0.1)),
-            zero_m=float(rng.uniform(-0.5, 0.5)) if estimated else 0.0,
-            drift=float(rng.uniform(-0.01, 0.01)) if estimated else 0.0,
+            zero_m=float(rng.uniform(-0.5, 0.5)) if estimates[i] else 0.0,
+            drift=float(rng.uniform(-0.01, 0.01)) if estimates[i] else 0.0,
         )
         for i, lane in enumerate(lanes)
     )
-    logs = {c.name: _log(rng, run, c, tubers, noise_mm / 1000, length_m, estimated, split) for c in looking}
+    logs = {
+        c.name: _log(rng, run, c, tubers, noise_mm / 1000, length_m, without, split)
+        for c, without in zip(looking, estimates, strict=True)
+    }
     return Story(run, tuple(tubers), looking, logs)
 
 
