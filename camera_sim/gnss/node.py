@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 
-from camera_sim.gnss.day_clock import DayClock
-from camera_sim.gnss.receivers import Receiver, open_receiver
+from camera_sim.day_clock import DayClock
+from camera_sim.gnss.receivers import open_receiver
+from camera_sim.lines import LineDevice
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.config_yield import GnssConfig
@@ -56,7 +57,7 @@ class GnssNode:
                     while not self._rest(1.0):
                         pass
 
-    def _read(self, receiver: Receiver, file: PositionsWriter, out: ReliablePublisher) -> None:
+    def _read(self, receiver: LineDevice, file: PositionsWriter, out: ReliablePublisher) -> None:
         heard_s = time.monotonic()
         try:
             while not self._node.stop.is_set():

@@ -84,6 +84,11 @@ class SimulatedReceiver:
             self._next = sentences(*self._drive.at(due_s), datetime.now(UTC))
         return self._next.pop(0)
 
+    @property
+    def pending(self) -> bool:
+        """The second sentence of a position."""
+        return bool(self._next)
+
     def close(self) -> None:
         """Nothing is open."""
 

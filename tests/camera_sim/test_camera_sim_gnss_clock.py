@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.gnss.day_clock import AT_ONCE_NS, DayClock
+from camera_sim.day_clock import AT_ONCE_NS, DayClock
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.formats.positions import COLUMNS, POSITIONS_FILE
 from tests.camera_sim.camera_process import process
