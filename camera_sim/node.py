@@ -10,6 +10,7 @@ from typing import Literal
 
 from camera_sim.flow import Pace, SendWindow
 from camera_sim.outlet import FrameOutlet
+from camera_sim.stamped import FrameStamper
 from conveyor import topics
 from conveyor.camera_clock import CameraClock
 from conveyor.config import LineConfig
@@ -59,6 +60,8 @@ class CameraNode:
         self._word = False
         self._back_to: int | None = None
         self._numbered_from = 0
+        self._stamper: FrameStamper | None = None
+        self._begins = True
 
     def run(self) -> None:
         """Publish everything, say that it ended, stay until stopped."""
@@ -69,6 +72,8 @@ class CameraNode:
                 node.counters.add(counter, 0)
             if self._source.description.live:
                 node.counters.add("frames_missed", 0)
+                if self._config.encoder is not None:
+                    self._stamper = FrameStamper(node, self._config.encoder)
             if isinstance(self._source, PolledSource):
                 self._source.attach(self._while_silent)
             for note in self._source.description.notes:
@@ -113,7 +118,9 @@ class CameraNode:
                 self._wait_for_turn(item)
                 if self._interrupted:
                     return
-                self._publish(replace(item, after_seq=after) if self._waits else self._on_time(item))
+                if self._waits_for_encoder(item):
+                    continue
+                self._publish(replace(item, after_seq=after) if self._waits else self._on_time(self._stamped(item)))
                 after = item.seq
         while self._waits and self._window.in_flight and not self._interrupted:
             self._wait_for_progress()
@@ -213,6 +220,8 @@ class CameraNode:
     def _while_silent(self, silent_s: float) -> bool:
         """A live source's process looks round while nothing comes; False: stop."""
         self._node.progress()
+        if self._stamper is not None:
+            self._stamper.listen()
         reopened = getattr(self._source, "reopened", None)
         if reopened is not None:
             self._node.counters.gauge("source_reopened", reopened)
@@ -225,6 +234,18 @@ class CameraNode:
         if time.monotonic() - self._info_s >= INFO_EVERY_S and self._last is not None:
             self._tell("streaming")
         return not self._node.stop.is_set()
+
+    def _waits_for_encoder(self, frame: Frame) -> bool:
+        """The run begins, and its first frames are to have a travel; one that is gone on with takes what comes."""
+        if self._stamper is None or not self._begins:
+            return False
+        done = [p.done_seq for p in self._progress.latest().values() if p.run == self._node.run]
+        self._begins = max(done, default=-1) < 0 and self._stamper.holds(frame, segmenter=bool(done))
+        return self._begins
+
+    def _stamped(self, frame: Frame) -> Frame:
+        """A live camera's frame with the travel that the line's encoder tells."""
+        return frame if self._stamper is None else self._stamper.stamped(frame)
 
     def _on_time(self, frame: Frame) -> Frame:
         """The frame of a camera that waits for no one, without the steps of its clock: frames and what is said of them

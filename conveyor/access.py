@@ -50,7 +50,7 @@ def line_identities(config: LineConfig) -> tuple[Identity, ...]:
         "operator": extra.operators,
         "keeper": extra.keepers,
         "loader": extra.loaders,
-        "encoder": extra.encoders,
+        "encoder": [*([config.encoder.name] if config.encoder else []), *extra.encoders],
         "gnss": [*([config.gnss.name] if config.gnss else []), *extra.gnss],
     }
     return tuple(dict.fromkeys(Identity(role, name) for role, names in named.items() for name in names))

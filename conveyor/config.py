@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 from pathlib import Path
 from typing import Any, Literal, Self
+from urllib.parse import urlsplit
 
 import tomli_w
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -16,6 +17,7 @@ from conveyor.config_access import AccessConfig
 from conveyor.config_alarms import AlarmsConfig
 from conveyor.config_base import BeltSd, Endpoint, RestingOffset, RestingSd, Section, checked_name
 from conveyor.config_camera import CameraConfig
+from conveyor.config_encoder import EncoderConfig
 from conveyor.config_gauge import GaugeSection
 from conveyor.config_realsense import RealSenseConfig
 from conveyor.config_yield import ForeignConfig, GnssConfig
@@ -213,6 +215,7 @@ class LineConfig(Section):
     viewer: ViewerConfig | None = None
     alarms: AlarmsConfig | None = None
     gnss: GnssConfig | None = None
+    encoder: EncoderConfig | None = None
 
     @field_validator("name")
     @classmethod
@@ -225,6 +228,14 @@ class LineConfig(Section):
         for name in cameras:
             checked_name(name, "camera")
         return cameras
+
+    @model_validator(mode="after")
+    def _one_reader_a_port(self) -> Self:
+        if self.encoder is not None and self.gnss is not None:
+            ports = [urlsplit(section.source) for section in (self.encoder, self.gnss)]
+            if {port.scheme for port in ports} == {"serial"} and ports[0].path == ports[1].path:
+                raise ValueError(f"encoder.source and gnss.source are both {ports[0].path}: each needs its own port")
+        return self
 
     @property
     def live(self) -> bool:
@@ -311,6 +322,7 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
         "viewer": ViewerConfig,
         "alarms": AlarmsConfig,
         "gnss": GnssConfig,
+        "encoder": EncoderConfig,
     }
     return sorted(sections[path[0]].model_fields) if path[0] in sections else []
 

@@ -21,7 +21,7 @@ class AccessConfig(Section):
     operators: tuple[str, ...] = Field(("*",), description="status, top, doctor, metrics, the operator's page")
     keepers: tuple[str, ...] = Field(("*",), description="who may give new weights to running regressors")
     loaders: tuple[str, ...] = Field(("*",), description="who may start and end loads: `tuberline load`, page, sensor")
-    encoders: tuple[str, ...] = Field((), description="who may tell the belt's travel")
+    encoders: tuple[str, ...] = Field((), description="encoders beside the line's own: who may tell the belt's travel")
     gnss: tuple[str, ...] = Field((), description="receivers beside the line's own: who may tell where the machine is")
 
     @field_validator("regressors", "viewers", "recorders", "operators", "keepers", "loaders", "encoders", "gnss")

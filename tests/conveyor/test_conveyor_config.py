@@ -101,6 +101,15 @@ def test_a_router_that_is_no_endpoint_is_refused_at_once(tmp_path: Path, router:
         assert str(caught.value) == told
 
 
+def test_two_devices_are_not_read_from_one_port() -> None:
+    port = {"source": "serial:/dev/ttyACM0?baud=9600"}
+    raw = {"gnss": port, "encoder": {"source": "serial:/dev/ttyACM0", "metres_per_pulse": 0.0005}}
+    with pytest.raises(ConfigError, match=r"both /dev/ttyACM0: each needs its own port"):
+        parse_config(raw, where="test")
+    raw["encoder"]["source"] = "serial:/dev/ttyACM1"
+    assert parse_config(raw, where="test").encoder is not None
+
+
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, "[segmenter]\nring = 0\ncredit = 1\n[viewers]\n"))

@@ -61,6 +61,9 @@ BESIDE = {
     "cameras.<camera>.realsense.": '[cameras.front]\nsource = "realsense"',
     "belt.gauge": 'surface = "rods"',
     "alarms.": 'channels = ["https://farm.example"]',
+    "encoder.source": "metres_per_pulse = 0.0005",
+    "encoder.metres_per_pulse": 'source = "tcp://127.0.0.1:5000"',
+    "encoder.": 'source = "tcp://127.0.0.1:5000"\nmetres_per_pulse = 0.0005',
     "gnss.": 'source = "gpsd://host"',
 }
 """What a key needs beside it, by its beginning."""

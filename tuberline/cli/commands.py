@@ -62,6 +62,7 @@ PARTS: Commands = {
     "aggregator": ("tuberline.cli.nodes:aggregator", "Count tubers once and keep the ledger."),
     "viewer": ("tuberline.cli.viewer:viewer", "Show the line in Rerun or Foxglove: a file, or live."),
     "recorder": ("tuberline.cli.nodes:recorder", "Record a line's frames to MCAP."),
+    "encoder": ("tuberline.cli.nodes:encoder", "Read the encoder on the belt's shaft."),
     "gnss": ("tuberline.cli.nodes:gnss", "Read the machine's GNSS receiver."),
     "alarms": ("tuberline.cli.alarms:alarms", "Send a line's alarms to webhooks, MQTT, mail, phones."),
     "metrics": ("tuberline.cli.metrics:metrics", "Serve a line's counters and totals to Prometheus."),

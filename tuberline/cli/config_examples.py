@@ -57,6 +57,8 @@ EXAMPLES: Mapping[str, Any] = {
     "alarms.state_dir": "/var/lib/tuberline/alarms",
     "gnss.source": "serial:/dev/ttyACM0?baud=9600",
     "gnss.delay_s": 9.5,
+    "encoder.source": "serial:/dev/ttyACM0?baud=115200",
+    "encoder.metres_per_pulse": 0.0005,
 }
 
 

@@ -49,6 +49,22 @@ def recorder(*, config: Path, out: Path, run: str | None = None, name: str = "re
         sys.stdout.write(f"{part.frames} frames in {part.path}\n")
 
 
+def encoder(*, config: Path, run: str | None = None) -> None:
+    """Read the encoder on the belt's shaft, and tell live cameras how far the belt has moved.
+
+    Parameters
+    ----------
+    config
+        The line's TOML file, with [encoder].
+    run
+        Id of this run; all nodes of a run need the same.
+    """
+    from camera_sim.encoder.node import run_encoder
+    from conveyor.config import load_config
+
+    run_encoder(load_config(config), run=run or _new_run())
+
+
 def gnss(*, config: Path, run: str | None = None, recorded: bool = False) -> None:
     """Read the machine's GNSS receiver: positions onto the line and into positions.csv beside the ledger.
 

@@ -1,0 +1,157 @@
+"""The encoder's process: counts from a device, travel onto the line; it comes back by itself."""
+
+from __future__ import annotations
+
+import time
+
+from camera_sim.day_clock import DayClock
+from camera_sim.encoder.counts import Counter, open_counter
+from camera_sim.encoder.shaft import Shaft
+from camera_sim.encoder.zero import Standing, Zero
+from conveyor import topics
+from conveyor.config import LineConfig
+from conveyor.config_encoder import EncoderConfig
+from conveyor.delivery import KeptSubscriber, LatestPublisher, LatestSubscriber
+from conveyor.errors import ConfigError, DeviceError
+from conveyor.messages import FrameProgress, Travel
+from conveyor.node import Node
+
+BACK_OFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
+SILENT_AFTER_S = 3.0
+"""A device that says nothing for so long is opened again."""
+TELL_EVERY_NS = 15_000_000
+TRAVELS = 32
+COUNTED = ("counts", "lines_refused", "encoder_lost", "encoder_silent", "counts_lost", "clock_steps")
+
+
+class EncoderNode:
+    """The encoder of a line, until it is stopped."""
+
+    def __init__(self, config: LineConfig, settings: EncoderConfig, *, run: str) -> None:
+        self._settings = settings
+        self._node = Node("encoder", settings.name, config=config, run=run)
+        self._shaft = Shaft(settings.metres_per_pulse, bits=settings.bits)
+        self._zero = Zero(run, [name for name, camera in config.cameras.items() if not camera.held_back])
+        self._clock = DayClock()
+        self._told_ns = 0
+
+    def run(self) -> None:
+        """Read and publish; a device that is gone is opened again, with back-off, forever."""
+        with self._node as node:
+            self._out = LatestPublisher(node, topics.TRAVEL, source=node.name)
+            self._travels = [
+                LatestSubscriber(node, topics.TRAVEL, Travel, capacity=TRAVELS, source=camera)
+                for camera in self._zero.cameras
+            ]
+            self._progress = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera="*")
+            for name in COUNTED:
+                node.counters.add(name, 0)
+            tried = 0
+            while not node.stop.is_set():
+                try:
+                    counter = open_counter(self._settings, wait=node.stop.wait)
+                    tried = 0
+                    self._read(counter)
+                except DeviceError as error:
+                    pause_s = BACK_OFF_S[min(tried, len(BACK_OFF_S) - 1)]
+                    node.counters.add("encoder_lost")
+                    node.log.warning("%s; tried again in %g s", error, pause_s)
+                    self._rest(pause_s)
+                    tried += 1
+                    self._shaft.reopened()
+
+    def _read(self, counter: Counter) -> None:
+        heard_s = time.monotonic()
+        try:
+            while not self._node.stop.is_set():
+                self._node.progress()
+                try:
+                    count = counter.read()
+                except ValueError as error:
+                    self._refuse(error)
+                    count = None
+                self._listen()
+                if count is not None:
+                    heard_s = time.monotonic()
+                    self._take(count)
+                elif time.monotonic() - heard_s > SILENT_AFTER_S:
+                    self._node.counters.add("encoder_silent")
+                    raise DeviceError(f"encoder {self._settings.source} said nothing for {SILENT_AFTER_S:g} s")
+        finally:
+            counter.close()
+
+    def _take(self, count: int) -> None:
+        """A count, read now."""
+        now_ns, day_ns = time.monotonic_ns(), self._day_ns()
+        self._node.counters.add("counts")
+        if not self._shaft.read(count, now_ns):
+            self._node.counters.add("counts_lost")
+            self._node.log.warning(
+                "the encoder's count began anew at %d: its travel goes on where the load says that the belt is", count
+            )
+            self._zero.ask()
+        if self._zero.decide(now_ns, self._shaft.turned_m):
+            self._node.log.info("tells travel from %.3f m on", self._travel_m)
+        levels = {"travel_m": self._travel_m, "belt_mps": self._shaft.speed_mps()}
+        for name, level in {**levels, "tells": float(self._zero.standing is Standing.TELLS)}.items():
+            self._node.counters.gauge(name, level)
+        if self._zero.standing is Standing.TELLS and now_ns - self._told_ns >= TELL_EVERY_NS:
+            self._told_ns = now_ns
+            self._out.put(Travel(self._node.name, self._node.run, day_ns, self._travel_m, estimated=False))
+
+    @property
+    def _travel_m(self) -> float:
+        return self._zero.zero_m + self._shaft.turned_m
+
+    def _listen(self) -> None:
+        """What the segmenters say, while it is not known where the belt is."""
+        asking = self._zero.standing is Standing.ASKING
+        offset_ns = time.monotonic_ns() - self._day_ns() if asking else 0
+        for travels in self._travels:
+            while len(travels) and (said := travels.get(0.0)) is not None:
+                if asking:
+                    day_ns = time.monotonic_ns() - offset_ns
+                    self._zero.travel(said, clock_ns=day_ns, turned_at=lambda t: self._shaft.turned_at(t + offset_ns))
+        if asking:
+            for progress in self._progress.latest().values():
+                self._zero.progress(progress)
+            if self._zero.standing is Standing.LATE:
+                self._node.counters.gauge("late", 1.0)
+                self._node.log.warning(
+                    "run %s was begun without the encoder and goes on by the load: it tells travel from the next run",
+                    self._node.run,
+                )
+
+    def _day_ns(self) -> int:
+        """The time of the day, without the steps of this machine's clock since the start."""
+        day_ns, step_ns = self._clock.now()
+        if step_ns:
+            self._node.counters.add("clock_steps")
+            self._node.log.warning(
+                "this machine's clock was set by %+.3f s: travel is told as if it had not", step_ns / 1e9
+            )
+        return day_ns
+
+    def _refuse(self, error: ValueError) -> None:
+        self._node.counters.add("lines_refused")
+        refused = self._node.counters.get("lines_refused")
+        if refused & (refused - 1) == 0:
+            self._node.log.warning("%s, the %d. that is refused", error, refused)
+
+    def _rest(self, seconds: float) -> None:
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0 and not self._node.stop.wait(min(left_s, 0.5)):
+            self._node.progress()
+
+
+def run_encoder(config: LineConfig, *, run: str) -> None:
+    """Read the line's encoder until stopped.
+
+    Raises:
+        ConfigError: the line has no [encoder].
+    """
+    if config.encoder is None:
+        raise ConfigError(
+            'this line has no [encoder]; add it with source = "serial:/dev/ttyACM0" or the like and metres_per_pulse'
+        )
+    EncoderNode(config, config.encoder, run=run).run()

@@ -1,0 +1,81 @@
+"""From counts to metres: a counter that is full and begins again, and one that lost its count. Reads no clock."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import deque
+
+FASTEST_MPS, BACK_MPS = 5.0, 1.0
+"""No belt of a harvester is half as fast, on or back."""
+JITTER_M = 0.02
+"""Counts come in bursts: so much belt may be told at once."""
+KEPT = 2000
+"""Newest readings, some ten seconds."""
+
+
+class Shaft:
+    """How far the shaft has turned since it was first read, metres of belt.
+
+    Args:
+        metres_per_pulse: below 0 where it counts down while the belt runs on.
+        bits: of the counter.
+    """
+
+    def __init__(self, metres_per_pulse: float, *, bits: int) -> None:
+        self._metres_per_pulse = metres_per_pulse
+        self._full = 1 << bits
+        self._pulses = 0
+        self._last: tuple[int, int] | None = None
+        self._reopened = False
+        self._turns: deque[tuple[int, float]] = deque(maxlen=KEPT)
+
+    def read(self, count: int, at_ns: int) -> bool:
+        """Take a count that was read at `at_ns` (monotonic). False: the counter lost its count since the last one, so
+        how far the belt moved meanwhile is not known; it turns on from here.
+        """
+        last, self._last = self._last, (count, at_ns)
+        reopened, self._reopened = self._reopened, False
+        if last is None:
+            self._note(at_ns)
+            return True
+        pulses = (count - last[0] + self._full // 2) % self._full - self._full // 2
+        moved_m = pulses * self._metres_per_pulse
+        since_s = (at_ns - last[1]) * 1e-9
+        back_m = 0.0 if reopened else BACK_MPS * since_s
+        if not -JITTER_M - back_m <= moved_m <= JITTER_M + FASTEST_MPS * since_s:
+            self._turns.clear()
+            self._note(at_ns)
+            return False
+        self._pulses += pulses
+        self._note(at_ns)
+        return True
+
+    def reopened(self) -> None:
+        """The device was away: should it be back with less than it had, it was without power."""
+        self._reopened = True
+
+    @property
+    def turned_m(self) -> float:
+        """Since it was first read."""
+        return self._pulses * self._metres_per_pulse
+
+    def speed_mps(self, over_ns: int = 1_000_000_000) -> float:
+        """Over the newest second; 0 where less is known."""
+        if len(self._turns) < 2:
+            return 0.0
+        t1, x1 = self._turns[-1]
+        t0, x0 = next((turn for turn in reversed(self._turns) if t1 - turn[0] >= over_ns), self._turns[0])
+        return (x1 - x0) / max(t1 - t0, 1) * 1e9
+
+    def turned_at(self, at_ns: int) -> float | None:
+        """The same at a moment among the newest readings, linear between them; None where they do not reach back."""
+        if not self._turns or at_ns < self._turns[0][0]:
+            return None
+        right = bisect_left(self._turns, at_ns, key=lambda turn: turn[0])
+        if right == len(self._turns):
+            return self.turned_m
+        (t1, x1), (t0, x0) = self._turns[right], self._turns[max(right - 1, 0)]
+        return x1 if t1 == t0 else x0 + (x1 - x0) * (at_ns - t0) / (t1 - t0)
+
+    def _note(self, at_ns: int) -> None:
+        self._turns.append((at_ns, self.turned_m))
