@@ -1,7 +1,8 @@
 #!/bin/sh
 # Installs a line's systemd units on this host: install.sh [OPTIONS] LINE.toml
 #
-#   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor
+#   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor,
+#                    and encoder and gnss where LINE.toml has [encoder] and [gnss] (an encoder needs a live camera).
 #                    also: viewer, recorder, metrics, alarms, page. camera=front,camera=rear: those cameras only.
 #                    loader: no unit, the certificate that `tuberline load` and the page need to change loads.
 #   --page-token FILE  who has the token in FILE (16 characters and more) gives orders on the page
@@ -25,6 +26,7 @@ if [ -n "$destdir" ] && [ -z "${TUBERLINE:-}" ] && [ ! -x "$program" ]; then
     [ -x "$program" ] || program=tuberline
 fi
 roles=router,aggregator,camera,segmenter,regressor
+usual=yes # those, and what else the line's file asks for
 certs=
 token=
 run=
@@ -44,7 +46,7 @@ while [ $# -gt 0 ]; do
         [ $# -ge 2 ] || fail "$1 needs a value"
         case $1 in
         --program) switch_to=$2 program=$2 ;;
-        --roles) roles=$2 ;;
+        --roles) roles=$2 usual=no ;;
         --certs) certs=$2 ;;
         --run) run=$2 ;;
         --page-token) token=$2 ;;
@@ -54,7 +56,7 @@ while [ $# -gt 0 ]; do
     --replace) replace=yes && shift ;;
     --no-start) start=no && shift ;;
     --uninstall) uninstall=yes && shift ;;
-    -h | --help) sed -n '2,18s/^# \{0,1\}//p' "$0" && exit 0 ;;
+    -h | --help) sed -n '2,19s/^# \{0,1\}//p' "$0" && exit 0 ;;
     -*) fail "unknown option $1; see --help" ;;
     *) break ;;
     esac
@@ -113,14 +115,20 @@ own() {
     [ -n "$destdir" ] || chown "$1" "$2"
 }
 
-facts_of() { # the line's name, its cameras, its regressors and its folder of certificates, one line each, of the config that is on standard input
+# Of the config that is on standard input, one line each: the line's name, its cameras, its regressors, its folder of
+# certificates, the names of its encoder and of its receiver, what `tuberline run` starts of these two.
+facts_of() {
     python3 -S -c "
 import json, sys
 line = json.load(sys.stdin)
 print(line['name'], ' '.join(sorted(line['cameras'])), sep='\n')
 print(*(f'r{n + 1}' for n in range(line['regressor']['processes'])))
 certs = line['link']['certs'] or ''
-print(certs if certs.startswith('/') else '/etc/tuberline/certs')"
+print(certs if certs.startswith('/') else '/etc/tuberline/certs')
+names = {role: line[role]['name'] for role in ('encoder', 'gnss') if line.get(role)}
+print(names.get('encoder', ''), names.get('gnss', ''), sep='\n')
+live = any(camera['source'] != 'recording' or not camera['waits'] for camera in line['cameras'].values())
+print(*(role for role in names if live or role != 'encoder'))"
 }
 facts=$(echo "$checked" | facts_of)
 line=$(echo "$facts" | sed -n 1p)
@@ -137,6 +145,13 @@ fi
 cameras=$(echo "$facts" | sed -n 2p)
 workers=$(echo "$facts" | sed -n 3p)
 certs_there=$(echo "$facts" | sed -n 4p)
+encoder=$(echo "$facts" | sed -n 5p)
+gnss=$(echo "$facts" | sed -n 6p)
+if [ "$usual" = yes ]; then
+    for role in $(echo "$facts" | sed -n 7p); do
+        roles=$roles,$role
+    done
+fi
 units=
 stems=
 chosen() { # ROLE NAME: is this one among --roles?
@@ -154,6 +169,16 @@ for role in router aggregator metrics alarms page; do
         esac
     fi
 done
+if chosen encoder ""; then
+    [ -n "$encoder" ] || fail "role encoder: there is no [encoder] in $given; add it with source = \"serial:/dev/ttyACM0\" or the like and metres_per_pulse"
+    units="$units tuberline-encoder@$line.service"
+    stems="$stems encoder.$encoder"
+fi
+if chosen gnss ""; then
+    [ -n "$gnss" ] || fail "role gnss: there is no [gnss] in $given; add it with source = \"serial:/dev/ttyACM0\" or the like"
+    units="$units tuberline-gnss@$line.service"
+    stems="$stems gnss.$gnss"
+fi
 for camera in $cameras; do
     for role in segmenter camera; do
         if chosen "$role" "$camera"; then
@@ -184,8 +209,8 @@ for entry in $(echo "$roles" | tr ',' ' '); do
         *) fail "camera '${entry#*=}' is not in $given; known: $cameras" ;;
         esac
         ;;
-    router | aggregator | metrics | alarms | page | camera | segmenter | regressor) ;;
-    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder metrics alarms page loader" ;;
+    router | aggregator | encoder | gnss | metrics | alarms | page | camera | segmenter | regressor) ;;
+    *) fail "role '$entry' is not known; known: router aggregator camera segmenter regressor viewer recorder encoder gnss metrics alarms page loader" ;;
     esac
 done
 case ,$roles in

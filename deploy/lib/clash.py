@@ -13,9 +13,12 @@ import re
 import sys
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 WILD = ("0.0.0.0", "[::]", "*")
 LISTENING = {"metrics": ("TUBERLINE_METRICS", "127.0.0.1:9108"), "page": ("TUBERLINE_PAGE", "127.0.0.1:9180")}
+WRITING = (("aggregator", "aggregator", "out"), ("gnss", "aggregator", "out"), ("regressor", "regressor", "state_dir"))
+"""Role, and the section and key of the folder that it writes to."""
 
 
 class Line:
@@ -24,7 +27,7 @@ class Line:
     def __init__(self, root: Path, config: dict[str, Any], units: str) -> None:
         self.name, self.config = config["name"], config
         self.roles = set(re.findall(r"tuberline-(\w+)@", units))
-        self._etc = root / "etc/tuberline"
+        self._root, self._etc = root, root / "etc/tuberline"
 
     def listens(self, role: str) -> set[str]:
         """HOST:PORT of what a role listens on."""
@@ -36,6 +39,16 @@ class Line:
             said = re.findall(rf"^{variable}=(.*)$", file.read_text(), re.MULTILINE) if file.is_file() else []
             at = said[-1].strip("\"' ") if said else at
         return {at}
+
+    def serial_ports(self) -> dict[Path, tuple[str, str]]:
+        """The role that reads a serial port here and the port as the config names it, by the port itself."""
+        found = {}
+        for role in ("encoder", "gnss"):
+            source = urlsplit((self.config.get(role) or {}).get("source", ""))
+            if role in self.roles and source.scheme == "serial":
+                port = (self._root / source.path.lstrip("/")).resolve()  # /dev/serial/by-id/... is a link
+                found[port] = (role, source.path)
+        return found
 
 
 def meet(one: str, other: str) -> bool:
@@ -66,12 +79,19 @@ def fault(new: Line, old: Line, *, certs: dict[Path, Path]) -> str:
                     f"the {role} of line '{new.name}' would listen on {at}, which that of line '{old.name}' takes: "
                     f"{another(role, new, old)}"
                 )
-    for role, key in (("aggregator", "out"), ("regressor", "state_dir")):
-        folder = new.config[role][key]
-        if role in both and folder is not None and folder == old.config[role][key]:
+    for role, section, key in WRITING:
+        folder = new.config[section][key]
+        if role in both and folder is not None and folder == old.config[section][key]:
             return (
-                f"{role}.{key} of line '{new.name}' is {folder}, as that of line '{old.name}' is: each needs its own, "
-                f"such as /var/lib/tuberline/{new.name}/{Path(folder).name}"
+                f"{section}.{key} of line '{new.name}' is {folder}, as that of line '{old.name}' is: each needs its "
+                f"own, such as /var/lib/tuberline/{new.name}/{Path(folder).name}"
+            )
+    taken = old.serial_ports()
+    for port, (role, said) in new.serial_ports().items():
+        if port in taken:
+            return (
+                f"the {role} of line '{new.name}' would read {said}, which the {taken[port][0]} of line '{old.name}' "
+                f"reads: name a port of its own in {role}.source, or leave {role} out of --roles"
             )
     if new.config["link"]["certs"] == old.config["link"]["certs"]:
         for there, given in certs.items():

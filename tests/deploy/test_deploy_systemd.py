@@ -177,6 +177,8 @@ def test_a_bad_config_is_refused_with_its_reason(tmp_path: Path) -> None:
         ("regressor", "field:barn"),
         ("viewer", "field:office"),
         ("recorder", "field:all"),
+        ("encoder", "field"),
+        ("gnss", "field"),
     ],
 )
 def test_a_unit_starts_a_command_that_takes_its_arguments(installed: Path, role: str, instance: str) -> None:
@@ -340,7 +342,7 @@ def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
         return "\n".join(line for line in done.stderr.splitlines() if "tuberline" in line)
 
     templates = sorted(unit.name.replace("@.", "@field.") for unit in units.glob("*@.service"))
-    assert len(templates) == 10
+    assert len(templates) == 12
     for unit in (*templates, "tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer"):
         assert verify(unit) == ""
     common = units / "tuberline-.service.d" / "10-common.conf"

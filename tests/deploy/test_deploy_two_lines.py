@@ -101,6 +101,46 @@ def test_what_two_lines_cannot_share_is_refused_and_installs_nothing(
     assert contents(root) == before
 
 
+GNSS = '[gnss]\nsource = "serial:/dev/{port}?baud=9600"\n'
+ENCODER = '[encoder]\nsource = "serial:/dev/{port}"\nmetres_per_pulse = 0.0005\n'
+
+
+@pytest.mark.parametrize(
+    ("section", "roles", "port", "said"),
+    [
+        (ENCODER, "encoder", "ttyACM0", "encoder of line 'south' would read /dev/ttyACM0, which the encoder of line"),
+        (GNSS, "gnss", "ttyACM1", "gnss of line 'south' would read /dev/ttyACM1, which the gnss of line 'west' reads"),
+        (GNSS, "gnss", "ttyACM0", "which the encoder of line 'west' reads: name a port of its own in gnss.source, or"),
+        (GNSS, "gnss", "serial/by-id/usb-1", "gnss of line 'south' would read /dev/serial/by-id/usb-1, which the enc"),
+        (GNSS, "gnss", "ttyACM2", ""),
+        (GNSS, "camera", "ttyACM0", ""),
+        (ENCODER.replace("serial", "counter"), "encoder", "ttyACM0", ""),
+    ],
+)
+def test_two_lines_do_not_read_one_serial_port(tmp_path: Path, section: str, roles: str, port: str, said: str) -> None:
+    """Each would get a part of what the device sends. A link of udev's is the port that it leads to."""
+    root, west = tmp_path / "root", line(tmp_path, "west", port=7447)
+    (root / "dev/serial/by-id").mkdir(parents=True)
+    (root / "dev/serial/by-id/usb-1").symlink_to("../../ttyACM0")
+    west.write_text(west.read_text() + ENCODER.format(port="ttyACM0") + GNSS.format(port="ttyACM1"))
+    assert install(root, "--roles", "encoder,gnss", config=west).returncode == 0
+    south = line(tmp_path, "south", port=7448)
+    south.write_text(south.read_text() + section.format(port=port))
+    before, done = contents(root), install(root, "--roles", roles, config=south)
+    assert (done.returncode, said in done.stderr) == (2 if said else 0, True), done.stderr
+    assert not said or contents(root) == before
+
+
+def test_two_receivers_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    """positions.csv is beside the ledger, which may be counted by another host's aggregator."""
+    for name, code in (("north", 0), ("south", 2)):
+        config = line(tmp_path, name, port=7447, of="north")
+        config.write_text(config.read_text() + GNSS.format(port=name))
+        done = install(tmp_path / "root", "--roles", "gnss", config=config)
+        assert done.returncode == code, done.stderr
+    assert "aggregator.out of line 'south' is /var/lib/tuberline/north/ledger, as that of line 'north'" in done.stderr
+
+
 def test_a_second_line_may_use_the_router_of_the_first(tmp_path: Path, root: Path) -> None:
     config = line(tmp_path, "south", port=7447, of="north")
     assert install(root, "--roles", "camera,segmenter", config=config).returncode == 0

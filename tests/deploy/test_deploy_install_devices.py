@@ -1,0 +1,128 @@
+"""deploy/install.sh for a line with an encoder and a GNSS receiver: who reads them, with what rights and names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.deploy.test_deploy_systemd import DEPLOY, TUBERLINE, contents, install
+
+pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
+
+SECTIONS = {
+    "encoder": '[encoder]\nsource = "serial:/dev/ttyACM0"\nmetres_per_pulse = 0.0005\nname = "shaft"\n',
+    "gnss": '[gnss]\nsource = "serial:/dev/ttyUSB0?baud=9600"\nname = "roof"\n',
+}
+LIVE = 'name = "field"\n[cameras.left]\nsource = "realsense"\nserial = "000000000001"\nbelt_distance_m = 0.46\n'
+RECORDED = 'name = "field"\n[cameras.left]\npath = "/recording"\n'
+
+
+def config(folder: Path, *sections: str, cameras: str = LIVE) -> Path:
+    """A line's file with these of `SECTIONS`."""
+    (file := folder / "line.toml").write_text(cameras + "".join(SECTIONS[section] for section in sections))
+    return file
+
+
+def devices(root: Path) -> set[str]:
+    """Which of the two roles line field starts."""
+    nodes = (root / "etc/systemd/system/tuberline@field.target.d/nodes.conf").read_text()
+    return set(re.findall("Wants=tuberline-(encoder|gnss)@field.service", nodes))
+
+
+@pytest.mark.parametrize(
+    ("sections", "cameras", "started"),
+    [
+        (("encoder", "gnss"), LIVE, {"encoder", "gnss"}),
+        (("encoder",), LIVE, {"encoder"}),
+        (("gnss",), LIVE, {"gnss"}),
+        ((), LIVE, set()),
+        (("encoder", "gnss"), RECORDED, {"gnss"}),
+        (("encoder",), RECORDED + "waits = false\n", {"encoder"}),
+    ],
+)
+def test_without_roles_what_the_file_has_runs(
+    tmp_path: Path, sections: tuple[str, ...], cameras: str, started: set[str]
+) -> None:
+    """As `tuberline run` starts it: a recording that is held back tells the belt's travel itself."""
+    done = install(tmp_path / "root", config=config(tmp_path, *sections, cameras=cameras))
+    assert done.returncode == 0, done.stderr
+    assert devices(tmp_path / "root") == started
+    assert "tuberline-aggregator@field.service" in done.stdout
+
+
+def test_what_runs_is_told_by_the_file_that_is_kept(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    assert install(root, config=config(tmp_path)).returncode == 0
+    assert install(root, config=config(tmp_path, "encoder", "gnss")).returncode == 0
+    assert devices(root) == set()
+    refused = install(root, "--roles", "encoder", config=tmp_path / "line.toml")
+    assert "field.toml, which is kept without --replace; add it with source" in refused.stderr
+    assert install(root, "--replace", config=tmp_path / "line.toml").returncode == 0
+    assert devices(root) == {"encoder", "gnss"}
+
+
+@pytest.mark.parametrize(("role", "other"), [("encoder", "gnss"), ("gnss", "encoder")])
+def test_with_roles_only_those_run(tmp_path: Path, role: str, other: str) -> None:
+    file = config(tmp_path, role)
+    done = install(tmp_path / "root", "--roles", f"camera,{role}", config=file)
+    assert done.returncode == 0, done.stderr
+    assert devices(tmp_path / "root") == {role}
+    assert install(tmp_path / "root", "--roles", "camera", config=file).returncode == 0
+    assert devices(tmp_path / "root") == set()
+    before = contents(tmp_path / "root")
+    refused = install(tmp_path / "root", "--roles", f"camera,{other}", config=file)
+    assert refused.returncode == 2
+    assert f'role {other}: there is no [{other}] in {file}; add it with source = "serial:/dev/' in refused.stderr
+    assert ("metres_per_pulse" in refused.stderr) == (other == "encoder")
+    named = install(tmp_path / "root", "--roles", f"{role}=shaft", config=file)
+    assert (named.returncode, f"role '{role}=shaft' is not known" in named.stderr) == (2, True), "the file names it"
+    assert contents(tmp_path / "root") == before
+
+
+def test_each_gets_the_certificate_of_its_name_or_of_its_role(tmp_path: Path) -> None:
+    (made := tmp_path / "certs").mkdir()
+    for stem in ("ca", "operator", "encoder.shaft", "gnss"):
+        for end in ("pem", "key"):
+            (made / f"{stem}.{end}").write_text(f"{stem}.{end}")
+    words = ("--roles", "encoder,gnss", "--certs", str(made))
+    done = install(tmp_path / "root", *words, config=config(tmp_path, "encoder", "gnss"))
+    assert done.returncode == 0, done.stderr
+    copied = {file.name for file in (tmp_path / "root/etc/tuberline/certs").iterdir()}
+    assert copied == {"ca.pem"} | {f"{s}.{x}" for s in ("operator", "encoder.shaft", "gnss") for x in ("pem", "key")}
+    (made / "gnss.pem").unlink()
+    refused = install(tmp_path / "other", *words, config=tmp_path / "line.toml")
+    assert (refused.returncode, "gnss.pem is not there: " in refused.stderr) == (2, True)
+
+
+def test_certs_make_makes_what_is_copied(tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="certificates need tuberline[deploy]")
+    from tuberline.cli.certs import make
+
+    link = '[link]\nrouter = "tls/10.0.0.7:7447"\ncerts = "/etc/tuberline/certs"\n[access]\nenabled = true\n'
+    file = config(tmp_path, "encoder", "gnss", cameras=LIVE + link)
+    make(file, out=tmp_path / "certs")
+    done = install(tmp_path / "root", "--certs", str(tmp_path / "certs"), config=file)
+    assert done.returncode == 0, done.stderr
+    copied = {each.name for each in (tmp_path / "root/etc/tuberline/certs").iterdir()}
+    assert {"encoder.shaft.pem", "encoder.shaft.key", "gnss.roof.pem", "gnss.roof.key"} <= copied
+
+
+@pytest.mark.parametrize("role", ["encoder", "gnss"])
+def test_the_unit_may_read_serial_ports(role: str) -> None:
+    """A drop-in that comes after what all nodes have in common, which shows a node no device."""
+    units = DEPLOY / "systemd"
+    (own,) = (units / f"tuberline-{role}@.service.d").iterdir()
+    (common,) = (units / "tuberline-.service.d").iterdir()
+    assert own.name > common.name
+    assert "PrivateDevices=yes" in common.read_text()
+    said = own.read_text().splitlines()
+    assert {"PrivateDevices=no", "DevicePolicy=closed", "SupplementaryGroups=dialout"} <= set(said)
+    assert [line for line in said if line.startswith("DeviceAllow")] == [
+        f"DeviceAllow=char-{kind} rw" for kind in ("ttyUSB", "ttyACM", "ttyS", "ttyAMA", "ttyTHS")
+    ]
+    # What is not loaded at its start stays closed to it, and an adapter may be plugged in later.
+    modules = "modprobe@usbserial.service modprobe@cdc_acm.service"
+    assert {f"Wants={modules}", f"After={modules}"} <= set(said)
+    assert "g dialout -" in (units / "sysusers.conf").read_text().splitlines()
