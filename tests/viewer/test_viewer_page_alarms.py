@@ -105,6 +105,17 @@ def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, 
     assert said in text
 
 
+def test_an_encoder_that_is_not_heard_or_not_believed() -> None:
+    state = with_node(good_state(), "camera/left", node("camera/left", gauges={"encoder_silent_s": 12.0}))
+    (text,) = texts(state, "warning")
+    assert "Camera left has heard nothing from the encoder for 12 s" in text
+    behind = with_node(good_state(), "segmenter/left", segmenter("left", gauges={"encoder_behind_m": 1.04}))
+    (text,) = texts(behind, "warning")
+    assert "Under camera left the encoder came back 1.04 m behind where the load had gone" in text
+    brief = with_node(good_state(), "camera/left", node("camera/left", gauges={"encoder_silent_s": 1.0}))
+    assert not texts(brief, "warning")
+
+
 @pytest.mark.parametrize(("drift_mm", "said"), [(14.2, "14 mm further than"), (-7.0, "7 mm nearer than")])
 def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
     moved = segmenter("left", gauges={"belt_drift_mm": drift_mm, "belt_alarm": 1.0})

@@ -17,6 +17,7 @@ OTHER_WAY = {
     "belt_backwards": "turned_deg = 180 in the camera's section, or turn the camera; an encoder must count upwards",
     "belt_turned": "turn the camera, or `tuberline calibrate cameras RECORDING` and its turned_deg",
     "encoder_off": "look at the encoder's cable and its metres a pulse",
+    "encoder_behind_m": "begin a new run, and look at the encoder's power and cable",
 }
 """Levels of a load that moves otherwise than pose or encoder say, and what to do."""
 WRONG_SCALE = 3.0

@@ -86,6 +86,7 @@ def examine(
 def _running(config: LineConfig, live: Live) -> list[Finding]:
     from tuberline.doctor.belt import check_running_belts
     from tuberline.doctor.depth import check_running_noise, trained_range
+    from tuberline.doctor.encoder import check_encoder
     from tuberline.doctor.line import check_clocks, check_nodes, check_versions
 
     if live.unreachable:
@@ -101,6 +102,7 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
     return [
         *check_nodes(config, live.nodes, alive=live.alive),
         *check_running_belts(config, live.nodes, alive=live.alive),
+        *check_encoder(config, live.nodes, alive=live.alive),
         *check_agreement(live.totals),
         *check_running_noise(config, live.nodes, trained_range(config), alive=live.alive),
         *live.weights,

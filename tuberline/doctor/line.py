@@ -21,7 +21,10 @@ CLOCK_GAUGE = "clock_unix_s"
 
 def expected_nodes(config: LineConfig) -> set[str]:
     """'role/name' of the nodes a complete line has, wherever they run; regressors may be any."""
-    return {"aggregator/aggregator"} | {f"{role}/{name}" for role in ("camera", "segmenter") for name in config.cameras}
+    of_cameras = {f"{role}/{name}" for role in ("camera", "segmenter") for name in config.cameras}
+    devices = {f"encoder/{config.encoder.name}"} if config.encoder is not None and config.live else set()
+    devices |= {f"gnss/{config.gnss.name}"} if config.gnss is not None else set()
+    return {"aggregator/aggregator"} | of_cameras | devices
 
 
 class ClockWatch:
@@ -53,7 +56,7 @@ def check_nodes(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set
     found = []
     for name in sorted(expected_nodes(config) - alive):
         role, _, own = name.partition("/")
-        unit = f"tuberline-{role}@{config.name}" + ("" if role == own else f":{own}")
+        unit = f"tuberline-{role}@{config.name}" + (f":{own}" if role in ("camera", "segmenter") else "")
         fix = f"start it (`tuberline run LINE.toml`, or systemctl start {unit}) and read its log"
         found.append(fault("nodes", f"{name} is not there", fix))
     if not any(name.startswith("regressor/") for name in alive):

@@ -34,6 +34,7 @@ def camera_alarms(camera: str, state: LineState) -> Iterator[Found]:
         yield from _belt_way(segmenter)
         yield from _gauge(segmenter)
         waits = info is not None and info.waits
+        yield from _encoder(source, segmenter)
         yield from _frames(source, segmenter, waits=waits, frame_s=_frame_s(camera, state))
         yield from _views(segmenter)
     if state.totals is not None and state.totals.cameras.get(camera) == "silent":
@@ -66,6 +67,16 @@ def _belt_way(segmenter: NodeState) -> Iterator[Found]:
     if segmenter.level("encoder_off"):
         told, seen = segmenter.level("encoder_told_m") or 0.0, segmenter.level("encoder_seen_m") or 0.0
         yield "encoder", True, "alarm.camera.encoder", "todo.camera.encoder", {"told": told, "seen": seen}
+
+
+def _encoder(source: NodeState | None, segmenter: NodeState) -> Iterator[Found]:
+    """The line's encoder does not tell this camera where the belt is."""
+    silent_s = source.level("encoder_silent_s") if source is not None and source.alive else None
+    if silent_s is not None and silent_s >= SILENT_S:
+        say, todo = "alarm.camera.encoder_silent", "todo.camera.encoder_silent"
+        yield "encoder-silent", False, say, todo, {"for": silent_s}
+    if behind_m := segmenter.level("encoder_behind_m"):
+        yield "encoder-behind", False, "alarm.camera.encoder_behind", "todo.camera.encoder_behind", {"m": behind_m}
 
 
 def _gauge(segmenter: NodeState) -> Iterator[Found]:
