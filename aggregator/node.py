@@ -39,7 +39,7 @@ TOTALS_SHARE = 10.0
 LONGEST_GATHER_S = 1.0
 COMMITS_APART_S = 0.1
 """From one to the next, at least: cameras mark with each frame, and a commit is two syncs of the disk."""
-TRAVELS = 64
+TRAVELS = 256
 COMMITTED_EVERY_S = 1.0
 LONGEST_LOOK_S = 0.2
 """An order about a load is not kept waiting longer, whatever the commit interval is."""

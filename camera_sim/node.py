@@ -72,7 +72,7 @@ class CameraNode:
                 node.counters.add(counter, 0)
             if self._source.description.live:
                 node.counters.add("frames_missed", 0)
-                if self._config.encoder is not None:
+                if self._config.encoder is not None and self._settings.of_today:
                     self._stamper = FrameStamper(node, self._config.encoder)
             if isinstance(self._source, PolledSource):
                 self._source.attach(self._while_silent)

@@ -242,6 +242,12 @@ class LineConfig(Section):
         """Some camera waits for no one."""
         return any(not camera.held_back for camera in self.cameras.values())
 
+    @property
+    def hears_encoder(self) -> tuple[str, ...]:
+        """Cameras to which the line's encoder tells the belt's travel, by name; recordings bring their own."""
+        taken = (name for name, camera in sorted(self.cameras.items()) if camera.of_today)
+        return () if self.encoder is None else tuple(taken)
+
     def camera(self, name: str) -> CameraConfig:
         """The named camera, or an error that lists the known ones."""
         if name not in self.cameras:

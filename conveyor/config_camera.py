@@ -82,6 +82,11 @@ class CameraConfig(Section):
         return self.waits and self.source == "recording"
 
     @property
+    def of_today(self) -> bool:
+        """Its frames say the time of the day: a device's, or a recording's that plays as one (`starts_at_s`)."""
+        return self.source != "recording" or self.starts_at_s is not None
+
+    @property
     def pace(self) -> float | None:
         """Seconds of its clock in one of ours; None where the line holds it back or takes it as fast as it can."""
         if self.source != "recording":

@@ -127,7 +127,7 @@ certs = line['link']['certs'] or ''
 print(certs if certs.startswith('/') else '/etc/tuberline/certs')
 names = {role: line[role]['name'] for role in ('encoder', 'gnss') if line.get(role)}
 print(names.get('encoder', ''), names.get('gnss', ''), sep='\n')
-live = any(camera['source'] != 'recording' or not camera['waits'] for camera in line['cameras'].values())
+live = any(camera['source'] != 'recording' or camera['starts_at_s'] for camera in line['cameras'].values())
 print(*(role for role in names if live or role != 'encoder'))"
 }
 facts=$(echo "$checked" | facts_of)

@@ -63,8 +63,7 @@ class SegmenterNode:
         self._node = Node("segmenter", camera, config=config, run=run, announce=False)
         self._runs: dict[str, CameraRun] = {}
         self._over: deque[str] = deque(maxlen=RUNS_REMEMBERED)
-        stamped = source.source == "recording" and source.starts_at_s is None  # the others say the time of the day
-        self._speed = source.speed if stamped else 1.0
+        self._speed = 1.0 if source.of_today else source.speed
         self._age = FrameAge(self._speed)
         self._processors = Processors()
         self._clock = CameraClock(self._speed)

@@ -40,7 +40,7 @@ def line_processes(
         ProcessSpec(f"regressor-{name}", ("regressor", *common, "--name", name))
         for name in (f"r{n}" for n in range(1, config.regressor.processes + 1))
     ]
-    if config.encoder is not None and config.live:
+    if config.hears_encoder:
         specs.append(ProcessSpec("encoder", ("encoder", *common)))
     for role in ("segmenter", "camera"):
         specs += [ProcessSpec(f"{role}-{name}", (role, *common, "--camera", name)) for name in sorted(config.cameras)]

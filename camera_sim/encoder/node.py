@@ -6,7 +6,7 @@ import time
 
 from camera_sim.day_clock import DayClock
 from camera_sim.encoder.counts import Counter, open_counter
-from camera_sim.encoder.shaft import Shaft
+from camera_sim.encoder.shaft import Reading, Shaft
 from camera_sim.encoder.zero import Standing, Zero
 from conveyor import topics
 from conveyor.config import LineConfig
@@ -21,7 +21,7 @@ SILENT_AFTER_S = 3.0
 """A device that says nothing for so long is opened again."""
 TELL_EVERY_NS = 15_000_000
 TRAVELS = 32
-COUNTED = ("counts", "lines_refused", "encoder_lost", "encoder_silent", "counts_lost", "clock_steps")
+COUNTED = ("counts", "lines_refused", "encoder_lost", "encoder_silent", "counts_odd", "counts_lost", "clock_steps")
 
 
 class EncoderNode:
@@ -31,7 +31,7 @@ class EncoderNode:
         self._settings = settings
         self._node = Node("encoder", settings.name, config=config, run=run)
         self._shaft = Shaft(settings.metres_per_pulse, bits=settings.bits)
-        self._zero = Zero(run, [name for name, camera in config.cameras.items() if not camera.held_back])
+        self._zero = Zero(run, config.hears_encoder)
         self._clock = DayClock()
         self._told_ns = 0
 
@@ -84,12 +84,12 @@ class EncoderNode:
         """A count, read now."""
         now_ns, day_ns = time.monotonic_ns(), self._day_ns()
         self._node.counters.add("counts")
-        if not self._shaft.read(count, now_ns):
-            self._node.counters.add("counts_lost")
-            self._node.log.warning(
-                "the encoder's count began anew at %d: its travel goes on where the load says that the belt is", count
-            )
-            self._zero.ask()
+        reading = self._shaft.read(count, now_ns)
+        if reading is Reading.ODD:
+            self._node.counters.add("counts_odd")
+            return
+        if reading is Reading.LOST:
+            self._lost()
         if self._zero.decide(now_ns, self._shaft.turned_m):
             self._node.log.info("tells travel from %.3f m on", self._travel_m)
         levels = {"travel_m": self._travel_m, "belt_mps": self._shaft.speed_mps()}
@@ -98,6 +98,18 @@ class EncoderNode:
         if self._zero.standing is Standing.TELLS and now_ns - self._told_ns >= TELL_EVERY_NS:
             self._told_ns = now_ns
             self._out.put(Travel(self._node.name, self._node.run, day_ns, self._travel_m, estimated=False))
+
+    def _lost(self) -> None:
+        """The counter lost its count; it is told at first, and ever more seldom."""
+        self._node.counters.add("counts_lost")
+        lost = self._node.counters.get("counts_lost")
+        if _is_told(lost):
+            self._node.log.warning(
+                "the encoder's count jumped %s, the %d. time: it began again, or metres_per_pulse is too large; its "
+                "travel goes on where the load says that the belt is",
+                self._shaft.jump, lost,
+            )  # fmt: skip
+        self._zero.ask()
 
     @property
     def _travel_m(self) -> float:
@@ -135,13 +147,18 @@ class EncoderNode:
     def _refuse(self, error: ValueError) -> None:
         self._node.counters.add("lines_refused")
         refused = self._node.counters.get("lines_refused")
-        if refused & (refused - 1) == 0:
+        if _is_told(refused):
             self._node.log.warning("%s, the %d. that is refused", error, refused)
 
     def _rest(self, seconds: float) -> None:
         until_s = time.monotonic() + seconds
         while (left_s := until_s - time.monotonic()) > 0 and not self._node.stop.wait(min(left_s, 0.5)):
             self._node.progress()
+
+
+def _is_told(n: int) -> bool:
+    """1, 2, 4, 8 ...: told, and never a flood."""
+    return n & (n - 1) == 0
 
 
 def run_encoder(config: LineConfig, *, run: str) -> None:

@@ -110,6 +110,22 @@ def test_two_devices_are_not_read_from_one_port() -> None:
     assert parse_config(raw, where="test").encoder is not None
 
 
+def test_an_encoder_tells_the_cameras_of_today(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cameras = {
+        "a": {"source": "realsense"},
+        "b": {"path": "monday", "waits": False},
+        "c": {"path": "monday", "waits": False, "starts_at_s": 1.8e9},
+        "d": {"source": "ros2", "topic": "/depth"},
+    }
+    encoder = {"source": "simulated:", "metres_per_pulse": 0.0005}
+    assert parse_config({"cameras": cameras, "encoder": encoder}, where="test").hears_encoder == ("a", "c", "d")
+    assert parse_config({"cameras": cameras}, where="test").hears_encoder == ()
+    file = tmp_path / "line.toml"
+    file.write_text(dump_toml(parse_config({"cameras": {"b": cameras["b"]}, "encoder": encoder}, where="test")))
+    check(file)
+    assert "warning: encoder: no camera of this line is live" in capsys.readouterr().err
+
+
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(write(tmp_path, "[segmenter]\nring = 0\ncredit = 1\n[viewers]\n"))

@@ -29,11 +29,11 @@ def found(
     config: LineConfig = CONFIG,
 ) -> list[Finding]:
     gauges = {"encoder/encoder": encoder, "camera/left": camera or {}, "segmenter/left": segmenter or {}}
-    nodes = {
-        name: Counters(*name.split("/"), "r", 1, "h", "1", 9.0, {"counts": counts, "encoder_lost": 3}, levels)
-        for name, levels in gauges.items()
-        if levels is not None
-    }
+    nodes = {}
+    for name, levels in gauges.items():
+        if levels is not None:
+            values = {"counts": counts, "encoder_lost": 3, "counts_odd": int(levels.get("odd", 0))}
+            nodes[name] = Counters(*name.split("/"), "r", 1, "h", "1", 9.0, values, levels)
     return check_encoder(config, nodes, alive=set(nodes))
 
 
@@ -47,6 +47,7 @@ def test_one_that_tells_is_well() -> None:
     [
         ({"tells": 0.0, "late": 1.0}, 100, Level.WARNING, "the run had begun without it"),
         ({}, 0, Level.FAULT, "no count has come from it (lost 3 times)"),
+        ({"tells": 0.0, "odd": 40}, 100, Level.FAULT, "its count jumps (40 of 100 times)"),
         ({"tells": 0.0}, 100, Level.WARNING, "it waits for the segmenters"),
     ],
 )

@@ -39,13 +39,14 @@ def devices(root: Path) -> set[str]:
         (("gnss",), LIVE, {"gnss"}),
         ((), LIVE, set()),
         (("encoder", "gnss"), RECORDED, {"gnss"}),
-        (("encoder",), RECORDED + "waits = false\n", {"encoder"}),
+        (("encoder",), RECORDED + "waits = false\n", set()),
+        (("encoder",), RECORDED + "waits = false\nstarts_at_s = 1795000000.0\n", {"encoder"}),
     ],
 )
 def test_without_roles_what_the_file_has_runs(
     tmp_path: Path, sections: tuple[str, ...], cameras: str, started: set[str]
 ) -> None:
-    """As `tuberline run` starts it: a recording that is held back tells the belt's travel itself."""
+    """As `tuberline run` starts it: a recording tells the belt's travel itself, but one that plays as a device does."""
     done = install(tmp_path / "root", config=config(tmp_path, *sections, cameras=cameras))
     assert done.returncode == 0, done.stderr
     assert devices(tmp_path / "root") == started

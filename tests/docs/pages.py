@@ -62,6 +62,7 @@ PAGES: dict[str, Page] = {
         }
     ),
     "docs/design.md": Page(),
+    "docs/encoder.md": Page(given=("line_file",), codes=BUSY),
     "docs/evaluation-real.md": Page(given=("shared",)),
     "docs/evaluation-segmentation.md": Page(),
     # A batch of the paper's recipe is 32 views. The equals sign keeps the size from being limited.

@@ -19,8 +19,8 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
-    Recordings, tickets and contracts that cannot be read here are warned of, cameras without a recording, and live
-    cameras that hang at one place.
+    Recordings, tickets and contracts that cannot be read here are warned of, cameras without a recording, live
+    cameras that hang at one place, and an encoder that no camera hears.
 
     Parameters
     ----------
@@ -37,6 +37,8 @@ def check(config: Path) -> None:
             sys.stderr.write(f"warning: cameras.{name} has no path: a camera that replays a recording cannot start\n")
     if together := at_one_place(line.cameras):
         sys.stderr.write(f"warning: {hang_together(together)}\n")
+    if line.encoder is not None and not line.hears_encoder:
+        sys.stderr.write("warning: encoder: no camera of this line is live, and recordings bring their own travel\n")
     for fault in unreadable_files(line):
         sys.stderr.write(f"warning: {fault}\n")
 

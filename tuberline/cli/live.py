@@ -25,7 +25,10 @@ _SHOWN = {
     "aggregator": ("tubers_committed", "entries_applied"),
     "viewer": ("frame_shown", "tuber_shown"),
     "recorder": ("frames_written",),
+    "encoder": ("counts",),
+    "gnss": ("positions",),
 }
+_LEVELS = {"encoder": (("travel_m", "travel {:.2f} m"), ("belt_mps", "now {:.2f} m/s"))}
 MOST_ROWS = 200
 LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
 """A counter whose name holds one of these tells of something that did not arrive or was not used."""
@@ -186,6 +189,9 @@ def _did(name: str, counters: Counters, pace: Pace | None) -> Iterator[str]:
             rate = pace.per_s(name, key) if pace else None
             what = f"{key.split('_')[0]}s" if counters.role == "viewer" else key.split("_", 1)[-1]
             yield f"{what} {counters.count(key)}" + ("" if rate is None else f" ({rate:.1f}/s)")
+    for key, text in _LEVELS.get(counters.role, ()):
+        if key in counters.gauges:
+            yield text.format(counters.gauges[key])
 
 
 def losses(counters: Counters) -> dict[str, float]:

@@ -9,6 +9,8 @@ from conveyor.messages import Counters
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
 SILENT_S = 2.0
+OFTEN = 0.01
+"""Of its counts: so many are no lost power any more."""
 SAME_SHARE = 0.02
 """Loads roll and slip: metres that differ by less say nothing of the encoder."""
 TOO_FAR_SHARE = 0.12
@@ -18,14 +20,14 @@ TOO_FAR_SHARE = 0.12
 def check_encoder(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set[str]) -> list[Finding]:
     """What the encoder, the cameras and their segmenters say of it; nothing where the line has none."""
     settings = config.encoder
-    if settings is None or not config.live:
+    if settings is None or not config.hears_encoder:
         return []
     name = f"encoder/{settings.name}"
     found = []
     node = nodes.get(name) if name in alive else None
     if node is not None and not node.gauges.get("tells"):
         found.append(_tells_nothing(node))
-    for camera in sorted(config.cameras):
+    for camera in config.hears_encoder:
         source, segmenter = (nodes.get(f"{role}/{camera}") for role in ("camera", "segmenter"))
         silent_s = source.gauges.get("encoder_silent_s", 0.0) if source is not None else 0.0
         scale = segmenter.gauges.get("encoder_scale") if segmenter is not None else None
@@ -44,6 +46,9 @@ def _tells_nothing(node: Counters) -> Finding:
     if node.gauges.get("late"):
         text = "the run had begun without it, and goes on by the load"
         return warning("encoder", text, "begin a new run to use it: stop the line and start it again")
+    if node.count("counts_odd") > node.count("counts") * OFTEN:
+        text = f"its count jumps ({node.count('counts_odd')} of {node.count('counts')} times)"
+        return fault("encoder", text, "encoder.metres_per_pulse is too large, or its cable picks up noise; see its log")
     if not node.count("counts"):
         text = f"no count has come from it (lost {node.count('encoder_lost')} times)"
         return fault("encoder", text, "look at its cable and power, and at encoder.source; its log says what it gave")

@@ -22,7 +22,7 @@ CLOCK_GAUGE = "clock_unix_s"
 def expected_nodes(config: LineConfig) -> set[str]:
     """'role/name' of the nodes a complete line has, wherever they run; regressors may be any."""
     of_cameras = {f"{role}/{name}" for role in ("camera", "segmenter") for name in config.cameras}
-    devices = {f"encoder/{config.encoder.name}"} if config.encoder is not None and config.live else set()
+    devices = {f"encoder/{config.encoder.name}"} if config.encoder is not None and config.hears_encoder else set()
     devices |= {f"gnss/{config.gnss.name}"} if config.gnss is not None else set()
     return {"aggregator/aggregator"} | of_cameras | devices
 

@@ -1,4 +1,4 @@
-"""An encoder's board as a harvester has it: it sends its count over TCP, whoever listens and whatever befalls it."""
+"""An encoder's board as a harvester has it: it sends its count over TCP, to all who listen, whatever happens to it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ FULL = 1 << 32
 
 
 class EncoderBoard:
-    """Counts the pulses of the belt of a recording that plays from `starts_s` on (time of the day) at `speed`."""
+    """Counts the pulses of a recording's belt. `frames_csv` is a table of its frames with travel; what it says of
+    `began_ns` passes at `starts_s` (time of the day), the rest at `speed`.
+    """
 
-    def __init__(self, frames_csv: Path, *, starts_s: float, speed: float) -> None:
+    def __init__(self, frames_csv: Path, *, began_ns: int, starts_s: float, speed: float) -> None:
         with frames_csv.open() as file:
             rows = [(int(row["captured_ns"]), float(row["travel_m"])) for row in csv.DictReader(file)]
-        self._at_s = starts_s + np.array([t - rows[0][0] for t, _ in rows]) / 1e9 / speed
+        self._at_s = starts_s + np.array([t - began_ns for t, _ in rows]) / 1e9 / speed
         self._travel_m = np.array([travel_m for _, travel_m in rows])
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
