@@ -118,9 +118,10 @@ class CameraNode:
                 self._wait_for_turn(item)
                 if self._interrupted:
                     return
-                if self._waits_for_encoder(item):
+                stamped = self._stamped(item)
+                if stamped is None:
                     continue
-                self._publish(replace(item, after_seq=after) if self._waits else self._on_time(self._stamped(item)))
+                self._publish(replace(stamped, after_seq=after) if self._waits else self._on_time(stamped))
                 after = item.seq
         while self._waits and self._window.in_flight and not self._interrupted:
             self._wait_for_progress()
@@ -235,17 +236,20 @@ class CameraNode:
             self._tell("streaming")
         return not self._node.stop.is_set()
 
-    def _waits_for_encoder(self, frame: Frame) -> bool:
-        """The run begins, and its first frames are to have a travel; one that is gone on with takes what comes."""
-        if self._stamper is None or not self._begins:
-            return False
-        done = [p.done_seq for p in self._progress.latest().values() if p.run == self._node.run]
-        self._begins = max(done, default=-1) < 0 and self._stamper.holds(frame, segmenter=bool(done))
-        return self._begins
-
-    def _stamped(self, frame: Frame) -> Frame:
-        """A live camera's frame with the travel that the line's encoder tells."""
-        return frame if self._stamper is None else self._stamper.stamped(frame)
+    def _stamped(self, frame: Frame) -> Frame | None:
+        """The frame with the travel that the line's encoder tells; None where it is held back, for the run begins and
+        nothing was told yet. One that is gone on with takes what comes.
+        """
+        if self._stamper is None:
+            return frame
+        if self._begins:
+            done = [p.done_seq for p in self._progress.latest().values() if p.run == self._node.run]
+            if max(done, default=-1) < 0:
+                first = self._stamper.first(frame, segmenter=bool(done))
+                self._begins = first is None
+                return first
+            self._begins = False
+        return self._stamper.stamped(frame)
 
     def _on_time(self, frame: Frame) -> Frame:
         """The frame of a camera that waits for no one, without the steps of its clock: frames and what is said of them

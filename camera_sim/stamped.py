@@ -17,8 +17,7 @@ NEXT_WITHIN_S = 0.1
 """A frame waits so long for what the encoder tells next; it tells 50 times a second."""
 FIRST_WITHIN_S = 10.0
 ALONE_WITHIN_S = 20.0
-"""A run that begins waits so long for its encoder, once its segmenter is there, and so much longer for that one: it
-goes on to its end as it began, with an encoder or without."""
+"""A run that begins waits so long for its encoder, once its segmenter is there, and so much longer for that one."""
 
 
 class FrameStamper:
@@ -42,35 +41,39 @@ class FrameStamper:
         """Take what was told meanwhile."""
         self._take(0.0)
 
-    def holds(self, frame: Frame, *, segmenter: bool) -> bool:
-        """A run that begins waits with its frames for the encoder's first word, for a while; `segmenter`: it was heard,
-        and the encoder asks it where the belt is.
+    def first(self, frame: Frame, *, segmenter: bool) -> Frame | None:
+        """A frame of a run that begins, as `stamped`; None where it is held back: the run goes to its end as its first
+        frame says, with an encoder or without. `segmenter`: it was heard, and the encoder asks it where the belt is.
         """
         now_s = time.monotonic()
         if segmenter and self._heard_s is None:
             self._heard_s = now_s
-        taken_ns = self._stamps.taken_ns(frame.captured_ns, day_ns=time.time_ns(), now_ns=time.monotonic_ns())
-        self._take(0.0)
-        if self._stamps.silent_ns(0) is not None and taken_ns is not None:
-            return False
-        since_s = now_s - self._began_s - ALONE_WITHIN_S if self._heard_s is None else now_s - self._heard_s
-        if since_s < FIRST_WITHIN_S:
-            return True
-        self._node.log.error("the encoder '%s' tells nothing: this run goes by the load", self._name)
-        return False
+        travel_m = self._travel_of(frame)
+        waited_s = now_s - self._began_s - ALONE_WITHIN_S if self._heard_s is None else now_s - self._heard_s
+        if travel_m is None and waited_s < FIRST_WITHIN_S:
+            return None
+        if travel_m is None:
+            self._node.log.error("the encoder '%s' tells nothing: this run goes by the load", self._name)
+        return self._with(frame, travel_m)
 
     def stamped(self, frame: Frame) -> Frame:
         """The frame with its travel; without one where the encoder was silent when it was taken. One that brings its
         own keeps it.
         """
-        if frame.travel_m is not None:
-            return frame
-        taken_ns = self._stamps.taken_ns(frame.captured_ns, day_ns=time.time_ns(), now_ns=time.monotonic_ns())
-        self._tell_foreign()
-        travel_m = None if taken_ns is None else self._travel_at(taken_ns)
+        return self._with(frame, self._travel_of(frame))
+
+    def _with(self, frame: Frame, travel_m: float | None) -> Frame:
         self._node.counters.add("frames_without_travel" if travel_m is None else "frames_with_travel")
         self._tell_silent(silent=travel_m is None)
         return frame if travel_m is None else replace(frame, travel_m=travel_m)
+
+    def _travel_of(self, frame: Frame) -> float | None:
+        """Its own, or the encoder's at the moment it was taken; None where neither is known."""
+        taken_ns = self._stamps.taken_ns(frame.captured_ns, day_ns=time.time_ns(), now_ns=time.monotonic_ns())
+        self._tell_foreign()
+        if frame.travel_m is not None or taken_ns is None:
+            return frame.travel_m
+        return self._travel_at(taken_ns)
 
     def _travel_at(self, taken_ns: int) -> float | None:
         """Waits for what the encoder tells next, where that says it."""
@@ -85,11 +88,12 @@ class FrameStamper:
 
     def _take(self, timeout_s: float) -> None:
         """What was told; waits for it at most so long."""
-        travel = self._travels.get(timeout_s)
-        while travel is not None:
+        came = self._travels.get_with_arrival(timeout_s)
+        while came is not None:
+            travel, arrived_ns = came
             if travel.run == self._node.run and not travel.estimated:
-                self._stamps.told(travel.captured_ns, travel.travel_m, time.monotonic_ns())
-            travel = self._travels.get(0.0)
+                self._stamps.told(travel.captured_ns, travel.travel_m, arrived_ns)
+            came = self._travels.get_with_arrival(0.0)
 
     def _tell_silent(self, *, silent: bool) -> None:
         now_s = time.monotonic()

@@ -14,8 +14,8 @@ from conveyor.messages import FrameProgress, Travel
 
 WAIT_FOR_REST_NS = 5_000_000_000
 """Cameras that say nothing so long after the first one has spoken are not there."""
-SAME_CLOCK_NS = 5_000_000_000
-"""A camera's clock that is so near to ours is taken for ours."""
+YOUNGEST_NS, OLDEST_NS = -50_000_000, 1_000_000_000
+"""Where a frame was looked at so soon after it was taken, its camera's clock is taken for ours."""
 
 
 class Standing(StrEnum):
@@ -69,7 +69,7 @@ class Zero:
         if said.estimated:
             self.standing = Standing.LATE
             return
-        same_clock = abs(said.captured_ns - clock_ns) < SAME_CLOCK_NS
+        same_clock = YOUNGEST_NS <= clock_ns - said.captured_ns <= OLDEST_NS
         turned_m = turned_at(said.captured_ns if same_clock else clock_ns)
         if turned_m is not None:
             self._offsets_m[said.source] = said.travel_m - turned_m

@@ -50,7 +50,7 @@ class Inbox(Generic[M]):
         self._log = log
         self._capacity = capacity
         self._on_refused = on_refused
-        self._queue: deque[tuple[str, bytes]] = deque()
+        self._queue: deque[tuple[str, bytes, int]] = deque()
         self._arrived = threading.Condition()
         for outcome in ("received", "dropped_overwritten"):
             counters.add(f"{name}_{outcome}", 0)
@@ -61,7 +61,7 @@ class Inbox(Generic[M]):
 
     def push_data(self, key: str, data: bytes) -> None:
         """Queue an encoded message that came on `key`."""
-        item = (key, data)
+        item = (key, data, time.monotonic_ns())
         with self._arrived:
             overwritten = len(self._queue) >= self._capacity
             if overwritten:
@@ -84,6 +84,15 @@ class Inbox(Generic[M]):
 
     def get_with_key(self, timeout_s: float) -> tuple[str, M] | None:
         """Like `get`, with the key the message came on."""
+        item = self._take(timeout_s)
+        return None if item is None else item[:2]
+
+    def get_with_arrival(self, timeout_s: float) -> tuple[M, int] | None:
+        """Like `get`, with the time at which it came: monotonic, nanoseconds."""
+        item = self._take(timeout_s)
+        return None if item is None else item[1:]
+
+    def _take(self, timeout_s: float) -> tuple[str, M, int] | None:
         deadline = time.monotonic() + timeout_s
         while True:
             with self._arrived:
@@ -91,9 +100,9 @@ class Inbox(Generic[M]):
                     left = deadline - time.monotonic()
                     if left <= 0 or not self._arrived.wait(left):
                         return None
-                key, data = self._queue.popleft()
+                key, data, arrived_ns = self._queue.popleft()
             try:
-                return key, self._type.decode(data)
+                return key, self._type.decode(data), arrived_ns
             except MessageError as error:
                 self._refusals.refuse(key, error)
                 if self._on_refused is not None:

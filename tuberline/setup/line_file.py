@@ -53,6 +53,10 @@ def line_file(
         if "path" not in settings and live > 1:
             parts.append(_aside("across_m", 0.0, "where it hangs across the belt; `tuberline calibrate cameras`"))
     parts.append(_rest(name, processes, belt))
+    if live:
+        parts.append("\n# [encoder]\n")
+        parts.append(_aside("source", "serial:/dev/ttyACM0?baud=115200", "of the belt's shaft: docs/encoder.md"))
+        parts.append(_aside("metres_per_pulse", 0.0005, "`tuberline doctor` compares it with the load"))
     return "".join(parts)
 
 
