@@ -88,7 +88,9 @@ class BeltWatch:
         return BeltCheck(None, median(drifts), median(tilts) if tilts else None)
 
     def _vote(self, instances: Instances, travel_m: float) -> None:
-        """Where the tubers of the last frame should be now, had they moved with the travel, or against it."""
+        """Where the tubers of the last frame should be now, had they moved with the travel, or against it: each by
+        itself, for where one lies at a time no two of them share a move (`MotionWatch`).
+        """
         whole = ~instances.cut.any(axis=1)
         now = instances.centre_m[whole]
         last, self._last = self._last, (travel_m, now)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from segmenter_scene import SMALL, Scene, scattered, tilted
+from segmenter_scene import SMALL, Body, Scene, scattered, tilted
 
 from conveyor.belt_findings import belt_findings
 from conveyor.camera_place import CameraPlace
@@ -151,6 +151,13 @@ def test_a_fast_belt_that_runs_the_other_way_is_said_too() -> None:
     _, levels = watched(replace(frame, travel_m=0.04 * frame.seq) for frame in frames)
     assert levels["belt_backwards"] == 1
     assert levels["encoder_off"] == 0
+
+
+def test_a_belt_that_runs_the_other_way_is_said_where_one_tuber_lies_at_a_time() -> None:
+    lone = Scene([Body(-0.1 - 0.5 * n, 0.03 * (-1) ** n) for n in range(6)], noise_m=0.001)
+    frames = (replace(lone.frame(i, 2.0 - i * STEP_M), travel_m=i * STEP_M) for i in range(70))
+    _, levels = watched(frames)
+    assert levels["belt_backwards"] == 1
 
 
 def test_the_load_stands_when_the_encoder_stands() -> None:
