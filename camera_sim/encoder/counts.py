@@ -7,15 +7,20 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
-from urllib.parse import parse_qs, urlsplit
 
 from camera_sim.lines import LineDevice, SerialLines, SocketLines
-from conveyor.config_encoder import EncoderConfig
-from conveyor.errors import ConfigError, DeviceError
+from conveyor.config_encoder import (
+    CounterFile,
+    EncoderConfig,
+    SerialPort,
+    SimulatedBelt,
+    TcpServer,
+    encoder_source,
+)
+from conveyor.errors import DeviceError
 
 WHAT = "encoder"
 READ_EVERY_S = 0.02
-BAUD = 115_200
 LONGEST_LINE = 80
 _COUNT = re.compile(rb"[^\d+-]*([+-]?\d{1,20})\s*")
 
@@ -40,29 +45,19 @@ def open_counter(settings: EncoderConfig, *, wait: Callable[[float], bool]) -> C
     """The encoder that `[encoder] source` names. `wait` sleeps for some seconds, and says True when interrupted.
 
     Raises:
-        ConfigError: no such kind of source.
         DeviceError: it is not there now.
         InputError: a package is missing.
     """
-    parts = urlsplit(settings.source)
-    query = parse_qs(parts.query)
-    if parts.scheme == "tcp" and parts.hostname and parts.port:
-        return _Told(SocketLines(parts.hostname, parts.port, what=WHAT))
-    if parts.scheme == "serial" and parts.path:
-        baud = query.get("baud", [str(BAUD)])[0]
-        if baud.isdigit():
-            return _Told(SerialLines(parts.path, int(baud), what=WHAT, extra="encoder"))
-    if parts.scheme == "counter" and parts.path:
-        return _Files(Path(parts.path), wait=wait)
-    if parts.scheme == "simulated":
-        try:
-            return _Simulated(float(query.get("speed_mps", ["0.4"])[0]) / settings.metres_per_pulse, wait=wait)
-        except ValueError:
-            pass
-    raise ConfigError(
-        f"encoder.source is '{settings.source}'; allowed are serial:/dev/ttyACM0?baud=115200, tcp://host:port, "
-        "counter:/sys/bus/counter/devices/counter0/count0 and simulated:?speed_mps=0.4"
-    )
+    source = encoder_source(settings.source)
+    match source:
+        case TcpServer():
+            return _Told(SocketLines(source.host, source.port, what=WHAT))
+        case SerialPort():
+            return _Told(SerialLines(source.path, source.baud, what=WHAT, extra="encoder"))
+        case CounterFile():
+            return _Files(source.path, wait=wait)
+        case SimulatedBelt():
+            return _Simulated(source.speed_mps / settings.metres_per_pulse, wait=wait)
 
 
 def count_of(line: bytes) -> int:

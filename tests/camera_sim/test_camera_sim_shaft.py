@@ -16,6 +16,7 @@ import pytest
 from camera_sim.encoder.counts import Counter, count_of, open_counter
 from camera_sim.encoder.shaft import Reading, Shaft
 from camera_sim.encoder.zero import WAIT_FOR_REST_NS, Standing, Zero
+from conveyor.config import parse_config
 from conveyor.config_encoder import EncoderConfig
 from conveyor.errors import ConfigError, DeviceError
 from conveyor.messages import FrameProgress, Travel
@@ -251,11 +252,17 @@ def test_a_simulated_belt_runs_at_its_speed() -> None:
 
 
 @pytest.mark.parametrize(
-    "source", ["/dev/ttyACM0", "serial:", "serial:/dev/x?baud=fast", "tcp://host", "simulated:?speed_mps=x", "usb:1"]
+    "source",
+    [
+        *("/dev/ttyACM0", "serial:", "serial:/dev/x?baud=fast", "serial:/dev/x?bauds=9600", "tcp://host", "usb:1"),
+        *("tcp://host:99999", "simulated:?speed_mps=x", "simulated:?speed_mps=nan", "simulated:?speed_mps=40"),
+    ],
 )
 def test_another_source_is_refused_with_those_that_are_known(source: str) -> None:
-    with pytest.raises(ConfigError, match=r"allowed are serial:/dev/ttyACM0\?baud=115200, tcp://host:port"):
-        open_counter(settings(source), wait=lambda s: False)
+    """Before the line is started, not by a node that ends again and again."""
+    raw = {"encoder": {"source": source, "metres_per_pulse": MPP}}
+    with pytest.raises(ConfigError, match=r"is no encoder; allowed are serial:/dev/ttyACM0\?baud=115200, tcp://host"):
+        parse_config(raw, where="test")
 
 
 @pytest.mark.parametrize(
