@@ -14,6 +14,8 @@ from conveyor.config_base import Section, checked_name
 
 BAUD = 115_200
 SPEED_MPS = 0.4
+COARSEST_M = 0.01
+"""Tubers are found again within 22 mm of where they are expected: coarser pulses would lay them elsewhere each time."""
 Number = TypeVar("Number", int, float)
 
 
@@ -89,7 +91,9 @@ class EncoderConfig(Section):
         "each time), counter:/sys/bus/counter/devices/counter0/count0 (Linux), simulated:?speed_mps=0.4"
     )
     metres_per_pulse: float = Field(
-        ge=-1, le=1, description="belt that passes in one count; below 0 where it counts down while the belt runs on"
+        ge=-COARSEST_M,
+        le=COARSEST_M,
+        description="belt that passes in one count; below 0 where it counts down while the belt runs on",
     )
     bits: int = Field(32, ge=8, le=64, description="of the counter: where it is full it begins at 0 again")
     name: str = Field("encoder", description="the encoder's name on the line")

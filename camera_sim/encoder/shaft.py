@@ -11,7 +11,7 @@ FASTEST_MPS, BACK_MPS = 5.0, 1.0
 JITTER_M = 0.02
 """Counts come in bursts: so much belt may be told at once."""
 KEPT = 2000
-"""Newest readings, some ten seconds."""
+"""Newest readings, of 20 s and more."""
 
 
 class Reading(Enum):

@@ -266,7 +266,7 @@ def test_another_source_is_refused_with_those_that_are_known(source: str) -> Non
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"metres_per_pulse": 0.0}, {"metres_per_pulse": math.inf}, {"bits": 4}, {"name": "a b"}]
+    "wrong", [*({"metres_per_pulse": metres} for metres in (0.0, 0.2, math.inf)), {"bits": 4}, {"name": "a b"}]
 )
 def test_settings_that_cannot_be_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
