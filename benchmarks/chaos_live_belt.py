@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from bisect import bisect_left
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from benchmarks.belt_tables import travel_told, without_travel
 from camera_sim.sim.optics import Optics
 from camera_sim.sim.placement import Packing
 from camera_sim.sim.presets import PRESETS
@@ -45,11 +45,7 @@ def make_belt(kind: str, folder: Path, *, seed: int) -> Path:
     if (out / "truth.json").is_file():
         return out
     if kind == "no encoder":
-        shutil.copytree(make_belt("encoder", folder, seed=seed), out)
-        for table in out.glob("*/frames.csv"):
-            lines = table.read_text().splitlines()
-            table.write_text("\n".join([lines[0], *(line.rpartition(",")[0] + "," for line in lines[1:])]) + "\n")
-        return out
+        return without_travel(make_belt("encoder", folder, seed=seed), out)
     layout = replace(layout_named(SCENES[kind]), packing=EVEN, lanes_m=(LANES[kind],))
     settings = SceneSettings(
         scene=SCENES[kind],
@@ -79,9 +75,7 @@ def _end_with_the_load(recording: Path) -> None:
 
 def what_passed(recording: Path, *, travel_of: Path) -> Passed:
     """The truth of `recording`; the belt's travel is read from `travel_of`, the same belt with an encoder."""
-    table = sorted(travel_of.glob("*/frames.csv"))[0]
-    with table.open(newline="") as file:
-        rows = [(int(row["captured_ns"]), float(row["travel_m"])) for row in csv.DictReader(file)]
+    rows = travel_told(sorted(travel_of.glob("*/frames.csv"))[0])
     travel = [m for _, m in rows]
     tubers = json.loads((recording / "truth.json").read_text())["tubers"]
     crossed_s = []

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import socket
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -19,15 +18,13 @@ FULL = 1 << 32
 
 
 class EncoderBoard:
-    """Counts the pulses of a recording's belt. `frames_csv` is a table of its frames with travel; what it says of
+    """Counts the pulses of a recording's belt. `told` is its travel, metres, by capture time; what it says of
     `began_ns` passes at `starts_s` (time of the day), the rest at `speed`.
     """
 
-    def __init__(self, frames_csv: Path, *, began_ns: int, starts_s: float, speed: float) -> None:
-        with frames_csv.open() as file:
-            rows = [(int(row["captured_ns"]), float(row["travel_m"])) for row in csv.DictReader(file)]
-        self._at_s = starts_s + np.array([t - began_ns for t, _ in rows]) / 1e9 / speed
-        self._travel_m = np.array([travel_m for _, travel_m in rows])
+    def __init__(self, told: Sequence[tuple[int, float]], *, began_ns: int, starts_s: float, speed: float) -> None:
+        self._at_s = starts_s + np.array([t - began_ns for t, _ in told]) / 1e9 / speed
+        self._travel_m = np.array([travel_m for _, travel_m in told])
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self.mute = False

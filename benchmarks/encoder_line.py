@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.ledger.writer import Ledger
+from benchmarks.belt_tables import travel_told, without_travel
 from benchmarks.encoder_board import METRES_PER_PULSE, EncoderBoard
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.messages import Counters, Tuber
@@ -40,14 +40,12 @@ class EncoderLine:
     def __init__(self, folder: Path, recording: Path, *, speed: float, encoder: bool = True) -> None:
         self._folder = folder
         self.recording = recording
-        bare = shutil.copytree(recording, folder / "recording")
-        tables = sorted(bare.glob("*/frames.csv"))
-        self.cameras = [table.parent.name for table in tables]
-        first_ns = {table.parent.name: _without_travel(table) for table in tables}
+        bare = without_travel(recording, folder / "recording")
+        told = {table.parent.name: travel_told(table) for table in sorted(recording.glob("*/frames.csv"))}
+        self.cameras = list(told)
+        first_ns = {name: rows[0][0] for name, rows in told.items()}
         began_ns, starts_s = min(first_ns.values()), time.time() + STARTS_S
-        self.board = EncoderBoard(
-            recording / self.cameras[0] / "frames.csv", began_ns=began_ns, starts_s=starts_s, speed=speed
-        )
+        self.board = EncoderBoard(told[self.cameras[0]], began_ns=began_ns, starts_s=starts_s, speed=speed)
         self.nodes: dict[str, Counters] = {}
         section = {"source": f"tcp://127.0.0.1:{self.board.port}", "metres_per_pulse": METRES_PER_PULSE}
         self.config: LineConfig = parse_config(
@@ -161,10 +159,3 @@ def _kill(processes: Supervisor, names: Sequence[str]) -> None:
     for name in names:
         if (pid := processes.pid(name)) is not None:
             os.kill(pid, signal.SIGKILL)
-
-
-def _without_travel(table: Path) -> int:
-    """Take the travel out of frames.csv; returns the first frame's capture time."""
-    head, *rows = table.read_text().splitlines()
-    table.write_text("\n".join([head, *(row.rpartition(",")[0] + "," for row in rows)]) + "\n")
-    return int(rows[0].split(",")[1])

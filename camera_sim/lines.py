@@ -35,28 +35,34 @@ class LineDevice(Protocol):
         """Let it go."""
 
 
-class _Lines:
-    """Bytes put together to lines."""
+class _Port:
+    """Bytes as they come, put together to lines."""
 
-    def __init__(self) -> None:
+    def __init__(self, where: str) -> None:
+        self._where = where
         self._buffer = b""
 
-    def add(self, data: bytes) -> None:
-        self._buffer = (self._buffer + data)[-MOST_BYTES:]
-
-    @property
-    def pending(self) -> bool:
-        return b"\n" in self._buffer
-
-    def take(self) -> bytes | None:
+    def read(self) -> bytes | None:
+        """As `LineDevice` has it."""
+        if not self.pending:
+            self._buffer = (self._buffer + self._receive())[-MOST_BYTES:]
         line, end, rest = self._buffer.partition(b"\n")
         if not end:
             return None
         self._buffer = rest
         return line
 
+    @property
+    def pending(self) -> bool:
+        """As `LineDevice` has it."""
+        return b"\n" in self._buffer
 
-class SocketLines:
+    def _receive(self) -> bytes:
+        """What has come, or comes within `POLL_S`; empty where nothing does."""
+        raise NotImplementedError
+
+
+class SocketLines(_Port):
     """A TCP server. `what` it is stands in errors; `greeting` is sent to it first.
 
     Raises:
@@ -64,8 +70,7 @@ class SocketLines:
     """
 
     def __init__(self, host: str, port: int, *, what: str, greeting: bytes = b"") -> None:
-        self._where = f"{what} at {host}:{port}"
-        self._lines = _Lines()
+        super().__init__(f"{what} at {host}:{port}")
         try:
             self._socket = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
             self._socket.sendall(greeting)
@@ -73,26 +78,16 @@ class SocketLines:
         except OSError as error:
             raise DeviceError(f"{self._where} does not answer: {error}") from error
 
-    def read(self) -> bytes | None:
-        """As `LineDevice` has it."""
-        line = self._lines.take()
-        if line is not None:
-            return line
+    def _receive(self) -> bytes:
         try:
             data = self._socket.recv(4096)
         except TimeoutError:
-            return None
+            return b""
         except OSError as error:
             raise DeviceError(f"{self._where} is gone: {error}") from error
         if not data:
             raise DeviceError(f"{self._where} closed the connection")
-        self._lines.add(data)
-        return self._lines.take()
-
-    @property
-    def pending(self) -> bool:
-        """As `LineDevice` has it."""
-        return self._lines.pending
+        return data
 
     def close(self) -> None:
         """As `LineDevice` has it."""
@@ -100,7 +95,7 @@ class SocketLines:
             self._socket.close()
 
 
-class SerialLines:
+class SerialLines(_Port):
     """A serial port. `what` is behind it stands in errors; `extra` installs what it needs.
 
     Raises:
@@ -113,28 +108,18 @@ class SerialLines:
             import serial
         except ImportError as error:
             raise InputError(f"a serial {what} needs pyserial; {install_hint(extra)}") from error
-        self._where, self._fault = f"{what} at {port}", serial.SerialException
-        self._lines = _Lines()
+        super().__init__(f"{what} at {port}")
+        self._fault = serial.SerialException
         try:
             self._serial = serial.Serial(port, baud, timeout=POLL_S)
         except (OSError, ValueError) as error:
             raise DeviceError(f"{self._where} cannot be opened: {error}") from error
 
-    def read(self) -> bytes | None:
-        """As `LineDevice` has it."""
-        line = self._lines.take()
-        if line is not None:
-            return line
+    def _receive(self) -> bytes:
         try:
-            self._lines.add(self._serial.read(max(1, self._serial.in_waiting)))
+            return bytes(self._serial.read(max(1, self._serial.in_waiting)))
         except (OSError, self._fault) as error:
             raise DeviceError(f"{self._where} is gone: {error}") from error
-        return self._lines.take()
-
-    @property
-    def pending(self) -> bool:
-        """As `LineDevice` has it."""
-        return self._lines.pending
 
     def close(self) -> None:
         """As `LineDevice` has it."""

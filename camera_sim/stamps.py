@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import deque
-from dataclasses import dataclass, field
 from enum import Enum, auto
+
+from conveyor.clock_delay import ClockDelay
 
 KEPT = 400
 """Newest travels, some eight seconds."""
@@ -33,26 +34,6 @@ class Known(Enum):
     """It was silent then."""
 
 
-@dataclass(slots=True)
-class ClockDelay:
-    """What this machine's monotonic clock is ahead of another clock, nanoseconds, by its quickest messages."""
-
-    _delays: deque[int] = field(default_factory=lambda: deque(maxlen=QUICKEST_OF))
-
-    def heard(self, said_ns: int, now_ns: int) -> bool:
-        """A message that says when it was made, in the other clock, is there now. False: that clock was set."""
-        delay_ns = now_ns - said_ns
-        stepped = bool(self._delays) and abs(delay_ns - min(self._delays)) > STEP_NS
-        if stepped:
-            self._delays.clear()
-        self._delays.append(delay_ns)
-        return not stepped
-
-    def here_ns(self, said_ns: int) -> int:
-        """The other clock's time in this machine's."""
-        return said_ns + min(self._delays, default=0)
-
-
 class TravelStamps:
     """Travels of the newest seconds, in this process' monotonic time.
 
@@ -63,14 +44,14 @@ class TravelStamps:
     def __init__(self) -> None:
         self.foreign = False
         self._travels: deque[tuple[int, float]] = deque(maxlen=KEPT)
-        self._encoder = ClockDelay()
-        self._camera = ClockDelay()
+        self._encoder = ClockDelay(kept=QUICKEST_OF, step_ns=STEP_NS)
+        self._camera = ClockDelay(kept=QUICKEST_OF, step_ns=STEP_NS)
         self._ages_ns: deque[int] = deque(maxlen=QUICKEST_OF)
         self._newest_ns: int | None = None
 
     def told(self, said_ns: int, travel_m: float, now_ns: int) -> None:
         """The encoder told a travel: as of `said_ns` of its clock; it is here now."""
-        if not self._encoder.heard(said_ns, now_ns):
+        if not self._encoder.heard(now_ns - said_ns):
             self._travels.clear()
         self._travels.append((said_ns, travel_m))
         self._newest_ns = now_ns
@@ -82,13 +63,13 @@ class TravelStamps:
             captured_ns: by the camera's clock. day_ns, now_ns: this machine's two clocks, now.
         """
         age_ns = day_ns - captured_ns
-        if not self._camera.heard(captured_ns, now_ns):
+        if not self._camera.heard(now_ns - captured_ns):
             self._ages_ns.clear()
         self._ages_ns.append(age_ns)
         own = EARLY_NS <= min(self._ages_ns) <= LATE_NS
         self.foreign = not own and len(self._ages_ns) >= SURE_AFTER
         if self.foreign:
-            return self._camera.here_ns(captured_ns)
+            return captured_ns + (self._camera.quickest_ns or 0)
         return now_ns - max(0, age_ns) if own else None
 
     def silent_ns(self, now_ns: int) -> int | None:
@@ -100,7 +81,7 @@ class TravelStamps:
         silent_ns = self.silent_ns(now_ns)
         if silent_ns is None:
             return Known.NEVER
-        said_ns = taken_ns - self._encoder.here_ns(0)
+        said_ns = taken_ns - (self._encoder.quickest_ns or 0)
         right = bisect_left(self._travels, said_ns, key=lambda told: told[0])
         if right == len(self._travels):
             return Known.NOT_YET if silent_ns < SILENT_NS and now_ns - taken_ns < SILENT_NS else Known.NEVER

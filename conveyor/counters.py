@@ -47,3 +47,8 @@ class CounterSet:
         """(counts, levels) at one moment."""
         with self._lock:
             return dict(self._values), dict(self._gauges)
+
+
+def is_told(n: int) -> bool:
+    """Whether the `n`-th of many like events is logged: 1, 2, 4, 8 ...: told, and never a flood."""
+    return n & (n - 1) == 0

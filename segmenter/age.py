@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
+
+from conveyor.clock_delay import ClockDelay
 
 CLOCK_JUMP_NS = 5_000_000_000
 REMEMBERED = 300
@@ -17,19 +18,17 @@ class FrameAge:
     """
 
     speed: float = 1.0
-    _delays_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    _delay: ClockDelay = field(default_factory=lambda: ClockDelay(kept=REMEMBERED, step_ns=CLOCK_JUMP_NS))
 
     @property
     def quickest_ns(self) -> int | None:
         """Our clock minus the camera's, with the way of the quickest of the last frames; None before the first."""
-        return min(self._delays_ns) if self._delays_ns and self.speed == 1.0 else None
+        return self._delay.quickest_ns if self.speed == 1.0 else None
 
     def age_ms(self, captured_ns: int, arrived_ns: int) -> float:
         """Milliseconds that this frame is later than the quickest one. A jump of the camera's clock starts over."""
         if self.speed <= 0:
             return 0.0
         delay_ns = arrived_ns - (captured_ns if self.speed == 1.0 else round(captured_ns / self.speed))
-        if self._delays_ns and abs(delay_ns - self._delays_ns[-1]) > CLOCK_JUMP_NS:
-            self._delays_ns.clear()
-        self._delays_ns.append(delay_ns)
-        return (delay_ns - min(self._delays_ns)) / 1e6
+        self._delay.heard(delay_ns)
+        return (delay_ns - (self._delay.quickest_ns or 0)) / 1e6

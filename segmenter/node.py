@@ -13,6 +13,7 @@ from conveyor.access import known_nodes
 from conveyor.belt_findings import belt_findings
 from conveyor.camera_clock import AT_START_GAUGE, CameraClock
 from conveyor.config import LineConfig
+from conveyor.counters import is_told
 from conveyor.delivery import (
     KeptPublisher,
     KeptSubscriber,
@@ -229,7 +230,7 @@ class SegmenterNode:
     def _tell_changed(self, camera_run: CameraRun, frame: Frame) -> None:
         """The first refused frame of a row, and how to go on where all of them are."""
         changed = camera_run.frames.dropped[FrameDrop.CAMERA_CHANGED]
-        if _is_told(changed):
+        if is_told(changed):
             self._node.log.error(
                 "refused frame %d, the %d. of run %s unlike the first frame, with %s: put the camera back as it was, "
                 "or start a new run",
@@ -239,7 +240,7 @@ class SegmenterNode:
     def _tell_hidden(self, camera_run: CameraRun, frame: Frame) -> None:
         """What is seen in place of the belt, and that frames are left out until it is seen again."""
         hidden = camera_run.frames.dropped[FrameDrop.NO_BELT]
-        if _is_told(hidden):
+        if is_told(hidden):
             self._node.log.error(
                 "left out frame %d, the %d. of run %s without a belt, until it is seen again: %s",
                 frame.seq, hidden, frame.run, camera_run.core.belt_hidden,
@@ -338,8 +339,3 @@ class SegmenterNode:
             counters.gauge(AT_START_GAUGE, time.monotonic() - quickest_ns / 1e9 - self._node.uptime_s)
         for reason, n in camera_run.dispatcher.requeued.items():
             counters.gauge(f"views_requeued_{reason}", n)
-
-
-def _is_told(n: int) -> bool:
-    """1, 2, 4, 8 ...: told, and never a flood."""
-    return n & (n - 1) == 0

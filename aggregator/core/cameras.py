@@ -317,9 +317,10 @@ class Cameras:
         if not self._laid:
             return None
         curves = {name: state.curve for name, state in self.states.items()}
-        reference = self._told or self.names[0]
+        told = self._told
+        reference = told or self.names[0]
         if self._head_start_m is None:
-            self._head_start_m = 0.0 if self._told else head_start_m(curves, reference=reference)
+            self._head_start_m = 0.0 if told else head_start_m(curves, reference=reference)
         if self._head_start_m is None:
             return None
         travel_m = common_travel_m(curves, reference=reference, camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)

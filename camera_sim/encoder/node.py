@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import time
 
-from camera_sim.day_clock import DayClock
+from camera_sim.device import DeviceCare
 from camera_sim.encoder.counts import Counter, open_counter
 from camera_sim.encoder.shaft import Reading, Shaft
 from camera_sim.encoder.zero import Standing, Zero
 from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.config_encoder import EncoderConfig
+from conveyor.counters import is_told
 from conveyor.delivery import KeptSubscriber, LatestPublisher, LatestSubscriber
 from conveyor.errors import ConfigError, DeviceError
 from conveyor.messages import FrameProgress, Travel
 from conveyor.node import Node
 
-BACK_OFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 SILENT_AFTER_S = 3.0
 """A device that says nothing for so long is opened again."""
-TELL_EVERY_NS = 15_000_000
+TELL_EVERY_NS, LEVELS_EVERY_NS = 15_000_000, 250_000_000
 TRAVELS = 32
 COUNTED = ("counts", "lines_refused", "encoder_lost", "encoder_silent", "counts_odd", "counts_lost", "clock_steps")
 
@@ -32,8 +32,8 @@ class EncoderNode:
         self._node = Node("encoder", settings.name, config=config, run=run)
         self._shaft = Shaft(settings.metres_per_pulse, bits=settings.bits)
         self._zero = Zero(run, config.hears_encoder)
-        self._clock = DayClock()
-        self._told_ns = 0
+        self._care = DeviceCare(self._node, lost="encoder_lost", told="travels")
+        self._told_ns = self._levels_ns = 0
 
     def run(self) -> None:
         """Read and publish; a device that is gone is opened again, with back-off, forever."""
@@ -46,18 +46,13 @@ class EncoderNode:
             self._progress = KeptSubscriber(node, topics.FRAME_PROGRESS, FrameProgress, camera="*")
             for name in COUNTED:
                 node.counters.add(name, 0)
-            tried = 0
             while not node.stop.is_set():
                 try:
                     counter = open_counter(self._settings, wait=node.stop.wait)
-                    tried = 0
+                    self._care.opened()
                     self._read(counter)
                 except DeviceError as error:
-                    pause_s = BACK_OFF_S[min(tried, len(BACK_OFF_S) - 1)]
-                    node.counters.add("encoder_lost")
-                    node.log.warning("%s; tried again in %g s", error, pause_s)
-                    self._rest(pause_s)
-                    tried += 1
+                    self._care.lost(error)
                     self._shaft.reopened()
 
     def _read(self, counter: Counter) -> None:
@@ -82,7 +77,7 @@ class EncoderNode:
 
     def _take(self, count: int) -> None:
         """A count, read now."""
-        now_ns, day_ns = time.monotonic_ns(), self._day_ns()
+        now_ns, day_ns = time.monotonic_ns(), self._care.day_ns()
         self._node.counters.add("counts")
         reading = self._shaft.read(count, now_ns)
         if reading is Reading.ODD:
@@ -92,18 +87,23 @@ class EncoderNode:
             self._lost()
         if self._zero.decide(now_ns, self._shaft.turned_m):
             self._node.log.info("tells travel from %.3f m on", self._travel_m)
-        levels = {"travel_m": self._travel_m, "belt_mps": self._shaft.speed_mps()}
-        for name, level in {**levels, "tells": float(self._zero.standing is Standing.TELLS)}.items():
-            self._node.counters.gauge(name, level)
+        if now_ns - self._levels_ns >= LEVELS_EVERY_NS:
+            self._levels_ns = now_ns
+            self._tell_levels()
         if self._zero.standing is Standing.TELLS and now_ns - self._told_ns >= TELL_EVERY_NS:
             self._told_ns = now_ns
             self._out.put(Travel(self._node.name, self._node.run, day_ns, self._travel_m, estimated=False))
+
+    def _tell_levels(self) -> None:
+        levels = {"travel_m": self._travel_m, "belt_mps": self._shaft.speed_mps()}
+        for name, level in {**levels, "tells": float(self._zero.standing is Standing.TELLS)}.items():
+            self._node.counters.gauge(name, level)
 
     def _lost(self) -> None:
         """The counter lost its count; it is told at first, and ever more seldom."""
         self._node.counters.add("counts_lost")
         lost = self._node.counters.get("counts_lost")
-        if _is_told(lost):
+        if is_told(lost):
             self._node.log.warning(
                 "the encoder's count jumped %s, the %d. time: it began again, or metres_per_pulse is too large; its "
                 "travel goes on where the load says that the belt is",
@@ -118,7 +118,7 @@ class EncoderNode:
     def _listen(self) -> None:
         """What the segmenters say, while it is not known where the belt is."""
         asking = self._zero.standing is Standing.ASKING
-        offset_ns = time.monotonic_ns() - self._day_ns() if asking else 0
+        offset_ns = time.monotonic_ns() - self._care.day_ns() if asking else 0
         for travels in self._travels:
             while len(travels) and (said := travels.get(0.0)) is not None:
                 if asking:
@@ -134,31 +134,11 @@ class EncoderNode:
                     self._node.run,
                 )
 
-    def _day_ns(self) -> int:
-        """The time of the day, without the steps of this machine's clock since the start."""
-        day_ns, step_ns = self._clock.now()
-        if step_ns:
-            self._node.counters.add("clock_steps")
-            self._node.log.warning(
-                "this machine's clock was set by %+.3f s: travel is told as if it had not", step_ns / 1e9
-            )
-        return day_ns
-
     def _refuse(self, error: ValueError) -> None:
         self._node.counters.add("lines_refused")
         refused = self._node.counters.get("lines_refused")
-        if _is_told(refused):
+        if is_told(refused):
             self._node.log.warning("%s, the %d. that is refused", error, refused)
-
-    def _rest(self, seconds: float) -> None:
-        until_s = time.monotonic() + seconds
-        while (left_s := until_s - time.monotonic()) > 0 and not self._node.stop.wait(min(left_s, 0.5)):
-            self._node.progress()
-
-
-def _is_told(n: int) -> bool:
-    """1, 2, 4, 8 ...: told, and never a flood."""
-    return n & (n - 1) == 0
 
 
 def run_encoder(config: LineConfig, *, run: str) -> None:

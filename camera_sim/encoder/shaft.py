@@ -10,6 +10,7 @@ FASTEST_MPS, BACK_MPS = 5.0, 1.0
 """No belt of a harvester is half as fast, on or back."""
 JITTER_M = 0.02
 """Counts come in bursts: so much belt may be told at once."""
+SECOND_NS = 1_000_000_000
 KEPT = 2000
 """Newest readings, of 20 s and more."""
 
@@ -87,12 +88,12 @@ class Shaft:
         """Since it was first read."""
         return self._pulses * self._metres_per_pulse
 
-    def speed_mps(self, over_ns: int = 1_000_000_000) -> float:
+    def speed_mps(self) -> float:
         """Over the newest second; 0 where less is known."""
         if len(self._turns) < 2:
             return 0.0
         t1, x1 = self._turns[-1]
-        t0, x0 = next((turn for turn in reversed(self._turns) if t1 - turn[0] >= over_ns), self._turns[0])
+        t0, x0 = next((turn for turn in reversed(self._turns) if t1 - turn[0] >= SECOND_NS), self._turns[0])
         return (x1 - x0) / max(t1 - t0, 1) * 1e9
 
     def turned_at(self, at_ns: int) -> float | None:

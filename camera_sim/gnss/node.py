@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from camera_sim.day_clock import DayClock
+from camera_sim.device import DeviceCare
 from camera_sim.gnss.receivers import open_receiver
 from camera_sim.lines import LineDevice
 from conveyor import topics
@@ -17,7 +17,6 @@ from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter
 from conveyor.messages import Position
 from conveyor.node import Node
 
-BACK_OFF_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 SILENT_AFTER_S = 10.0
 """A receiver that says nothing for so long is opened again."""
 COUNTED = ("positions", "no_fix", "lines_refused", "receiver_lost", "receiver_silent", "clock_steps")
@@ -31,7 +30,7 @@ class GnssNode:
         self._node = Node("gnss", settings.name, config=config, run=run)
         self._path = config.aggregator.out / POSITIONS_FILE
         self._fixes = NmeaFixes()
-        self._clock = DayClock()
+        self._care = DeviceCare(self._node, lost="receiver_lost", told="positions")
         self._refused = 0
 
     def run(self) -> None:
@@ -40,21 +39,16 @@ class GnssNode:
             out = ReliablePublisher(node, topics.POSITION, receiver=node.name)
             for counter in COUNTED:
                 node.counters.add(counter, 0)
-            tried = 0
             while not node.stop.is_set():
                 try:
-                    receiver = open_receiver(self._settings.source, wait=self._rest)
-                    tried = 0
+                    receiver = open_receiver(self._settings.source, wait=self._care.rest)
+                    self._care.opened()
                     self._read(receiver, file, out)
                 except DeviceError as error:
-                    pause_s = BACK_OFF_S[min(tried, len(BACK_OFF_S) - 1)]
-                    node.counters.add("receiver_lost")
-                    node.log.warning("%s; tried again in %g s", error, pause_s)
-                    self._rest(pause_s)
-                    tried += 1
+                    self._care.lost(error)
                 except EOFError:
                     node.log.info("the recorded positions end: %d positions", file.rows)
-                    while not self._rest(1.0):
+                    while not self._care.rest(1.0):
                         pass
 
     def _read(self, receiver: LineDevice, file: PositionsWriter, out: ReliablePublisher) -> None:
@@ -84,7 +78,7 @@ class GnssNode:
             receiver=self._node.name,
             run=self._node.run,
             n=file.rows,
-            time_ns=self._time_ns(),
+            time_ns=self._care.day_ns(),
             fix_ns=fix.fix_ns,
             lat_deg=fix.lat_deg,
             lon_deg=fix.lon_deg,
@@ -102,31 +96,11 @@ class GnssNode:
         self._node.counters.add("positions")
         self._node.counters.add("no_fix", int(fix.quality == 0))
 
-    def _time_ns(self) -> int:
-        """The time of the day as the run's cameras have it: steps since the start are left out, and told."""
-        time_ns, step_ns = self._clock.now()
-        if step_ns:
-            self._node.counters.add("clock_steps")
-            self._node.log.warning(
-                "this machine's clock was set by %+.3f s: positions go on as if it had not, as the cameras do",
-                step_ns / 1e9,
-            )
-        return time_ns
-
     def _count_refused(self) -> None:
         refused = self._fixes.refused.total()
         if refused > self._refused:
             self._node.counters.add("lines_refused", refused - self._refused)
             self._refused = refused
-
-    def _rest(self, seconds: float) -> bool:
-        """Sleep; True when the node is to stop."""
-        until_s = time.monotonic() + seconds
-        while (left_s := until_s - time.monotonic()) > 0:
-            if self._node.stop.wait(min(left_s, 0.5)):
-                return True
-            self._node.progress()
-        return self._node.stop.is_set()
 
 
 def run_gnss(config: LineConfig, *, run: str) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from aggregator.ledger.writer import Ledger
+from benchmarks.belt_tables import without_travel
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.observer import observer_when_there
 from tests.chaos.harness import DisturbedLine
@@ -55,15 +56,6 @@ class Clock:
             del os.environ[name]
 
 
-def without_encoder(recording: Path, out: Path) -> Path:
-    """The recording, its belt's travel left to be estimated: by the capture times."""
-    shutil.copytree(recording, out)
-    for table in out.glob("*/frames.csv"):
-        head, *rows = table.read_text().splitlines()
-        table.write_text("\n".join([head, *(row.rpartition(",")[0] + "," for row in rows)]) + "\n")
-    return out
-
-
 def a_line(folder: Path, recording: Path, starts_at_s: dict[str, float]) -> tuple[LineConfig, list[ProcessSpec]]:
     """A live line whose cameras all play the one camera of `recording`, each from a moment of its own host's clock."""
     played = {"path": str(recording), "camera": "front", "waits": False, "speed": SPEED}
@@ -95,7 +87,7 @@ def test_a_camera_host_with_another_clock(
     ahead_s: float, steps_s: tuple[float, ...], live_recording: Path, tmp_path: Path
 ) -> None:
     """The camera says of itself what time its frames have: an hour more than its log's would be an hour of belt."""
-    recording = without_encoder(live_recording, tmp_path / "recording")
+    recording = without_travel(live_recording, tmp_path / "recording")
     config, specs = a_line(tmp_path, recording, {"front": time.time() + ahead_s + STARTS_S})
     there = [spec for spec in specs if spec.args[0] in ("camera", "segmenter")]
     clock = Clock(tmp_path, ahead_s=ahead_s)
@@ -129,7 +121,7 @@ def test_a_camera_host_with_another_clock(
 @pytest.mark.parametrize("ahead_s", [-2.0, 3600.0])
 def test_two_camera_hosts_whose_clocks_differ(ahead_s: float, live_recording: Path, tmp_path: Path) -> None:
     """Two cameras see the same belt: laid side by side by clocks 2 s apart, every tuber would be two."""
-    recording = without_encoder(live_recording, tmp_path / "recording")
+    recording = without_travel(live_recording, tmp_path / "recording")
     starts_s = time.time() + STARTS_S
     config, specs = a_line(tmp_path, recording, {"front": starts_s, "other": starts_s + ahead_s})
     there = [spec for spec in specs if spec.name in ("camera-other", "segmenter-other")]
