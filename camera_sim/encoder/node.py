@@ -116,14 +116,13 @@ class EncoderNode:
         return self._zero.zero_m + self._shaft.turned_m
 
     def _listen(self) -> None:
-        """What the segmenters say, while it is not known where the belt is."""
+        """What the segmenters say: by it the zero is laid, while it is not known where the belt is."""
         asking = self._zero.standing is Standing.ASKING
-        offset_ns = time.monotonic_ns() - self._care.day_ns() if asking else 0
+        offset_ns = time.monotonic_ns() - self._care.day_ns()
         for travels in self._travels:
             while len(travels) and (said := travels.get(0.0)) is not None:
-                if asking:
-                    day_ns = time.monotonic_ns() - offset_ns
-                    self._zero.travel(said, clock_ns=day_ns, turned_at=lambda t: self._shaft.turned_at(t + offset_ns))
+                day_ns = time.monotonic_ns() - offset_ns
+                self._zero.travel(said, clock_ns=day_ns, turned_at=lambda t: self._shaft.turned_at(t + offset_ns))
         if asking:
             for progress in self._progress.latest().values():
                 self._zero.progress(progress)

@@ -10,12 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from enum import StrEnum
 
+from conveyor.clock_delay import ClockDelay
 from conveyor.messages import FrameProgress, Travel
 
 WAIT_FOR_REST_NS = 5_000_000_000
 """Cameras that say nothing so long after the first one has spoken are not there."""
 YOUNGEST_NS, OLDEST_NS = -50_000_000, 1_000_000_000
-"""Where a frame was looked at so soon after it was taken, its camera's clock is taken for ours."""
+"""Where the quickest of a camera's words come so soon after their frames were taken, its clock is taken for ours."""
+WORDS, SURE_AFTER = 50, 5
+"""Words of a camera that are compared, and after how many of them its clock is taken for another. On a machine that is
+too slow one alone may come late: taken for a word of now, it laid the belt a second back."""
+STEP_NS = 5_000_000_000
 
 
 class Standing(StrEnum):
@@ -39,6 +44,7 @@ class Zero:
         self._run, self.cameras = run, tuple(sorted(cameras))
         self.standing = Standing.ASKING
         self.zero_m = 0.0
+        self._delays = {camera: ClockDelay(kept=WORDS, step_ns=STEP_NS) for camera in self.cameras}
         self.ask()
 
     def ask(self) -> None:
@@ -58,19 +64,26 @@ class Zero:
                 self._fresh.discard(said.camera)
 
     def travel(self, said: Travel, *, clock_ns: int, turned_at: Callable[[int], float | None]) -> None:
-        """A segmenter says where the belt was in one of its frames.
+        """A segmenter says where the belt was in one of its frames. Each is to be heard, as it comes.
 
         Args:
             clock_ns: the time of the day, as the encoder's process has it.
             turned_at: how far the shaft had turned at such a time, metres; None before it was first read.
         """
-        if said.run != self._run or said.source not in self.cameras or self.standing is not Standing.ASKING:
+        if said.run != self._run or said.source not in self.cameras:
+            return
+        delay = self._delays[said.source]
+        delay.heard(clock_ns - said.captured_ns)
+        if self.standing is not Standing.ASKING:
             return
         if said.estimated:
             self.standing = Standing.LATE
             return
-        same_clock = YOUNGEST_NS <= clock_ns - said.captured_ns <= OLDEST_NS
-        turned_m = turned_at(said.captured_ns if same_clock else clock_ns)
+        quickest_ns = delay.quickest_ns or 0
+        own = YOUNGEST_NS <= quickest_ns <= OLDEST_NS
+        if not own and len(delay) < SURE_AFTER:
+            return
+        turned_m = turned_at(said.captured_ns + (0 if own else quickest_ns))
         if turned_m is not None:
             self._offsets_m[said.source] = said.travel_m - turned_m
 

@@ -175,9 +175,26 @@ def test_a_camera_that_says_nothing_is_waited_for_a_while() -> None:
 
 def test_a_camera_with_another_clock_is_taken_at_its_word_now() -> None:
     zero = Zero("r", ["left"])
-    zero.travel(seen("left", 7.0, 3600.0), **at_clock(4.0))  # type: ignore[arg-type]
-    assert zero.decide(0, 2.0)
+    for n in range(5):
+        assert not zero.decide(n, 2.0), "it may be ours, and late"
+        zero.travel(seen("left", 7.0 + 0.05 * n, 3600.0 + 0.1 * n), **at_clock(4.0 + 0.1 * n))  # type: ignore[arg-type]
+    assert zero.decide(9, 2.2)
     assert zero.zero_m == pytest.approx(7.0 - 2.0)
+
+
+def test_a_word_that_comes_late_lays_no_belt_back() -> None:
+    """On a starved machine a word of 1.1 s ago was taken for one of now, and 25 of 24 tubers counted."""
+    zero = Zero("r", ["left"])
+    zero.progress(progress("left", 7))
+    zero.travel(seen("left", 10.0, 1.0), **at_clock(2.1))  # type: ignore[arg-type]
+    assert not zero.decide(0, 1.1)
+    zero.travel(seen("left", 10.6, 2.2), **at_clock(2.3))  # type: ignore[arg-type]
+    assert zero.decide(1, 1.2)
+    assert zero.zero_m == pytest.approx(10.6 - 1.1)
+    zero.ask()
+    zero.travel(seen("left", 10.1, 1.2), **at_clock(3.0))  # type: ignore[arg-type]
+    assert zero.decide(2, 1.5)
+    assert zero.zero_m == pytest.approx(10.1 - 0.6), "its clock is known: it is a word of then"
 
 
 def test_a_run_that_went_by_the_load_goes_on_by_the_load() -> None:
