@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import re
 from importlib import metadata
 from typing import Any
 
 from conveyor.errors import ConfigError, InputError
+
+SYSTEM_LIBRARIES = {"libusb-1.0.so.0": "libusb-1.0-0"}
+"""Libraries of the system that packages of extras need, and the package of Debian and Ubuntu that each is in."""
+_NO_LIBRARY = re.compile(r"(lib\S+\.so[.\d]*): cannot open shared object file")
 
 
 def install_hint(extra: str) -> str:
@@ -34,16 +39,28 @@ def needed(module: str, *, extra: str, what: str) -> Any:
     """A module of a package that only some installs have.
 
     Raises:
-        InputError: it, or a package that it needs itself, is not installed; names that one.
+        InputError: it, or a package or a library that it needs itself, is not installed; names that one.
     """
     try:
         return importlib.import_module(module)
     except ImportError as error:
+        if isinstance(error.__cause__, SystemExit):  # told to end while a compiled module was loaded
+            raise error.__cause__ from None
         raise InputError(missing_package(error, module, extra=extra, what=what)) from error
 
 
 def missing_package(error: ImportError, package: str, *, extra: str, what: str) -> str:
-    """Which package is missing, and how it is installed: `package`, or one that it imports in its turn."""
+    """Which package is missing, and how it is installed: `package`, one that it imports in its turn, or a library of
+    the system, which pip does not bring.
+    """
+    library = _NO_LIBRARY.search(str(error))
+    if library is not None:
+        there = SYSTEM_LIBRARIES.get(library[1])
+        how = f" (Debian, Ubuntu: sudo apt-get install {there})" if there else ""
+        return (
+            f"{what} needs the system's library {library[1]}, which {package} is built on and which is not on this "
+            f"machine; install it{how}"
+        )
     lacking = (error.name or package).split(".")[0]
     own = lacking.replace("-", "_") == package.split(".")[0].replace("-", "_")
     lacking = package if own else lacking

@@ -17,7 +17,7 @@ from pypcd4 import Encoding, PointCloud
 from rich.console import Console
 
 from conveyor.errors import InputError
-from conveyor.extras import missing_package
+from conveyor.extras import missing_package, needed
 from conveyor.formats.clouds import read_cloud
 from regressor.network.checkpoint import load_checkpoint
 from regressor.network.sidecar import Sidecar
@@ -93,16 +93,35 @@ def test_a_line_that_is_no_point_is_named(tmp_path: Path) -> None:
             r"needs the package backports\.zstd \(which rosbags needs\); ",
         ),
         (
-            ImportError("libusb.so: cannot open", name="rosbags"),
-            r"rosbags, which is there and cannot be loaded \(libusb",
+            ImportError("undefined symbol", name="rosbags"),
+            r"rosbags, which is there and cannot be loaded \(undefined symbol\); in the clone.*\[bags\]",
+        ),
+        (
+            ImportError("libusb-1.0.so.0: cannot open shared object file: No such file or directory"),
+            r"^a bag needs the system's library libusb-1\.0\.so\.0, which rosbags is built on .*"
+            r"\(Debian, Ubuntu: sudo apt-get install libusb-1\.0-0\)$",
+        ),
+        (
+            ImportError("libodd.so.3: cannot open shared object file: No such file or directory"),
+            r"library libodd\.so\.3, which rosbags is built on and which is not on this machine; install it$",
         ),
     ],
 )
 def test_the_package_that_is_missing_is_named(error: ImportError, words: str) -> None:
-    """rosbags without backports.zstd was told as rosbags missing."""
+    """rosbags without backports.zstd was told as rosbags missing, and pyrealsense2 without libusb as a package that pip
+    would bring.
+    """
     import re
 
     assert re.search(words, missing_package(error, "rosbags", extra="bags", what="a bag"))
+
+
+def test_a_stop_while_a_compiled_package_is_loaded_is_a_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As pyrealsense2 does where SIGTERM comes during its import: a camera that was stopped said to install it."""
+    (tmp_path / "half_loaded.py").write_text("raise ImportError('initialization failed') from SystemExit(143)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(SystemExit, match="143"):
+        needed("half_loaded", extra="realsense", what="a live RealSense camera")
 
 
 def test_a_folder_is_its_clouds_or_else_its_pairs(tmp_path: Path) -> None:
