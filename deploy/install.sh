@@ -76,7 +76,8 @@ remove_all() {
     fi
     for there in "$destdir"/etc/systemd/system/tuberline* "$destdir"/etc/systemd/system/prune-tuberline.* \
         "$destdir/etc/systemd/journald@tuberline.conf" "$destdir/etc/sysusers.d/tuberline.conf" \
-        "$destdir/etc/tmpfiles.d/tuberline.conf" "$destdir/usr/local/lib/tuberline"; do
+        "$destdir/etc/tmpfiles.d/tuberline.conf" "$destdir/etc/udev/rules.d/60-tuberline.rules" \
+        "$destdir/usr/local/lib/tuberline"; do
         [ -e "$there" ] || continue
         rm -rf "$there"
         echo "removed   ${there#"$destdir"}"
@@ -254,6 +255,13 @@ if [ -z "$destdir" ]; then
     systemd-tmpfiles --create tuberline.conf
 fi
 put "$here/systemd/journald@tuberline.conf" /etc/systemd/journald@tuberline.conf 644
+rules=/etc/udev/rules.d/60-tuberline.rules
+before=$(cksum <"$destdir$rules" 2>/dev/null || true)
+put "$here/udev/60-tuberline.rules" "$rules" 644
+# Cameras that are plugged in already are given to their groups, too; a machine without udev has none.
+if [ -z "$destdir" ] && [ "$before" != "$(cksum <"$rules")" ] && command -v udevadm >/dev/null; then
+    udevadm control --reload && udevadm trigger --subsystem-match=usb --subsystem-match=video4linux || true
+fi
 [ -e "$destdir/etc/tuberline/environment" ] || put "$here/systemd/environment" /etc/tuberline/environment 644
 for file in node prune; do
     put "$here/lib/$file" "/usr/local/lib/tuberline/$file" 755

@@ -31,7 +31,7 @@ def open_receiver(source: str, *, wait: Callable[[float], bool]) -> LineDevice:
         return SocketLines(parts.hostname, port, what=WHAT, greeting=GPSD_WATCH if parts.scheme == "gpsd" else b"")
     if parts.scheme == "serial" and parts.path:
         baud = parse_qs(parts.query).get("baud", ["9600"])[0]
-        return SerialLines(parts.path, int(baud) if baud.isdigit() else 9600, what=WHAT, extra="map")
+        return SerialLines(parts.path, int(baud) if baud.isdigit() else 9600, what=WHAT, extra="gnss")
     if parts.scheme == "file" and parts.path:
         return _Recorded(Path(parts.path), wait=wait)
     if parts.scheme == "simulated":

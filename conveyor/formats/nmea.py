@@ -68,7 +68,7 @@ class NmeaFixes:
         try:
             from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
         except ImportError as error:
-            raise InputError(f"GNSS receivers need pynmeagps, which is not installed; {install_hint('map')}") from error
+            raise InputError(f"GNSS receivers need pynmeagps, and it is not there; {install_hint('gnss')}") from error
         try:
             message = NMEAReader.parse(line)
         except NMEAParseError as error:

@@ -18,6 +18,8 @@ FOR_DEVELOPERS = ("torch/test", "torch/include", "torch/share", "numpy/_core/inc
 UNUSED = (
     # The same runtime once more, for programs in C.
     "onnxruntime/capi/libonnxruntime.so*",
+    # Cameras on a DDS network, and a tool for sending them logs.
+    *(f"pyrealsense2/{part}" for part in ("pyrealdds*", "pyrsutils*")),
     *(
         f"scipy/{part}"
         for part in (

@@ -55,7 +55,7 @@ def podman_words(service: Mapping[str, Any], *, configs: Mapping[str, Path], pro
                 words += [f"--cap-drop={name}" for name in value]
             case "security_opt":
                 words += [f"--security-opt={option.removesuffix(':true')}" for option in value]
-            case "tmpfs" | "devices" | "volumes" | "group_add" | "ports" | "extra_hosts":
+            case "tmpfs" | "devices" | "device_cgroup_rules" | "volumes" | "group_add" | "ports" | "extra_hosts":
                 words += _listed(key, value, project)
             case "environment":
                 words += [f"--env={name}={given}" for name, given in value.items()]
@@ -75,12 +75,19 @@ def podman_words(service: Mapping[str, Any], *, configs: Mapping[str, Path], pro
 
 
 def _listed(key: str, values: list[str], project: str) -> list[str]:
-    option = {"volumes": "volume", "ports": "publish", "extra_hosts": "add-host", "group_add": "group-add"}
+    option = {
+        "devices": "device",
+        "device_cgroup_rules": "device-cgroup-rule",
+        "volumes": "volume",
+        "ports": "publish",
+        "extra_hosts": "add-host",
+        "group_add": "group-add",
+    }
     words = []
     for value in values:
         if key == "volumes" and not value.startswith(("/", ".")):
             value = f"{project}-{value}"  # a volume of this project
-        words.append(f"--{option.get(key, key.removesuffix('s') if key == 'devices' else key)}={value}")
+        words.append(f"--{option.get(key, key)}={value}")
     return words
 
 

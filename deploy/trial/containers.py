@@ -24,7 +24,12 @@ from deploy.trial.engine import GATEWAY, LIMITS, SPACE, Engine
 from deploy.trial.tools import ROOT, TrialError, say, table, until
 
 ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page", "viewer")
-IMAGE = {"tuberline-edge:local": "edge", "tuberline:local": "node", "tuberline-viewer:local": "viewer"}
+IMAGE = {
+    "tuberline-edge:local": "edge",
+    "tuberline:local": "node",
+    "tuberline-camera:local": "camera",
+    "tuberline-viewer:local": "viewer",
+}
 """The image that a service names, as the target that it is built from."""
 UID = 10001
 WATCH = ("metrics", "page", "viewer")
@@ -62,9 +67,10 @@ class Line:
             hosts = service.get("extra_hosts", ["edge.field.internal:host-gateway"])
             service["extra_hosts"] = [host.replace("host-gateway", GATEWAY) for host in hosts]
         camera = self.services["camera-left"]
-        for live in ("devices", "group_add"):
+        for live in ("device_cgroup_rules", "group_add"):
             del camera[live]
-        camera["volumes"] = [*camera["volumes"], f"{folder / 'recordings'}:/recordings:ro"]
+        shared = [volume for volume in camera["volumes"] if volume != "/dev:/dev"]
+        camera["volumes"] = [*shared, f"{folder / 'recordings'}:/recordings:ro"]
 
     def up(self) -> dict[str, float]:
         """Start all, each when the router is well; seconds until each was well."""

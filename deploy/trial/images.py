@@ -26,10 +26,11 @@ from deploy.trial.tools import (
 
 BASE = "docker.io/library/python:3.11-slim-bookworm"
 OWN_BASE = "localhost/tuberline-base:bookworm"
-IMAGES = {"edge": "tuberline-edge", "node": "tuberline", "viewer": "tuberline-viewer"}
+IMAGES = {"edge": "tuberline-edge", "node": "tuberline", "camera": "tuberline-camera", "viewer": "tuberline-viewer"}
 FOR = {
-    "edge": "camera, segmenter, aggregator, page, metrics",
+    "edge": "segmenter, aggregator, page, metrics, cameras by ROS 2 and recordings",
     "node": "regressor, and all the rest",
+    "camera": "RealSense cameras, encoder, GNSS receiver",
     "viewer": "viewer",
 }
 BUILT_WITH = ("buildah", "podman", "runc")
@@ -104,6 +105,13 @@ def check_image(engine: Engine, target: str) -> None:
         if refused.returncode != 2 or "needs torch" not in refused.stderr or len(refused.stderr.splitlines()) > 1:
             raise TrialError(f"the edge image should refuse to train in a sentence, said: {refused.stderr[-300:]}")
         say(f"edge: {refused.stderr.strip()}")
+    if target == "camera":
+        words = ("init", "/var/lib/tuberline/line.toml", "--realsense")
+        asked = engine.podman("run", "--rm", *SHUT, name, *words, check=False)
+        if "no RealSense camera is connected" not in asked.stderr:
+            raise TrialError(f"the camera image should look for cameras and find none, said: {asked.stderr[-300:]}")
+        engine.podman("run", "--rm", *SHUT, "--entrypoint", "python", name, "-c", "import pynmeagps, serial")
+        say("camera: the SDK looks for cameras; what serial ports need is there")
 
 
 def demo(engine: Engine) -> tuple[str, float]:

@@ -80,7 +80,7 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
         assert arguments["config"] in (target, (target,))  # the page takes several
         if "camera" in arguments:
             cameras.add((command, arguments["camera"]))
-        if command in ("camera", "segmenter", "regressor", "aggregator"):
+        if command in ("camera", "segmenter", "regressor", "aggregator", "encoder", "gnss"):
             assert arguments["run"] == RUN
         assert spec["read_only"] is True
         assert spec["cap_drop"] == ["ALL"]
@@ -94,10 +94,44 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
         elif asked:
             node = parsed(shell_words(asked))[1].get("node")
             expected = {"aggregator": "aggregator", "regressor": NAME, "viewer": arguments.get("name", "viewer")}
+            expected |= {"encoder": "encoder", "gnss": "gnss"}  # their names where the line's file gives none
             name = expected.get(command, arguments.get("camera"))
             assert node == (f"{command}/{name}" if name else None)
     assert cameras == {(role, camera) for role in ("camera", "segmenter") for camera in line.cameras}
     assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "page", "viewer"} <= roles
+    assert {"encoder", "gnss"} <= roles
+
+
+def stages() -> dict[str, str]:
+    """Name of each stage of the Dockerfile, and its text with that of all stages it goes on from or copies."""
+    found: dict[str, str] = {}
+    for stage in re.split(r"^(?=FROM )", (DOCKER / "Dockerfile").read_text(), flags=re.MULTILINE)[1:]:
+        base, name = stage.split()[1], stage.split()[3]
+        copied = re.findall(r"--from=(\S+)", stage)
+        found[name] = "".join(found.get(one, "") for one in (base, *copied)) + stage
+    return found
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_a_service_that_opens_a_device_has_the_image_that_can(name: str) -> None:
+    """The camera of the site ran in an image without the RealSense's SDK, and saw no video nodes."""
+    line, images = load_config(DOCKER / COMPOSE[name]), stages()
+    for service, spec in compose(name)["services"].items():
+        command = parsed(spec["command"] if "entrypoint" not in spec else shell_words(spec["command"][0]))
+        live = command[0] == "camera" and line.cameras[command[1]["camera"]].source == "realsense"
+        extra = {"encoder": "encoder", "gnss": "gnss"}.get(command[0], "realsense" if live else "deploy")
+        target = spec["image"].removesuffix(":local").removeprefix("tuberline").removeprefix("-") or "node"
+        assert re.search(rf"requirements\.py [^>]*\b{extra}\b", images[target]), (service, extra)
+        if live:
+            assert "libusb-1.0-0" in images[target], "the SDK is built on it"
+            assert spec["device_cgroup_rules"] == ["c 81:* rmw", "c 189:* rmw"]
+            assert "/dev:/dev" in spec["volumes"], "a camera that was reset comes back as another node"
+            assert spec["group_add"] == ["video", "plugdev"]
+        elif command[0] in ("encoder", "gnss"):
+            assert spec["devices"] == [f"/dev/null:/dev/{command[0]}"], "where it has no serial port"
+            assert spec["group_add"] == ["dialout"]
+        else:
+            assert not {"devices", "device_cgroup_rules", "privileged"} & set(spec)
 
 
 def test_only_the_router_of_a_site_is_reachable_from_outside() -> None:
@@ -141,7 +175,8 @@ def test_the_dockerfile_copies_all_packages_and_runs_unprivileged() -> None:
     for package in packages:
         assert f"COPY {package} {package}" in text
         assert f"!{package}" in ignored
-    assert re.findall(r"^USER (.*)$", text, re.MULTILINE) == ["10001:10001"]
+    for target in ("edge", "camera", "viewer", "node"):
+        assert re.findall(r"^USER (.*)$", stages()[target], re.MULTILINE)[-1] == "10001:10001"
     pinned = re.search(r"^torch==(\S+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
     assert pinned is None or f"ARG TORCH={pinned[1]}" in text
 

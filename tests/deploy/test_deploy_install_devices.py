@@ -31,6 +31,19 @@ def devices(root: Path) -> set[str]:
     return set(re.findall("Wants=tuberline-(encoder|gnss)@field.service", nodes))
 
 
+def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> None:
+    """Debian gives a camera's pictures to the group video and its USB device to root alone."""
+    assert install(tmp_path, config=config(tmp_path)).returncode == 0
+    rules = (tmp_path / "etc/udev/rules.d/60-tuberline.rules").read_text()
+    given = re.findall(r'^SUBSYSTEM=="(\w+)".*"8086", ATTRS?{product}=="\*RealSense\*", GROUP="(\w+)"', rules, re.M)
+    unit = (tmp_path / "etc/systemd/system/tuberline-camera@.service.d/20-device.conf").read_text()
+    asked = re.findall(r"^DeviceAllow=char-(\w+) rw$", unit, re.M)
+    (groups,) = re.findall(r"^SupplementaryGroups=(.*)$", unit, re.M)
+    assert dict(given) == {"usb": "plugdev", "video4linux": "video"}
+    assert asked == ["usb_device", "video4linux"]
+    assert set(groups.split()) == {group for _, group in given}
+
+
 @pytest.mark.parametrize(
     ("sections", "cameras", "started"),
     [
