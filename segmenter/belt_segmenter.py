@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
 from segmenter.frame.noise_watch import NoiseWatch
-from segmenter.frame.sides import completed_centres
+from segmenter.frame.sides import with_own_centres
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
@@ -192,7 +192,7 @@ class BeltSegmenter:
         else:
             instances = given(frame.mask, heights, self.belt)
         self.refused.update(instances.refused)
-        return replace(instances, centre_m=completed_centres(instances, self.belt))
+        return with_own_centres(instances, self.belt)
 
     def _track(self, frame: Frame, instances: Instances, motion: BeltMotion) -> Found:
         self.coverage.earlier(motion.earlier)

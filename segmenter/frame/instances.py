@@ -81,6 +81,7 @@ class Instances:
         volume_m3: (n,) under the visible surface down to the belt.
         height_m: (n,) highest point but for the last percent.
         cut: (n, 4) bool: touches the top, bottom, left, right border of the image, or of what was seen of it.
+        part: (n,) bool: a side cuts it and its own centre is not known, so `centre_m` is that of the part seen.
         box: (n, 4) int: first and last row, first and last column, cells.
         contact: (n,) share of the outline that touches another instance.
         refused: what looked like load but cannot be a tuber, by reason.
@@ -94,6 +95,7 @@ class Instances:
     volume_m3: NDArray[np.float64]
     height_m: NDArray[np.float64]
     cut: NDArray[np.bool_]
+    part: NDArray[np.bool_]
     box: NDArray[np.int64]
     contact: NDArray[np.float64]
     refused: dict[InstanceRefusal, int]
@@ -236,6 +238,7 @@ def _describe(
         volume_m3=sums["volume_mm3"] * 1e-9,
         height_m=height_m,
         cut=cut,
+        part=np.asarray(cut[:, 2:].any(axis=1)),
         box=np.stack([sums[end] for end in BOX], axis=1),
         contact=sums["touching"] / np.maximum(sums["outline"], 1),
         refused=refused,

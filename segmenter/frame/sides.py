@@ -6,25 +6,27 @@ outline says whether the tuber's own centre does, and where a second camera will
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.instances import Instances
 from segmenter.frame.place import centre_in_belt, free_ellipse_centre
 
 
-def completed_centres(instances: Instances, belt: BeltGeometry) -> NDArray[np.float64]:
-    """(n, 2) belt centres of all instances; those cut by a side get the centre of the ellipse through their free
-    outline.
+def with_own_centres(instances: Instances, belt: BeltGeometry) -> Instances:
+    """Instances of which those cut by a side have the centre of the ellipse through their free outline, where there is
+    one; the others stay `part`.
     """
-    centres = instances.centre_m.copy()
+    centres, part = instances.centre_m.copy(), instances.part.copy()
     for index in np.flatnonzero(instances.cut[:, 2:].any(axis=1) & ~instances.cut[:, :2].any(axis=1)).tolist():
         found = _ellipse_centre(instances, index)
         if found is not None:
             centres[index] = centre_in_belt(belt, *found, float(instances.height_m[index]))
-    return centres
+            part[index] = False
+    return replace(instances, centre_m=centres, part=part)
 
 
 def _ellipse_centre(instances: Instances, index: int) -> tuple[float, float] | None:

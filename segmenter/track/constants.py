@@ -47,7 +47,7 @@ TRUST_CAP = 8.0
 """Readings. Older ones fade, so that a tuber may roll a little; more is steadier on belts where none does."""
 CUT_TRUST = 0.02
 ODD_TRUST = 0.15
-"""Readings that one counts for which is cut by the first or last row, or odd: its centre says little."""
+"""Readings that one counts for which is cut by the first or last row, or odd, or of a part: its centre says little."""
 ODD_AREA = 1.35
 """A visible area that changed by more than this factor since is a merge or a split: its centre says little."""
 VACANT_GONE = 12

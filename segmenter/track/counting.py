@@ -83,6 +83,8 @@ def crossing(track: TrackState, tracker: Tracker, history: TravelHistory) -> Cro
     near = [h for h in good if abs(h.x_m - row_m) <= NEAR_ROW_M] or good
     area_m2 = median(h.area_m2 for h in near)
     usual = [h for h in near if abs(np.log(h.area_m2 / area_m2)) < 0.3] or near
+    # That of a part lies inside the image: with some of those, the tuber beyond its side would count here, too.
+    usual = [h for h in usual if not h.part] or usual
     place_x_m = median(h.x_m - h.travel_m for h in usual)
     y_m = median(h.y_m for h in usual)
     x_m = tracker.belt.row_crossing_x(y_m, track.height_m / 2)

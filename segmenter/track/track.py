@@ -40,8 +40,8 @@ class State(StrEnum):
 class Hit:
     """The tuber in one frame, SI units, places in belt coordinates.
 
-    `whole`: not cut by a border; `ends_cut`: by the first or last row; `contact`: share of the outline that touches
-    another instance.
+    `whole`: not cut by a border; `ends_cut`: by the first or last row; `part`: cut by a side, its place is that of the
+    part seen; `contact`: share of the outline that touches another instance.
     """
 
     seq: int
@@ -54,6 +54,7 @@ class Hit:
     contact: float
     whole: bool
     ends_cut: bool
+    part: bool = False
 
 
 @dataclass(slots=True)
@@ -109,7 +110,7 @@ class TrackState:
 
     def add(self, hit: Hit, *, moved: bool) -> None:
         """Take one more reading; `moved`: the belt moved since the last frame that was counted."""
-        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if self.is_odd(hit.area_m2) else 1.0
+        weight = CUT_TRUST if hit.ends_cut else ODD_TRUST if hit.part or self.is_odd(hit.area_m2) else 1.0
         self.trust = trusted(self.trust, weight)
         gain = weight / self.trust
         self.place_x_m += gain * (hit.x_m - hit.travel_m - self.place_x_m)

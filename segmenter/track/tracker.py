@@ -67,11 +67,11 @@ class Tracker:
         expected = np.array([[t.place_x_m + travel_m, t.place_y_m] for t in self.tracks])
         areas = np.array([t.area_m2 for t in self.tracks])
         unsure = np.array([t.trust < 0.5 for t in self.tracks])
-        ends_cut = np.asarray(instances.cut[:, :2].any(axis=1))
+        ends_cut, cut = np.asarray(instances.cut[:, :2].any(axis=1)), np.asarray(instances.cut.any(axis=1))
         gap = expected[:, None, :] - instances.centre_m[None, :, :]
         distance = np.hypot(gap[..., 0], gap[..., 1])
         loose = ends_cut[None, :] | unsure[:, None]
-        gate = np.where(loose, self.settings.cut_gate_m, self.settings.gate_m)
+        gate = np.where(loose | cut[None, :], self.settings.cut_gate_m, self.settings.gate_m)
         growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
@@ -175,7 +175,8 @@ def _hits(seq: int, instances: Instances, travel_m: float) -> list[Hit]:
     """Every instance of a frame as a reading of the tuber that it shows."""
     columns = zip(
         instances.centre_m.tolist(), instances.area_m2.tolist(), instances.volume_m3.tolist(),
-        instances.height_m.tolist(), instances.contact.tolist(), instances.cut.tolist(), strict=True,
+        instances.height_m.tolist(), instances.contact.tolist(), instances.cut.tolist(), instances.part.tolist(),
+        strict=True,
     )  # fmt: skip
     return [
         Hit(
@@ -189,8 +190,9 @@ def _hits(seq: int, instances: Instances, travel_m: float) -> list[Hit]:
             contact=contact,
             whole=not any(cut),
             ends_cut=cut[0] or cut[1],
+            part=part,
         )
-        for (x_m, y_m), area_m2, volume_m3, height_m, contact, cut in columns
+        for (x_m, y_m), area_m2, volume_m3, height_m, contact, cut, part in columns
     ]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from segmenter.classify.patch import COARSEST_MM, observe_instance
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, split
-from segmenter.frame.sides import completed_centres
+from segmenter.frame.sides import with_own_centres
 from segmenter.track.constants import ODD_AREA
 from segmenter.track.track import trusted
 from segmenter.training.pack import LabelledFrame, pack_frames
@@ -47,7 +46,7 @@ def cut_belt(frames: Iterable[LabelledFrame]) -> list[TrainingSample]:
             frame.depth, depth_scale_m=frame.depth_scale_m, belt=frame.belt, pixel_mm=settings.pixel_mm
         )
         instances = split(heights, frame.belt, settings)
-        instances = replace(instances, centre_m=completed_centres(instances, frame.belt))
+        instances = with_own_centres(instances, frame.belt)
         for index, body in enumerate(_bodies(frame, heights, instances)):
             if body > 0 and not instances.cut[index, :2].any():
                 seen[body].append((frame, heights, instances, index))
