@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.trial.tools import SUITE, TrialError, run, say
 
 FOR_IMAGES = ("python3", "python3-venv", "ca-certificates")
-FOR_MACHINES = (*FOR_IMAGES, "systemd", "systemd-sysv", "dbus", "iproute2", "procps")
+FOR_MACHINES = (*FOR_IMAGES, "systemd", "systemd-sysv", "dbus", "iproute2", "procps", "libusb-1.0-0")
 NOT_NEEDED = (
     "var/cache/apt",
     "var/lib/apt/lists",

@@ -18,8 +18,13 @@ SEED = 1616
 PARTS = ("one", "upgrade", "two")
 """One machine, an upgrade of it that loses its power, two machines of which the second is late."""
 Rows = list[tuple[str, str]]
-UNITS = (*field.UNITS, "tuberline-metrics@field.service", "tuberline-page@field.service")
-ROLES = f"{field.ROLES},metrics,page"
+UNITS = (*field.UNITS, *(f"tuberline-{role}@field.service" for role in ("metrics", "page", "encoder", "gnss")))
+ROLES = f"{field.ROLES},metrics,page,encoder,gnss"
+LIVE = """name = "live"
+[cameras.front]
+source = "realsense"
+belt_distance_m = 0.46
+"""
 TOKEN = ("--page-token", "/root/page-token")
 """Of one machine: those that watch are there too."""
 
@@ -139,6 +144,32 @@ def crash_loop_is_slowed(machine: Machine) -> tuple[str, str]:
     return "a regressor that crashes at every start", f"{before} starts, then one each 30 s. The journal: '{told}'"
 
 
+def realsense_is_looked_for(machine: Machine) -> tuple[str, str]:
+    """A camera's unit with nothing plugged in: the SDK finds its library, and may look under the unit's bans."""
+    lines, unit = machine.disk / "etc/tuberline/lines", "tuberline-camera@live:front.service"
+    (lines / "live.toml").write_text(LIVE, encoding="utf-8")
+    (lines / "live.toml").chmod(0o644)
+    (lines / "live.run").write_text("monday\n", encoding="utf-8")
+    machine.says("systemctl", "start", "--no-block", unit)
+    journal = ("journalctl", "--namespace=tuberline", "--no-pager", "-o", "cat", "-u", unit)
+    until(lambda: "tuberline: " in machine.says(*journal), "the camera's word on the RealSense")
+    said = next(line for line in machine.says(*journal).splitlines() if line.startswith("tuberline: "))
+    machine.says("systemctl", "stop", unit)
+    for name in ("live.toml", "live.run"):
+        (lines / name).unlink()
+    if "is not connected; connected: none" not in said:
+        raise TrialError(f"a camera without a RealSense should say that none is connected, said: {said}")
+    return "a camera's unit with no RealSense plugged in", f"the SDK looks and finds none: '{said}'"
+
+
+def positions_kept(machine: Machine) -> tuple[str, str]:
+    """The receiver's positions, beside the ledger."""
+    rows = (machine.disk / field.LEDGER / "positions.csv").read_text(encoding="utf-8").splitlines()
+    if len(rows) < 2:
+        raise TrialError("the receiver's unit wrote no position")
+    return "the receiver's unit", f"{len(rows) - 1} positions beside the ledger"
+
+
 def uninstalled(machine: Machine) -> tuple[str, str]:
     """Units and scripts go; ledger, recordings and config stay."""
     ledger = (machine.disk / field.LEDGER / "ledger.db").read_bytes()
@@ -160,7 +191,7 @@ def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]
         machine.power_on()
         rows.append(("boot of the bare root", f"{machine.booted():.1f} s"))
         (machine.disk / "root/page-token").write_text("a-token-of-this-trial", encoding="utf-8")
-        field.install(machine, field.config(), ROLES, *TOKEN)
+        field.install(machine, field.config() + field.DEVICES, ROLES, *TOKEN)
         rows.append(
             (
                 "`install.sh` in it",
@@ -176,7 +207,7 @@ def one_machine(folder: Path, root: Path, recordings: Path, reference: list[str]
         rows.append(
             ("shut down, switched on", f"all units active by themselves after {took:.0f} s; {in_order(machine)}")
         )
-        for step in (stopped_node_is_replaced, crash_loop_is_slowed):
+        for step in (stopped_node_is_replaced, crash_loop_is_slowed, realsense_is_looked_for, positions_kept):
             rows.append(step(machine))
             say(f"{rows[-1][0]}: {rows[-1][1]}")
         rows += services_work(machine)

@@ -1,7 +1,8 @@
 """A line of containers from compose.site.yaml: certificates, access rules, a network namespace each; all get killed.
 
 The compose file's own settings are used (deploy/trial/compose.py). Different are: the camera replays a recording
-instead of asking a RealSense, and what waits for a person in a live line waits for it as a replay does.
+instead of asking a RealSense, encoder and receiver are simulated, and what waits for a person in a live line waits for
+it as a replay does.
 Everything runs in a network namespace made for it, so that no port and no rule of this machine is touched.
 """
 
@@ -21,9 +22,13 @@ from aggregator.ledger.reader import reading, the_run
 from conveyor.errors import TuberlineError
 from deploy.trial.compose import command_of, podman_words, services
 from deploy.trial.engine import GATEWAY, LIMITS, SPACE, Engine
+from deploy.trial.field import DEVICES
 from deploy.trial.tools import ROOT, TrialError, say, table, until
 
-ORDER = ("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page", "viewer")
+ORDER = (
+    *("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page", "viewer"),
+    *("encoder", "gnss"),
+)
 IMAGE = {
     "tuberline-edge:local": "edge",
     "tuberline:local": "node",
@@ -32,8 +37,8 @@ IMAGE = {
 }
 """The image that a service names, as the target that it is built from."""
 UID = 10001
-WATCH = ("metrics", "page", "viewer")
-"""Whether the line still counts when they are killed does not matter."""
+WATCH = ("metrics", "page", "viewer", "encoder", "gnss")
+"""Whether the line still counts when they are killed does not matter: a recording brings its own travel."""
 RECORDING = ("--seed", "1607", "--tubers", "60", "--scene", "singulated", "--fps", "10", "--speed-mps", "0.1")
 """A minute of belt, so that the line is counting while it is hurt."""
 AS_A_REPLAY = {
@@ -73,8 +78,8 @@ class Line:
         camera["volumes"] = [*shared, f"{folder / 'recordings'}:/recordings:ro"]
 
     def up(self) -> dict[str, float]:
-        """Start all, each when the router is well; seconds until each was well."""
-        return {service: self._start(service) for service in ORDER}
+        """Start all, the camera last, so that the load begins when the line is there; seconds until each was well."""
+        return {service: self._start(service) for service in sorted(ORDER, key="camera-left".__eq__)}
 
     def _start(self, name: str) -> float:
         service = self.services[name]
@@ -208,7 +213,7 @@ def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -
     text = (ROOT / "deploy/docker/site.toml").read_text(encoding="utf-8")
     for old, new in AS_A_REPLAY.items():
         text = text.replace(old, new)
-    (folder / "site.toml").write_text(text, encoding="utf-8")
+    (folder / "site.toml").write_text(text + DEVICES, encoding="utf-8")
     (folder / "page-token").write_text(TOKEN, encoding="utf-8")
     (folder / "page-token").chmod(0o400)
     os.chown(folder / "page-token", UID, UID)

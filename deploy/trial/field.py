@@ -27,6 +27,15 @@ UNITS = (
     "tuberline-camera@field:front.service",
 )
 ROLES = "router,aggregator,camera,segmenter,regressor"
+DEVICES = """
+[encoder]
+source = "simulated:?speed_mps=0.1"
+metres_per_pulse = 0.0005
+
+[gnss]
+source = "simulated:?row_m=50"
+"""
+"""An encoder and a receiver for the line's file. A recording has its own travel, so they change nothing that counts."""
 INSTALL = f"{SOURCE}/deploy/install.sh"
 TUBERLINE = (sys.executable, "-m", "tuberline")
 

@@ -54,7 +54,7 @@ def machine_root(folder: Path) -> Path:
         pip = ("/opt/tuberline/bin/pip", "install", "--quiet", "--no-cache-dir")
         constraint = ("--constraint", f"{SOURCE}/constraints.txt")
         in_root(folder, root, *pip, *constraint, TORCH)
-        in_root(folder, root, *pip, *constraint, f"{SOURCE}[deploy]")
+        in_root(folder, root, *pip, *constraint, f"{SOURCE}[deploy,realsense,encoder,gnss]")
         libraries.touch()
     state = output(["git", "-C", ROOT, "rev-parse", "HEAD"]) + run(["git", "-C", ROOT, "diff", "HEAD"]).stdout
     if not ours.exists() or ours.read_text(encoding="utf-8") != state:
