@@ -39,7 +39,8 @@ class CountSettings:
             than this of its outline, and
         fragment_share: was one with a larger instance in more than this share of the frames that had its place in view;
         hidden_area_m2, fragment_seen: or it is smaller than this and stood apart in less than this share of them.
-        steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber.
+        steady_share: what stood apart in this share of those frames, and was never one with another, is a tuber,
+        knob_width_m: unless it is narrower than this, was seen whole and is more slender than `max_slender`.
         same_share: two tracks closer than this share of the larger one's radius are one tuber.
         reject_below: log-odds of tuber against other (clod, stone, haulm) under which a track is no tuber.
     """
@@ -62,6 +63,7 @@ class CountSettings:
     hidden_area_m2: float = 2000e-6
     fragment_seen: float = 0.75
     steady_share: float = 0.9
+    knob_width_m: float = 0.030
     same_share: float = 0.6
     reject_below: float = 0.3
 
@@ -135,8 +137,6 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
         return TrackRefusal.THIN
     if _is_fragment(track, in_view, settings):
         return TrackRefusal.SLIVER
-    if track.covered == 0 and _apart(track) >= settings.steady_share * in_view:
-        return None
     height_m = median(h.volume_m3 / h.area_m2 for h in track.hits) / ROUND_FILL
     slender = height_m / width_m
     contact = median(h.contact for h in track.hits)
@@ -144,6 +144,10 @@ def shape_refusal(track: TrackState, *, width_m: float, in_view: int, settings: 
         return None
     mostly_seam = contact > settings.seam_share and slender > settings.seam_slender
     narrow = contact > settings.contact_share and slender > settings.max_slender
+    if track.covered == 0 and _apart(track) >= settings.steady_share * in_view:
+        mostly_seam = False
+        # What a side cut is as narrow as that made it, and what is wider a tuber on end.
+        narrow &= width_m < settings.knob_width_m and all(hit.whole or hit.ends_cut for hit in track.hits)
     return TrackRefusal.SLIVER if mostly_seam or narrow else None
 
 

@@ -53,6 +53,24 @@ def test_a_fragment_is_known_by_being_one_with_its_tuber_in_other_frames(
     assert shape_refusal(seen, width_m=0.030, in_view=43, settings=CountSettings()) == reason
 
 
+@pytest.mark.parametrize(
+    ("width_mm", "area_mm2", "contact", "volume_ml", "reason"),
+    [
+        (24, 784, 0.38, 22.0, "sliver"),  # a knob of a tuber of 273 g, apart from it in every frame
+        (27, 939, 0.41, 32.0, "sliver"),  # one of 456 g
+        (24, 784, 0.28, 22.0, None),  # what is as slender and stands free is a tuber on end
+        (30, 884, 0.45, 24.0, None),  # a small tuber half below a large one
+        (42, 1461, 0.32, 83.0, None),  # one of 76 g on end, between two
+    ],
+)
+def test_a_knob_that_is_always_apart_is_known_by_its_shape(
+    width_mm: float, area_mm2: float, contact: float, volume_ml: float, reason: str | None
+) -> None:
+    """Each of the two counted as a tuber beside its own, one of 960."""
+    seen = track(frames=43, covered=0, area_mm2=area_mm2, contact=contact, volume_ml=volume_ml)
+    assert shape_refusal(seen, width_m=width_mm / 1e3, in_view=43, settings=CountSettings()) == reason
+
+
 def test_belt_relief_beside_a_tuber_is_no_tuber_though_it_has_a_part_of_its_flank() -> None:
     """A cleat with soil, 12 mm above a belt known 3 mm too low, was found as an instance in two of three frames."""
     belt = BeltGeometry(MEDIUM, straight_down_belt_from_camera(0.46))
