@@ -256,7 +256,7 @@ if [ -z "$destdir" ]; then
 fi
 put "$here/systemd/journald@tuberline.conf" /etc/systemd/journald@tuberline.conf 644
 rules=/etc/udev/rules.d/60-tuberline.rules
-before=$(cksum <"$destdir$rules" 2>/dev/null || true)
+before=$(cksum 2>/dev/null <"$destdir$rules" || true)
 put "$here/udev/60-tuberline.rules" "$rules" 644
 # Cameras that are plugged in already are given to their groups, too; a machine without udev has none.
 if [ -z "$destdir" ] && [ "$before" != "$(cksum <"$rules")" ] && command -v udevadm >/dev/null; then

@@ -33,7 +33,8 @@ def devices(root: Path) -> set[str]:
 
 def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> None:
     """Debian gives a camera's pictures to the group video and its USB device to root alone."""
-    assert install(tmp_path, config=config(tmp_path)).returncode == 0
+    done = install(tmp_path, config=config(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
     rules = (tmp_path / "etc/udev/rules.d/60-tuberline.rules").read_text()
     given = re.findall(r'^SUBSYSTEM=="(\w+)".*"8086", ATTRS?{product}=="\*RealSense\*", GROUP="(\w+)"', rules, re.M)
     unit = (tmp_path / "etc/systemd/system/tuberline-camera@.service.d/20-device.conf").read_text()
