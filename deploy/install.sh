@@ -99,6 +99,7 @@ checked=$("$program" config show "$config" --json) || fail "fix $config first"
 
 # put SOURCE TARGET MODE: copy where the content differs, and say so. A power cut leaves the old file or the new one.
 put() {
+    changed=no
     target=$destdir$2
     if [ -f "$target" ] && cmp -s "$1" "$target"; then
         echo "kept      $2"
@@ -109,6 +110,7 @@ put() {
     mkdir -p "$(dirname "$target")"
     install -m "$3" "$1" "$target.part"
     mv -f "$target.part" "$target"
+    changed=yes
     echo "$verb   $2"
 }
 
@@ -255,11 +257,9 @@ if [ -z "$destdir" ]; then
     systemd-tmpfiles --create tuberline.conf
 fi
 put "$here/systemd/journald@tuberline.conf" /etc/systemd/journald@tuberline.conf 644
-rules=/etc/udev/rules.d/60-tuberline.rules
-before=$(cksum 2>/dev/null <"$destdir$rules" || true)
-put "$here/udev/60-tuberline.rules" "$rules" 644
+put "$here/udev/60-tuberline.rules" /etc/udev/rules.d/60-tuberline.rules 644
 # Cameras that are plugged in already are given to their groups, too; a machine without udev has none.
-if [ -z "$destdir" ] && [ "$before" != "$(cksum <"$rules")" ] && command -v udevadm >/dev/null; then
+if [ "$changed" = yes ] && [ -z "$destdir" ] && command -v udevadm >/dev/null; then
     udevadm control --reload && udevadm trigger --subsystem-match=usb --subsystem-match=video4linux || true
 fi
 [ -e "$destdir/etc/tuberline/environment" ] || put "$here/systemd/environment" /etc/tuberline/environment 644

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time, timedelta
 
 from conveyor.errors import InputError
-from conveyor.extras import install_hint
+from conveyor.extras import missing_package
 
 MOST_BYTES = 1024
 """No sentence is longer; what is, is noise on the line."""
@@ -68,7 +68,7 @@ class NmeaFixes:
         try:
             from pynmeagps import NMEAMessageError, NMEAParseError, NMEAReader, NMEAStreamError, NMEATypeError
         except ImportError as error:
-            raise InputError(f"GNSS receivers need pynmeagps, and it is not there; {install_hint('gnss')}") from error
+            raise InputError(missing_package(error, "pynmeagps", extra="gnss", what="a GNSS receiver")) from error
         try:
             message = NMEAReader.parse(line)
         except NMEAParseError as error:

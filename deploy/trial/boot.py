@@ -148,7 +148,6 @@ def realsense_is_looked_for(machine: Machine) -> tuple[str, str]:
     """A camera's unit with nothing plugged in: the SDK finds its library, and may look under the unit's bans."""
     lines, unit = machine.disk / "etc/tuberline/lines", "tuberline-camera@live:front.service"
     (lines / "live.toml").write_text(LIVE, encoding="utf-8")
-    (lines / "live.toml").chmod(0o644)
     (lines / "live.run").write_text("monday\n", encoding="utf-8")
     machine.says("systemctl", "start", "--no-block", unit)
     journal = ("journalctl", "--namespace=tuberline", "--no-pager", "-o", "cat", "-u", unit)

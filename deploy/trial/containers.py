@@ -79,7 +79,8 @@ class Line:
 
     def up(self) -> dict[str, float]:
         """Start all, the camera last, so that the load begins when the line is there; seconds until each was well."""
-        return {service: self._start(service) for service in sorted(ORDER, key="camera-left".__eq__)}
+        camera = "camera-left"
+        return {service: self._start(service) for service in [*(name for name in ORDER if name != camera), camera]}
 
     def _start(self, name: str) -> float:
         service = self.services[name]

@@ -21,7 +21,7 @@ def with_own_centres(instances: Instances, belt: BeltGeometry) -> Instances:
     one; the others stay `part`.
     """
     centres, part = instances.centre_m.copy(), instances.part.copy()
-    for index in np.flatnonzero(instances.cut[:, 2:].any(axis=1) & ~instances.cut[:, :2].any(axis=1)).tolist():
+    for index in np.flatnonzero(instances.part & ~instances.cut[:, :2].any(axis=1)).tolist():
         found = _ellipse_centre(instances, index)
         if found is not None:
             centres[index] = centre_in_belt(belt, *found, float(instances.height_m[index]))

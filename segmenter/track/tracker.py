@@ -71,7 +71,7 @@ class Tracker:
         gap = expected[:, None, :] - instances.centre_m[None, :, :]
         distance = np.hypot(gap[..., 0], gap[..., 1])
         loose = ends_cut[None, :] | unsure[:, None]
-        gate = np.where(loose | cut[None, :], self.settings.cut_gate_m, self.settings.gate_m)
+        gate = np.where(unsure[:, None] | cut[None, :], self.settings.cut_gate_m, self.settings.gate_m)
         growth = np.log(instances.area_m2[None, :] / areas[:, None]) ** 2
         cost = (distance / gate) ** 2 + np.where(loose, 0.0, self.settings.area_weight * growth)
         cost[distance > gate] = NO_MATCH
