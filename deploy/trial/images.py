@@ -28,9 +28,9 @@ BASE = "docker.io/library/python:3.11-slim-bookworm"
 OWN_BASE = "localhost/tuberline-base:bookworm"
 IMAGES = {"edge": "tuberline-edge", "node": "tuberline", "camera": "tuberline-camera", "viewer": "tuberline-viewer"}
 FOR = {
-    "edge": "segmenter, aggregator, page, metrics, cameras by ROS 2 and recordings",
+    "edge": "segmenter, aggregator, page, metrics, recordings as cameras",
     "node": "regressor, and all the rest",
-    "camera": "RealSense cameras, encoder, GNSS receiver",
+    "camera": "RealSense and ROS 2 cameras, encoder, GNSS receiver",
     "viewer": "viewer",
 }
 BUILT_WITH = ("buildah", "podman", "runc")
@@ -111,8 +111,8 @@ def check_image(engine: Engine, target: str) -> None:
         asked = engine.podman("run", "--rm", *SHUT, name, *words, check=False)
         if "no RealSense camera is connected" not in asked.stderr:
             raise TrialError(f"the camera image should look for cameras and find none, said: {asked.stderr[-300:]}")
-        engine.podman("run", "--rm", *SHUT, "--entrypoint", "python", name, "-c", "import pynmeagps, serial")
-        say("camera: the SDK looks for cameras; what serial ports need is there")
+        engine.podman("run", "--rm", *SHUT, "--entrypoint", "python", name, "-c", "import pynmeagps, rosbags, serial")
+        say("camera: the SDK looks for cameras; what ROS 2 and serial ports need is there")
 
 
 def demo(engine: Engine) -> tuple[str, float]:

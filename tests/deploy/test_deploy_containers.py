@@ -112,6 +112,11 @@ def stages() -> dict[str, str]:
     return found
 
 
+def test_the_camera_s_image_can_be_any_live_camera() -> None:
+    (extras,) = re.findall(r"requirements\.py --only ([\w ]+)", stages()["camera"])
+    assert set(extras.split()) == {"realsense", "bags", "encoder", "gnss"}
+
+
 @pytest.mark.parametrize("name", COMPOSE)
 def test_a_service_that_opens_a_device_has_the_image_that_can(name: str) -> None:
     """The camera of the site ran in an image without the RealSense's SDK, and saw no video nodes."""
