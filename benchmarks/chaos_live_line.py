@@ -16,9 +16,10 @@ from aggregator.ledger.reader import read_runs, read_sums, reading
 from benchmarks.chaos_live_belt import Passed
 from benchmarks.chaos_live_faults import Case, Fault
 from conveyor.config import LineConfig, dump_toml, parse_config
+from conveyor.taken_port import free_port
 from tuberline.cli.run import summarise_late
 from tuberline.processes import line_processes
-from tuberline.replayer import free_port, recording_cameras
+from tuberline.replayer import recording_cameras
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 OVER_S = 70.0

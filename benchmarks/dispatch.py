@@ -33,8 +33,8 @@ from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import View, Weight
 from conveyor.node import Node
 from conveyor.session import open_router
+from conveyor.taken_port import free_port
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
-from tuberline.replayer import free_port
 
 CAMERA, RUN = "front", "bench"
 LATE = "late"

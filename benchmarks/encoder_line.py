@@ -17,8 +17,8 @@ from benchmarks.encoder_board import METRES_PER_PULSE, EncoderBoard
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.messages import Counters, Tuber
 from conveyor.observer import observer_when_there
+from conveyor.taken_port import free_port
 from tuberline.processes import line_processes
-from tuberline.replayer import free_port
 from tuberline.supervisor import Supervisor
 
 STARTS_S = 15.0

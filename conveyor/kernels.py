@@ -43,3 +43,13 @@ def _leave_blas() -> None:
 
 
 _leave_blas()
+
+
+@kernel()
+def _nothing() -> None:
+    """Of all kernels the one that costs least to load."""
+
+
+def load_compiler() -> None:
+    """Load what numba needs for a process's first kernel, a quarter of a second, before others are forked from it."""
+    _nothing()

@@ -69,3 +69,10 @@ def _listened_to(link: LinkConfig) -> str | None:
             continue
         return f"{protocol}/{f'[{host}]' if ':' in host else host}:{port}"
     return None
+
+
+def free_port() -> int:
+    """A TCP port of this machine that was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

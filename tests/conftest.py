@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from conveyor import taken_port
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.node import Node
 from tests.belts import live_recording, loaded_recording, recording, run_dir
@@ -68,9 +69,7 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
 @pytest.fixture
 def free_port() -> int:
     """A TCP port that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return taken_port.free_port()
 
 
 @pytest.fixture(scope="session")

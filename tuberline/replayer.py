@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import socket
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
@@ -19,7 +18,7 @@ from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
 from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
-from conveyor.taken_port import check_port_free
+from conveyor.taken_port import check_port_free, free_port
 from conveyor.topics import check_name
 from tuberline.places import places_in
 from tuberline.processes import line_processes, usual_regressors
@@ -28,6 +27,7 @@ from tuberline.supervisor import Supervisor
 if TYPE_CHECKING:
     from conveyor.formats.source import CameraDescription
     from tuberline.cli.replay_table import Show
+    from tuberline.forks import ForkServer
 
 QUIET_LIMIT_S = 90.0
 START_LIMIT_S = 120.0
@@ -57,6 +57,7 @@ def replay_recording(
     fast: bool = False,
     show: bool = False,
     settings: Mapping[str, Any] | None = None,
+    forks: ForkServer | None = None,
 ) -> dict[str, Any]:
     """Run the graph on `recording` until every camera ended and the summary is written; returns the summary.
 
@@ -68,6 +69,7 @@ def replay_recording(
         places: a line's file that says where the cameras hang, instead of what the recording says.
         fast: one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
+        forks: the process that nodes are forked from, where it was begun earlier.
 
     Raises:
         InputError: recording or weights unusable, or `out` already holds a run.
@@ -102,7 +104,7 @@ def replay_recording(
     take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
-    return _count(config, out=out, run=run, show=show)
+    return _count(config, out=out, run=run, show=show, forks=forks)
 
 
 def _keep(config: LineConfig, *, out: Path, run: str) -> None:
@@ -127,7 +129,7 @@ def _refuse_early(weights: Path | None, contract: Path | None) -> None:
         load_weights(weights)
 
 
-def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str, Any]:
+def resume_replay(recording: Path, *, out: Path, show: bool = False, forks: ForkServer | None = None) -> dict[str, Any]:
     """Go on with the replay of `recording` into `out` that was cut short, with the settings it was started with.
 
     Raises:
@@ -148,7 +150,7 @@ def resume_replay(recording: Path, *, out: Path, show: bool = False) -> dict[str
     link = config.link.model_copy(update={"router": f"tcp/127.0.0.1:{free_port()}"})
     config = config.model_copy(update={"link": link})
     write_whole(out / CONFIG_FILE, dump_toml(config))
-    return _count(config, out=out, run=run, show=show)
+    return _count(config, out=out, run=run, show=show, forks=forks)
 
 
 def run_id(recording: Path) -> str:
@@ -167,11 +169,11 @@ def _finished(out: Path, run: str) -> bool:
     return row is not None and row.finished
 
 
-def _count(config: LineConfig, *, out: Path, run: str, show: bool) -> dict[str, Any]:
+def _count(config: LineConfig, *, out: Path, run: str, show: bool, forks: ForkServer | None) -> dict[str, Any]:
     """Run the line until it has counted everything; its summary."""
     positions, unusable = _has_positions(out, run=run)
     specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run, positions=positions)
-    with Supervisor(specs, log_dir=out / "logs") as supervisor:
+    with Supervisor(specs, log_dir=out / "logs", forks=forks) as supervisor:
         findings = [*unusable, *_wait_until_counted(supervisor, config, show=show)]
     summary = _summary(out)
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
@@ -306,13 +308,6 @@ def replay_config(
     for section, values in (settings or {}).items():
         raw[section] = {**raw.get(section, {}), **values}
     return parse_config(raw, where="of this replay")
-
-
-def free_port() -> int:
-    """A TCP port of this machine that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def fingerprint(recording: Path) -> str:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import signal
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,8 +16,8 @@ from conveyor.direct import ENVIRONMENT as DIRECT
 from conveyor.errors import PASSING, PERMANENT
 from conveyor.files import unwritable
 from tuberline.direct_folder import DirectFolder
+from tuberline.forks import ForkServer, Process, alone
 from tuberline.heartbeat import Heartbeat
-from tuberline.orphan import ENVIRONMENT
 from tuberline.own_time import OwnTime
 
 log = logging.getLogger("supervisor")
@@ -69,7 +67,7 @@ class ProcessSpec:
 @dataclass(slots=True)
 class _Child:
     spec: ProcessSpec
-    process: subprocess.Popen[bytes] | None = None
+    process: Process | None = None
     heartbeat: Heartbeat | None = None
     own_time: OwnTime | None = None
     started: float = 0.0
@@ -93,12 +91,16 @@ class Supervisor:
     Args:
         specs: what to run.
         log_dir: each child's stderr goes to `<log_dir>/<name>.log`; None leaves it on this terminal.
+        forks: the process that children are forked from, where it was begun earlier; it is closed with the rest.
     """
 
-    def __init__(self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None) -> None:
+    def __init__(
+        self, specs: Sequence[ProcessSpec], *, log_dir: Path | None = None, forks: ForkServer | None = None
+    ) -> None:
         self._children = [_Child(spec) for spec in specs]
         self._log_dir = log_dir
         self._direct: DirectFolder | None = None
+        self._forks = forks
         self._lock = threading.RLock()
         self._stopping = threading.Event()
         self._looked_s = 0.0
@@ -112,6 +114,8 @@ class Supervisor:
         self._looked_s = time.monotonic()
         self._direct = DirectFolder()
         try:
+            if self._forks is None:
+                self._forks = ForkServer.if_usable(self._roles)
             for child in self._children:
                 self._start(child)
             self._thread = threading.Thread(target=self._watch, name="watch", daemon=True)
@@ -219,6 +223,8 @@ class Supervisor:
                 child.done = True
                 if child.heartbeat is not None:
                     child.heartbeat.close()
+        if self._forks is not None:
+            self._forks.close()
         if self._direct is not None:
             self._direct.close()
 
@@ -277,17 +283,29 @@ class Supervisor:
         if child.heartbeat is not None:
             child.heartbeat.close()
         child.heartbeat = Heartbeat(time.monotonic(), patience=min(2**child.standstills, MOST_PATIENCE))
-        environment = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", **os.environ, ENVIRONMENT: str(os.getpid())}
         direct = str(self._direct.path) if self._direct is not None and self._has_both_ends(child.spec) else ""
-        environment |= {**child.heartbeat.environment, DIRECT: direct}
-        command = [sys.executable, "-m", "tuberline", *child.spec.args]
+        environment = {**child.heartbeat.environment, DIRECT: direct}
+        log_file = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
         child.config_ns = child.spec.config_changed_ns
-        with contextlib.ExitStack() as stack:
-            path = self._log_dir / f"{child.spec.name}.log" if self._log_dir else None
-            stderr = stack.enter_context(path.open("ab")) if path else None
-            child.process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=stderr, env=environment)
+        child.process = self._process(child.spec.args, environment, log_file)
+        child.heartbeat.forgive(time.monotonic())  # it could say nothing before it was forked, which may take a while
         child.own_time = OwnTime(child.process.pid)
         child.started = time.monotonic()
+
+    def _process(self, args: Sequence[str], environment: Mapping[str, str], log_file: Path | None) -> Process:
+        if self._forks is None:
+            return alone(args, environment=environment, log=log_file)
+        try:
+            return self._forks.start(args, environment=environment, log=log_file)
+        except ConnectionError as error:
+            log.error("%s: another one is started", error)
+            self._forks.close()
+            self._forks = ForkServer(self._roles)
+            return self._forks.start(args, environment=environment, log=log_file)
+
+    @property
+    def _roles(self) -> list[str]:
+        return [child.spec.args[0] for child in self._children]
 
     def _has_both_ends(self, spec: ProcessSpec) -> bool:
         """The camera and its segmenter are both ours: only then they meet in our folder."""

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
@@ -29,6 +28,8 @@ class PatchNetwork:
                 f"the segmenter's weights {path} do not exist: give segmenter.weights an .onnx file made by `tuberline "
                 'train-classifier`, or set segmenter.method to "classical"'
             )
+        import onnxruntime  # it starts a thread, which a process that forks must not have
+
         self._path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1

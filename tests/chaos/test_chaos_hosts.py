@@ -17,9 +17,9 @@ from aggregator.ledger.writer import Ledger
 from benchmarks.belt_tables import without_travel
 from conveyor.config import LineConfig, dump_toml, parse_config
 from conveyor.observer import observer_when_there
+from conveyor.taken_port import free_port
 from tests.chaos.harness import DisturbedLine
 from tuberline.processes import line_processes
-from tuberline.replayer import free_port
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 SOURCE = Path(__file__).parent / "clock" / "ahead.c"

@@ -14,11 +14,11 @@ import pytest
 
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import FAULT
+from conveyor.taken_port import free_port
 from tests.chaos.harness import inject
 from tests.chaos.test_chaos_raising_watchers import answer
 from tests.chaos.test_chaos_resume import child
 from tests.conftest import wait_until
-from tuberline.replayer import free_port
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow, pytest.mark.timeout(600)]

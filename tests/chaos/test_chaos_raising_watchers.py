@@ -15,9 +15,9 @@ import pytest
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import FAULT
 from conveyor.formats import open_source
+from conveyor.taken_port import free_port
 from tests.chaos.harness import inject
 from tests.conftest import wait_until
-from tuberline.replayer import free_port
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]

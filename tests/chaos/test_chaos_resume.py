@@ -8,7 +8,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ import pytest
 from tests.belts import tuberline
 from tests.chaos.harness import canonical
 from tests.conftest import wait_until
+from tests.conveyor.test_conveyor_orphan import descendants
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(300)]
 
@@ -26,12 +27,11 @@ def begin(recording: Path, out: Path, *options: str) -> subprocess.Popen[bytes]:
 
 
 def child(supervisor: int, role: str) -> int | None:
-    """Process id of the supervisor's child that plays a role."""
-    for pid in Path(f"/proc/{supervisor}/task").glob("*/children"):
-        for number in pid.read_text().split():
-            words = Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")
-            if words[2:4] == [b"tuberline", role.encode()]:
-                return int(number)
+    """Process id of the supervisor's node that plays a role."""
+    for number in descendants(supervisor):
+        with suppress(OSError):
+            if Path(f"/proc/{number}/cmdline").read_bytes().startswith(f"tuberline {role} ".encode()):
+                return number
     return None
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,15 @@ with Supervisor([ProcessSpec("router", ("router", "--listen", sys.argv[1]))], lo
     print(supervisor.pid("router"), flush=True)
     time.sleep(60)
 """
+
+
+def descendants(pid: int) -> list[int]:
+    """Process ids of all that a process has started, and of what these have."""
+    found = []
+    for children in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            found += [int(child) for child in children.read_text(encoding="ascii").split()]
+    return found + [further for child in found for further in descendants(child)]
 
 
 def gone(pid: int) -> bool:
@@ -57,9 +67,8 @@ def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> 
     logs = out / "logs"
     with subprocess.Popen([*tuberline, "replay", recording, "--out", out, "--speed", "real"], cwd=ROOT) as replay:
         wait_until(lambda: [*logs.glob("camera-*.log")], what="the cameras are started", timeout_s=60)
-        children = Path(f"/proc/{replay.pid}/task/{replay.pid}/children")
-        pids = [int(pid) for pid in children.read_text(encoding="ascii").split()]
-        assert len(pids) >= 4
+        pids = descendants(replay.pid)
+        assert len(pids) >= 5, "the nodes, and what forks them"
         replay.send_signal(signal.SIGTERM)
         assert replay.wait(30) == 128 + signal.SIGTERM
     # One that was being started when the signal came is known to no one; it ends by itself, within a second.

@@ -17,12 +17,13 @@ import pytest
 
 from conveyor.identity import Identity
 from conveyor.messages import LoadAnswer
+from conveyor.taken_port import free_port
 from tests.conftest import ROOT, wait_until
 from tuberline.certs import issue, make_authority
 from viewer.page.acting import Acting
 from viewer.page.board import Board
 from viewer.page.server import PageServer
-from viewer.rerun.launch import Ports, RerunProgram, free_port
+from viewer.rerun.launch import Ports, RerunProgram
 
 USER, PASSWORD = "office", "harvest-moon"
 TOKEN = "a-token-of-this-test"

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from conveyor.taken_port import free_port as another_port
 from tests.conftest import wait_until
 from tuberline import heartbeat, own_time
 from tuberline.own_time import OwnTime
-from tuberline.replayer import free_port as another_port
 from tuberline.supervisor import ProcessSpec, Supervisor
 
 WAITED_S = 10_000

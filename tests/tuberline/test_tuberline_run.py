@@ -15,13 +15,13 @@ from conveyor.config import load_config
 from conveyor.errors import ConfigError
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
+from conveyor.taken_port import free_port
 from tests.belts import simulate, tuberline
 from tests.chaos.test_chaos_resume import child, tubers
 from tests.conftest import wait_until
 from tuberline.cli.config import check
 from tuberline.cli.run import run, summarise_late
 from tuberline.processes import usual_regressors
-from tuberline.replayer import free_port
 
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(200)]
 

@@ -23,9 +23,9 @@ import tomli_w
 from aggregator.ledger.check import check_file
 from conveyor import __version__
 from conveyor.config import dump_toml
+from conveyor.taken_port import free_port
 from tests.belts import simulate
 from tests.conftest import ROOT, wait_until
-from tests.viewer.viewer_line import free_port
 from tuberline.replayer import fingerprint, recording_cameras, replay_config
 
 pytestmark = [pytest.mark.slow, pytest.mark.graph, pytest.mark.timeout(600)]

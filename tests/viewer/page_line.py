@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.config import LineConfig, dump_toml, parse_config
+from conveyor.taken_port import free_port
 from tests.conftest import ROOT
-from tests.viewer.viewer_line import free_port
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 

@@ -15,13 +15,13 @@ from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.reader import reading
 from conveyor.config import LineConfig
 from conveyor.node import Node
+from conveyor.taken_port import free_port
 from tests.aggregator.belt_story import tell
 from tests.aggregator.test_aggregator_load_orders import Belt
 from tests.aggregator.test_aggregator_node import Process, Segmenters, line, process
 from tests.conftest import ROOT
 from tests.deploy.remote_browser import Browser, BrowserError
 from tests.viewer.test_viewer_page_browser import browser, js, text, until
-from tests.viewer.viewer_line import free_port
 
 __all__ = ["browser", "line", "process"]
 pytestmark = [pytest.mark.graph, pytest.mark.timeout(180)]

@@ -22,8 +22,9 @@ from conveyor.delivery import KeptPublisher, LatestPublisher
 from conveyor.errors import ConfigError
 from conveyor.messages import Position, Travel
 from conveyor.node import Node
+from conveyor.taken_port import free_port
 from tests.conftest import wait_until
-from tests.viewer.viewer_line import camera_info, free_port, potatoes, totals
+from tests.viewer.viewer_line import camera_info, potatoes, totals
 from tuberline.cli import build_app
 from viewer.page.maps import FieldMaps
 from viewer.page.watch import LineWatch

@@ -18,13 +18,13 @@ from conveyor.config import LineConfig, LinkConfig
 from conveyor.delivery import LatestPublisher
 from conveyor.messages import Outline, Picture
 from conveyor.node import Node
+from conveyor.taken_port import free_port
 from tests.conftest import wait_until
 from tests.deploy.remote_browser import Browser
 from tests.viewer.page_states import good_state
 from tests.viewer.test_viewer_page_browser import browser, js, until
 from tests.viewer.test_viewer_page_line import page as page_process
 from tests.viewer.test_viewer_page_server import ask
-from tests.viewer.viewer_line import free_port
 from viewer.page.board import Board
 from viewer.page.pictures import Pictures
 from viewer.page.server import PageServer

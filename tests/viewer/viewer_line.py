@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from conveyor.config import LinkConfig
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import CameraInfo, Frame, Totals, TrackInView, TracksInView, Tuber, View
 from conveyor.observer import Observer
+from conveyor.taken_port import free_port
 
 RUN = "load-7"
 BELT_DISTANCE_M = 0.46
@@ -183,13 +183,6 @@ def totals(tubers: list[Potato], *, run: str = RUN, final: bool = False) -> Tota
 def camera_info(*, run: str = RUN, camera: str = "front", lens: Intrinsics = LENS) -> CameraInfo:
     """A streaming camera."""
     return CameraInfo(camera, run, "streaming", "test", FPS, False, lens, SCALE_M, 0, 0, 1, {})
-
-
-def free_port() -> int:
-    """A port no one listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def within(seconds: float, condition: Callable[[], bool], what: str) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 from conveyor.errors import InputError, TuberlineError
 from conveyor.files import check_place, unwritable
 from tuberline.cli.numbers import RestingOffset, RestingSd, within
-from tuberline.replayer import replay_recording, resume_replay
+from tuberline.forks import MODULES, ForkServer
 
 
 def replay(
@@ -69,24 +70,29 @@ def replay(
     factor = parse_speed(speed)
     if rrd is not None:
         check_place(rrd, option="--rrd")
-    if resume:
-        summary = resume_replay(recording, out=out, show=not json)
-    else:
-        summary = replay_recording(
-            recording,
-            out=out,
-            speed=factor,
-            weights=weights,
-            regressors=regressors,
-            rrd=rrd,
-            ignore_masks=ignore_masks,
-            resting_offset_mm=resting_offset_mm,
-            resting_sd_mm=resting_sd_mm,
-            contract=contract,
-            places=places,
-            fast=fast,
-            show=not json,
-        )
+    # The nodes' process loads what they need while this one looks at the recording.
+    with ForkServer.if_usable(tuple(MODULES)) or nullcontext() as forks:
+        from tuberline.replayer import replay_recording, resume_replay
+
+        if resume:
+            summary = resume_replay(recording, out=out, show=not json, forks=forks)
+        else:
+            summary = replay_recording(
+                recording,
+                out=out,
+                speed=factor,
+                weights=weights,
+                regressors=regressors,
+                rrd=rrd,
+                ignore_masks=ignore_masks,
+                resting_offset_mm=resting_offset_mm,
+                resting_sd_mm=resting_sd_mm,
+                contract=contract,
+                places=places,
+                fast=fast,
+                show=not json,
+                forks=forks,
+            )
     if rrd is not None and (trouble := unwritable(rrd.absolute().parent)):
         sys.stderr.write(f"warning: --rrd {rrd} ends early, its disk takes no more: {trouble}\n")
     if json:

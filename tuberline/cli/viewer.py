@@ -123,8 +123,9 @@ def watch(
     """
     if connect is None and config is None:
         raise ConfigError("watch which line? Give its router (tuberline watch tcp/HOST:7447) or --config line.toml")
+    from conveyor.taken_port import free_port
     from viewer.node import Target, run_viewer
-    from viewer.rerun.launch import Ports, RerunProgram, free_port
+    from viewer.rerun.launch import Ports, RerunProgram
 
     watched = LineAddress(config, connect, line).watched()
     page = web or not _has_display()

@@ -140,14 +140,6 @@ def native_program() -> Path:
     raise ConfigError(f"rerun-sdk has no viewer program for this machine; {INSTALL}")
 
 
-def free_port() -> int:
-    """A port no one listens on now."""
-    with socket.socket() as probe:
-        probe.bind((THIS_MACHINE, 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def _must_be_free(port: int, what: str) -> None:
     with contextlib.suppress(OSError), socket.create_connection((THIS_MACHINE, port), 0.2):
         raise LinkError(
