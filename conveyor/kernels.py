@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
@@ -53,3 +55,22 @@ def _nothing() -> None:
 def load_compiler() -> None:
     """Load what numba needs for a process's first kernel, a quarter of a second, before others are forked from it."""
     _nothing()
+
+
+@contextmanager
+def compiled_once(what: str) -> Iterator[None]:
+    """Around the first calls of some kernels: of processes that begin together where nothing was ever compiled, one
+    compiles, and the others wait for what it keeps. Else nobody waits.
+
+    Args:
+        what: a name for these kernels, part of a file's name beside what is kept.
+    """
+    import fcntl  # not everywhere where a cloud can be weighed
+
+    _nothing()
+    with ExitStack() as stack:
+        if _nothing.stats.cache_misses:  # type: ignore[attr-defined]
+            with suppress(OSError):  # where nothing can be kept each has to compile
+                lock = Path(_nothing.stats.cache_path) / f"compiling-{what}.lock"  # type: ignore[attr-defined]
+                fcntl.flock(stack.enter_context(lock.open("wb")), fcntl.LOCK_EX)
+        yield

@@ -22,6 +22,7 @@ from segmenter.frame.sides import with_own_centres
 from segmenter.perception import Perception, PerceptionSettings
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import Resume
+from segmenter.track.constants import TALLEST_M
 from segmenter.track.counting import CountSettings
 from segmenter.track.coverage import Coverage
 from segmenter.track.decide import EARLY_FRAMES, Moment, TrackDecider
@@ -79,7 +80,8 @@ class BeltSegmenter:
         self.belt = belt
         self.tracker = Tracker(belt, settings.track, offsets_m)
         self.follower = BeltFollower(belt, resume=resume)
-        self.coverage = Coverage(high_m - low_m)
+        beyond_m = belt.x_range(TALLEST_M)[1] - belt.row_crossing_x(0.0, TALLEST_M)
+        self.coverage = Coverage(high_m - low_m, beyond_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.noise = NoiseWatch()
         self.flags: tuple[str, ...] = ()

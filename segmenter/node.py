@@ -26,6 +26,7 @@ from conveyor.delivery import (
 from conveyor.delivery.endpoint import Endpoint
 from conveyor.direct import DirectLink, direct_endpoint
 from conveyor.frame_ring import RingInlet, ring_path
+from conveyor.kernels import compiled_once
 from conveyor.messages import CameraInfo, Committed, Frame, Weight
 from conveyor.node import Node
 from conveyor.processors import Processors
@@ -80,7 +81,8 @@ class SegmenterNode:
 
     def run(self) -> None:
         """Work until stopped."""
-        warm_up(self._config.segmenter.pixel_mm)
+        with compiled_once("frames"):
+            warm_up(self._config.segmenter.pixel_mm)
         with self._node as node, ExitStack() as stack:
             stack.enter_context(only_here(self._config.segmenter.state_dir, f"{self._config.name}.{self._camera}"))
             self._open_links(node, stack)

@@ -16,6 +16,7 @@ from conveyor import topics
 from conveyor.config import LineConfig
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliablePublisher
+from conveyor.kernels import compiled_once
 from conveyor.messages import View, Weight
 from conveyor.node import Node
 from conveyor.threads import use_threads
@@ -46,7 +47,8 @@ def run_regressor(config: LineConfig, *, name: str, run: str) -> None:
         weigher = weigher.on(config.regressor.device)
     else:
         weigher = weigher.in_form(form_of(config, weigher))
-    warm_up(weigher)
+    with compiled_once("views"):
+        warm_up(weigher)
     with Node("regressor", name, config=config, run=run, announce=False) as node:
         service = WeightsService(node, weigher)
         try:

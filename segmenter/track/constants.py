@@ -66,6 +66,8 @@ ROUND_FILL = 0.7
 """Mean over highest height of a lying tuber. The mean is the safer one: a seam lends its height to a few cells only."""
 LONGEST_TUBER_M = 0.12
 """Metres; of the view so much is needed to see a tuber whole, the rest may pass between two frames."""
+USUAL_TUBER_M = 0.08
+"""Metres; with half of it outside the view most tubers are cut."""
 
 # Views (`views`)
 KEPT_PER_SLOT = 3

@@ -2,7 +2,8 @@
 
 A piece of belt passes the centre row unlooked-at when, between two processed frames, the belt moved on by more than
 the view less one tuber: what lay there was whole in neither of them. After a restart what the dead process saw is gone
-with it, but for what it logged: only the half of the view beyond the centre row can make good for that.
+with it, but for what it logged: only the view beyond the centre row can make good for that, as far as a tuber is whole
+in it. What stands high leaves the view sooner.
 """
 
 from __future__ import annotations
@@ -10,15 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from segmenter.track.constants import LONGEST_TUBER_M
+from segmenter.track.constants import LONGEST_TUBER_M, USUAL_TUBER_M
 from segmenter.track.travel import EarlierMove
 
 
 @dataclass(slots=True)
 class Coverage:
-    """Belt length that passed the centre row since the start, and the part of it that was looked at, metres."""
+    """Belt length that passed the centre row since the start, and the part of it that was looked at, metres.
+
+    `view_m` of the belt is in view; what stands as high as tubers do is so for `beyond_m` beyond the centre row.
+    """
 
     view_m: float
+    beyond_m: float
     looked_at_m: float = 0.0
     travelled_m: float = 0.0
     _highest_m: float | None = None
@@ -39,7 +44,8 @@ class Coverage:
             return
         self._highest_m = travel_m
         self.travelled_m += moved_m
-        self.looked_at_m += min(moved_m, self._reach_m / 2 if self._resumed else self._reach_m)
+        resumed_m = max(0.0, self.beyond_m - USUAL_TUBER_M / 2)
+        self.looked_at_m += min(moved_m, resumed_m if self._resumed else self._reach_m)
         self._resumed = False
 
     def earlier(self, moves: Iterable[EarlierMove]) -> None:

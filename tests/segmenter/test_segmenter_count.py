@@ -162,10 +162,21 @@ def test_a_merged_pair_counts_as_two_and_a_late_fragment_as_none() -> None:
 
 
 def test_coverage_counts_belt_once_when_it_runs_back() -> None:
-    coverage = Coverage(0.5)
+    coverage = Coverage(0.5, 0.2)
     for travel_m in (0.0, 0.1, 0.05, 0.1, 0.2):
         coverage.step(travel_m)
     assert (coverage.looked_at_m, coverage.travelled_m) == pytest.approx((0.2, 0.2))
+
+
+def test_belt_that_a_dead_process_took_with_it_is_seen_as_far_as_a_tuber_is_whole() -> None:
+    """Of a restart within half a second nothing was told, and a tuber of 290 g was missed: it had left the view."""
+    for missed_m, seen_m in ((0.1, 0.1), (0.16, 0.16), (0.19, 0.16)):
+        coverage = Coverage(0.5, 0.2)
+        coverage.resume(looked_at_m=1.0, travelled_m=1.0, travel_m=0.3)
+        for moved_m in (missed_m, missed_m + 0.02):
+            coverage.step(0.3 + moved_m)
+        assert coverage.travelled_m == pytest.approx(1.0 + missed_m + 0.02)
+        assert coverage.looked_at_m == pytest.approx(1.0 + seen_m + 0.02)
 
 
 def test_a_board_over_the_belt_costs_its_frames_and_not_the_run() -> None:
