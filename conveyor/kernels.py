@@ -60,7 +60,7 @@ def load_compiler() -> None:
 @contextmanager
 def compiled_once(what: str) -> Iterator[None]:
     """Around the first calls of some kernels: of processes that begin together where nothing was ever compiled, one
-    compiles, and the others wait for what it keeps. Else nobody waits.
+    compiles, and the others wait for what it keeps. Else none waits.
 
     Args:
         what: a name for these kernels, part of a file's name beside what is kept.

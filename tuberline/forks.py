@@ -154,7 +154,7 @@ class ForkServer:
         return Forked(told["pid"], self)
 
     def code_of(self, pid: int) -> int:
-        """Exit code of a node that has ended; `FAULT` where nobody can know, for the process that forked it is gone."""
+        """Exit code of a node that has ended; `FAULT` where the process that forked it is gone."""
         told = self._ask({"ended": pid})
         return FAULT if told is None else int(told["code"])
 

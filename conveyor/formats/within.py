@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from conveyor.errors import InputError
@@ -44,6 +45,8 @@ def check_within(folder: Path) -> None:
 def _check_link(path: Path, root: Path, folder: Path) -> None:
     try:
         target = path.resolve(strict=False)
+        with suppress(FileNotFoundError):
+            path.stat()  # of a link to itself Python 3.13 resolves nothing and says nothing
     except (OSError, RuntimeError) as error:
         raise InputError(f"{path} is a link that leads nowhere: {error}; remove it") from error
     if not target.is_relative_to(root):
