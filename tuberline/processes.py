@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 MOST_REGRESSORS = 2
 """Of a replay that was not told how many; each holds half a gigabyte."""
 LONG_FRAMES = 600
-"""To start a regressor takes five seconds of a processor. Of two processors that two cameras use, a second one saves a
-twentieth of the time: so much of a recording that it pays."""
+"""Of two processors that two cameras use a second regressor saves a twentieth of the time and costs a second of one: so
+much of a recording that it pays."""
 
 
 def usual_regressors(cameras: Sequence[CameraDescription], *, processors: int) -> int:
