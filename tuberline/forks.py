@@ -2,9 +2,9 @@
 
 python -m tuberline.forks SOCKET ROLE ...       # how the supervisor starts that process
 
-To load Python's modules and numba takes a node 1.0 s of a processor, and a line is nine of them. A forked node has them
-at once, shares their memory with the others, and leaves by itself as every node does. The process that forks holds
-nothing but modules: no thread, no session, no file. It leaves when its supervisor's end of the socket is closed.
+To load modules and numba takes a node up to a second of a processor, and a small line is eight of them. A forked node
+has them at once, shares their memory with the others, and leaves by itself as every node does. The process that forks
+holds nothing but modules: no thread, no session, no file. It leaves when its supervisor's end of the socket is closed.
 """
 
 from __future__ import annotations
@@ -207,8 +207,6 @@ def alone(args: Sequence[str], *, environment: Mapping[str, str], log: Path | No
 
 def serve(channel: socket.socket, roles: Sequence[str]) -> list[str] | None:
     """Answer until the supervisor has left: None. In each forked process: the arguments of the node that it is."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # meant for the nodes; this process leaves with its supervisor
-        signal.signal(number, signal.SIG_IGN)
     gc.disable()
     ahead = list(roles)
     with channel, channel.makefile("rb", buffering=0) as lines:
@@ -243,14 +241,14 @@ def forked(question: Mapping[str, Any]) -> dict[str, Any]:
     load(question["args"][0])
     gc.freeze()  # what is there stays: to look through it would copy the pages that all share
     server = os.getpid()
-    try:
-        with ExitStack() as stack:
+    with ExitStack() as stack:
+        try:
             log = stack.enter_context(Path(question["log"]).open("ab")) if question["log"] else None
             pid = os.fork()
-            if pid == 0:
-                become(server, question["environment"], log)
-    except OSError as error:
-        return {"number": error.errno, "why": error.strerror}
+        except OSError as error:
+            return {"number": error.errno, "why": error.strerror}
+        if pid == 0:
+            become(server, question["environment"], log)
     return {"pid": pid}
 
 
@@ -266,8 +264,9 @@ def become(server: int, environment: Mapping[str, str], log: BinaryIO | None) ->
 
 def main() -> None:
     """Serve; in a forked process: be the node."""
-    # Of these the first nodes that are asked for need all.
-    importlib.import_module("tuberline.cli")
+    for number in (signal.SIGINT, signal.SIGTERM):  # meant for the nodes; this process leaves with its supervisor
+        signal.signal(number, signal.SIG_IGN)
+    importlib.import_module("tuberline.cli")  # every node needs it
     args = serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2:])
     if args is None:
         os._exit(0)
