@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from conveyor.formats.source import CameraDescription
 
 MOST_REGRESSORS = 2
-"""Of a replay that was not told how many; each holds half a gigabyte."""
+"""Of a replay that was not told how many; each holds 170 MB, half of it shared with the other nodes."""
 LONG_FRAMES = 600
 """Of two processors that two cameras use a second regressor saves a twentieth of the time and costs a second of one: so
 much of a recording that it pays."""

@@ -67,7 +67,7 @@ ROUND_FILL = 0.7
 LONGEST_TUBER_M = 0.12
 """Metres; of the view so much is needed to see a tuber whole, the rest may pass between two frames."""
 USUAL_TUBER_M = 0.08
-"""Metres; with half of it outside the view most tubers are cut."""
+"""Metres; so long a tuber must be whole beyond the centre row for the belt there to count as seen after a restart."""
 
 # Views (`views`)
 KEPT_PER_SLOT = 3

@@ -34,6 +34,11 @@ class Coverage:
         """So much may pass between two frames and be whole in one of them."""
         return max(0.0, self.view_m - LONGEST_TUBER_M)
 
+    @property
+    def _reach_beyond_m(self) -> float:
+        """So much of what a dead process saw may lie beyond the centre row and be whole there."""
+        return max(0.0, self.beyond_m - USUAL_TUBER_M / 2)
+
     def step(self, travel_m: float) -> None:
         """Take the travel of one more processed frame. Belt that runs back and forth is counted once."""
         if self._highest_m is None:
@@ -44,8 +49,7 @@ class Coverage:
             return
         self._highest_m = travel_m
         self.travelled_m += moved_m
-        resumed_m = max(0.0, self.beyond_m - USUAL_TUBER_M / 2)
-        self.looked_at_m += min(moved_m, resumed_m if self._resumed else self._reach_m)
+        self.looked_at_m += min(moved_m, self._reach_beyond_m if self._resumed else self._reach_m)
         self._resumed = False
 
     def earlier(self, moves: Iterable[EarlierMove]) -> None:
