@@ -67,8 +67,9 @@ class Forked:
     def __init__(self, pid: int, server: ForkServer) -> None:
         self.pid = pid
         self._server = server
-        self._handle = os.pidfd_open(pid)
         self._code: int | None = None
+        self._handle = -1  # nothing to close where there is none to be had
+        self._handle = os.pidfd_open(pid)
 
     def __del__(self) -> None:
         self._close()
@@ -120,8 +121,16 @@ class ForkServer:
     """
 
     def __init__(self, roles: Sequence[str]) -> None:
-        self._roles = list(dict.fromkeys(roles))
-        self._begin()
+        self._channel, theirs = socket.socketpair()
+        with theirs:
+            self._channel.settimeout(ANSWER_WITHIN_S)
+            self._lines = self._channel.makefile("rb")
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tuberline.forks", str(theirs.fileno()), *dict.fromkeys(roles)],
+                stdin=subprocess.DEVNULL,
+                env={**ONE_THREAD, **os.environ},
+                pass_fds=(theirs.fileno(),),
+            )
 
     def __enter__(self) -> Self:
         return self
@@ -151,7 +160,13 @@ class ForkServer:
             raise ConnectionError("the process that forks nodes does not answer")
         if "pid" not in told:
             raise OSError(told["number"], told["why"])
-        return Forked(told["pid"], self)
+        pid: int = told["pid"]
+        try:
+            return Forked(pid, self)
+        except OSError:  # no handle is left: a node that no one looks after must not run
+            os.kill(pid, signal.SIGKILL)
+            self.code_of(pid)
+            raise
 
     def code_of(self, pid: int) -> int:
         """Exit code of a node that has ended; `FAULT` where the process that forked it is gone."""
@@ -163,18 +178,6 @@ class ForkServer:
         self._leave()
         self._process.kill()
         self._process.wait()
-
-    def _begin(self) -> None:
-        self._channel, theirs = socket.socketpair()
-        with theirs:
-            self._channel.settimeout(ANSWER_WITHIN_S)
-            self._lines = self._channel.makefile("rb")
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "tuberline.forks", str(theirs.fileno()), *self._roles],
-                stdin=subprocess.DEVNULL,
-                env={**ONE_THREAD, **os.environ},
-                pass_fds=(theirs.fileno(),),
-            )
 
     def _leave(self) -> None:
         self._lines.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -76,9 +77,24 @@ def test_what_cannot_be_started_is_an_error_of_the_system(forks: ForkServer, tmp
     assert forks.start(("router", "--help"), environment={}, log=tmp_path / "router.log").wait(60) == 0
 
 
+def test_a_node_that_could_not_be_watched_does_not_run(
+    forks: ForkServer, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where this process has no handle left the node is told as one that cannot be started."""
+    asked: list[int] = []
+
+    def none_left(pid: int) -> int:
+        asked.append(pid)
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(os, "pidfd_open", none_left)
+    with pytest.raises(OSError, match="Too many open files"):
+        forks.start(("router", "--listen", f"tcp/127.0.0.1:{free_port}"), environment={}, log=None)
+    assert gone(asked[0])
+
+
 def test_the_process_that_forks_has_no_thread(forks: ForkServer, tmp_path: Path) -> None:
     """One would be missing in each node, with whatever it holds."""
-    node = None
     for role in MODULES:
         node = forks.start((role, "--help"), environment={}, log=tmp_path / "log")
         server = server_of(node.pid)
@@ -111,7 +127,7 @@ def test_a_question_that_a_signal_cut_short_is_the_last(forks: ForkServer, free_
 def test_nodes_end_with_the_process_that_forked_them(forks: ForkServer, free_port: int, tmp_path: Path) -> None:
     router = start_router(forks, free_port, tmp_path / "router.log")
     os.kill(server_of(router.pid), signal.SIGKILL)
-    assert router.wait(15) == FAULT, "nobody knows"
+    assert router.wait(15) == FAULT, "its code is not known"
     assert "that started this one is gone" in (tmp_path / "router.log").read_text(encoding="utf-8")
     with pytest.raises(ConnectionError, match="does not answer"):
         forks.start(("router",), environment={}, log=None)
