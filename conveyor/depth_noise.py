@@ -6,8 +6,6 @@ because a stereo camera errs in disparity: by the same share of a pixel near and
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +25,13 @@ LEAST_WINDOWS = 40
 CROP_WINDOWS, LEAST_CROP_WINDOWS = 48, 6
 """Windows looked at on one tuber, about, and how few say something: 48 take under a millisecond and know the noise to
 5 %; a small tuber far away has 20."""
+
+PLACES = np.arange(SIDE) / (SIDE // 2) - 1.0
+"""(11,) of the pixels along a window, -1 to 1."""
+_Y, _X = np.meshgrid(PLACES, PLACES, indexing="ij")
+_TERMS = np.stack([np.ones((SIDE, SIDE)), _X, _Y, _X * _X, _X * _Y, _Y * _Y]).reshape(6, -1)
+WHOLE = _TERMS @ _TERMS.T + 1e-9 * np.eye(6)
+"""(6, 6) normal equations of a quadric through a window that is seen whole, with a little ridge."""
 
 Disparity = NDArray[np.float32]
 
@@ -52,17 +57,8 @@ def window_residuals_px(d: Disparity, *, stride: int = STRIDE) -> NDArray[np.flo
     """
     if min(d.shape) < SIDE:
         return np.zeros(0)
-    windows = _windows(d, stride)
-    if not len(windows):
-        return np.zeros(0)
-    seen = (windows > 0).astype(np.float64)
-    count = seen.sum(axis=1)
-    windows = seen * (windows - (windows.sum(axis=1) / count)[:, None])
-    basis, products = _quadrics()
-    normal = (seen @ products).reshape(-1, 6, 6) + 1e-9 * np.eye(6)
-    found = np.linalg.solve(normal, (windows @ basis)[:, :, None])[:, :, 0]
-    left = seen * (windows - found @ basis.T)
-    return np.asarray(np.sqrt((left * left).sum(axis=1) / (count - 6)))
+    found: NDArray[np.float64] = _residuals(_windows(d, stride))
+    return found
 
 
 def noise_px(d: Disparity, *, stride: int = QUICK_STRIDE) -> float | None:
@@ -151,9 +147,66 @@ def _smooth(window: Disparity, out: NDArray[np.float64]) -> bool:
     return seen >= LEAST_SEEN * SIDE * SIDE
 
 
-@lru_cache
-def _quadrics() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(121, 6) the terms 1, x, y, x^2, xy, y^2 of each pixel of a window, and (121, 36) their products."""
-    y, x = np.mgrid[:SIDE, :SIDE].reshape(2, -1) / (SIDE // 2) - 1.0
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    return basis, np.einsum("ip,iq->ipq", basis, basis).reshape(len(basis), 36)
+@kernel(nogil=True, error_model="numpy")
+def _residuals(windows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) standard deviation of what is seen of (n, 121) windows, 0 = not seen, about the quadric through it."""
+    found = np.empty(len(windows))
+    for n in range(len(windows)):
+        normal, right, middle, count = _equations(windows[n])
+        c = _solved(normal, right)
+        square = 0.0
+        for v in range(SIDE):
+            y = PLACES[v]
+            level, slope = c[0] + y * (c[2] + y * c[5]) + middle, c[1] + y * c[4]
+            for u in range(SIDE):
+                d, x = windows[n, v * SIDE + u], PLACES[u]
+                left = d - (level + x * (slope + x * c[3])) if d > 0 else 0.0
+                square += left * left
+        found[n] = np.sqrt(square / (count - 6))
+    return found
+
+
+@kernel(nogil=True, error_model="numpy")
+def _equations(window: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int]:
+    """(6, 6) and (6,) for the terms 1, x, y, xx, xy, yy of what is seen of a window, with a little ridge; its mean,
+    which is taken off; how many pixels are seen. Sums over the pixels are those of all less those not seen.
+    """
+    total, normal, right, terms = window.sum(), WHOLE.copy(), np.zeros(6), np.ones(6)
+    count = SIDE * SIDE
+    for i in range(SIDE * SIDE):
+        if window[i] == 0:
+            x, y = PLACES[i % SIDE], PLACES[i // SIDE]
+            terms[1], terms[2], terms[3], terms[4], terms[5] = x, y, x * x, x * y, y * y
+            for p in range(6):
+                for q in range(p + 1):
+                    normal[p, q] -= terms[p] * terms[q]
+            count -= 1
+    middle = total / count
+    for v in range(SIDE):
+        y, once, by_x, by_xx = PLACES[v], 0.0, 0.0, 0.0
+        for u in range(SIDE):
+            d, x = window[v * SIDE + u], PLACES[u]
+            d = d - middle if d > 0 else 0.0
+            once, by_x, by_xx = once + d, by_x + d * x, by_xx + d * x * x
+        for p, value in enumerate((once, by_x, y * once, by_xx, y * by_x, y * y * once)):
+            right[p] += value
+    return normal, right, middle, count
+
+
+@kernel(nogil=True, error_model="numpy")
+def _solved(normal: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(6,) solution of equations whose lower triangle is given, by Cholesky's factors, in place."""
+    for p in range(6):
+        for q in range(p + 1):
+            rest = normal[p, q]
+            for k in range(q):
+                rest -= normal[p, k] * normal[q, k]
+            normal[p, q] = np.sqrt(rest) if p == q else rest / normal[q, q]
+        for k in range(p):
+            right[p] -= normal[p, k] * right[k]
+        right[p] /= normal[p, p]
+    for p in range(5, -1, -1):
+        for k in range(p + 1, 6):
+            right[p] -= normal[k, p] * right[k]
+        right[p] /= normal[p, p]
+    return right

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from conveyor.config import LineConfig
 from tuberline.supervisor import ProcessSpec
 
-if TYPE_CHECKING:
-    from conveyor.formats.source import CameraDescription
-
 MOST_REGRESSORS = 2
 """Of a replay that was not told how many; each holds 170 MB, half of it shared with the other nodes."""
-LONG_FRAMES = 600
-"""Of two processors that two cameras use a second regressor saves a twentieth of the time and costs a second of one: so
-much of a recording that it pays."""
 
 
-def usual_regressors(cameras: Sequence[CameraDescription], *, processors: int) -> int:
-    """How many weigh a replay: one for each processor that no camera needs, two of a long recording, two at most."""
-    if sum(camera.frames or 0 for camera in cameras) >= LONG_FRAMES:
-        return MOST_REGRESSORS
-    return min(MOST_REGRESSORS, max(1, processors - len(cameras)))
+def usual_regressors(processors: int) -> int:
+    """How many weigh a replay. Beside two cameras on two processors a second one takes no more time than it saves while
+    frames come, and halves what is left to be weighed once the last has come.
+    """
+    return min(MOST_REGRESSORS, processors)
 
 
 def line_processes(

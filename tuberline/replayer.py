@@ -94,7 +94,7 @@ def replay_recording(
         out=out,
         speed=speed,
         weights=weights,
-        regressors=regressors or usual_regressors(told, processors=usable()),
+        regressors=regressors or usual_regressors(usable()),
         rrd=rrd,
         settings=sections,
         ignore_masks=ignore_masks,

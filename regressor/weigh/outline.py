@@ -151,12 +151,10 @@ def fill_holes(depth: NDArray[np.float64]) -> int:
     the hole is there: exact on a plane.
     """
     rows, columns = depth.shape
-    outside = np.zeros((rows, columns), np.bool_)
-    stack = np.empty(rows * columns + 2 * (rows + columns), np.int32)
-    top = 0
+    outside, stack, top = np.zeros((rows, columns), np.bool_), np.empty(rows * columns, np.int32), 0
     for v in range(rows):
-        for u in range(columns):
-            if (v in (0, rows - 1) or u in (0, columns - 1)) and depth[v, u] == 0 and not outside[v, u]:
+        for u in range(0, columns, 1 if v in (0, rows - 1) else max(columns - 1, 1)):
+            if depth[v, u] == 0:
                 outside[v, u] = True
                 stack[top] = v * columns + u
                 top += 1
@@ -169,9 +167,17 @@ def fill_holes(depth: NDArray[np.float64]) -> int:
                 outside[b, a] = True
                 stack[top] = b * columns + a
                 top += 1
-    total = np.zeros((rows, columns))
-    weight = np.zeros((rows, columns))
+    holed_rows, holed_columns, holes = np.zeros(rows, np.bool_), np.zeros(columns, np.bool_), False
     for v in range(rows):
+        for u in range(columns):
+            if depth[v, u] == 0 and not outside[v, u]:
+                holed_rows[v] = holed_columns[u] = holes = True
+    if not holes:
+        return 0
+    total, weight = np.zeros((rows, columns)), np.zeros((rows, columns))
+    for v in range(rows):
+        if not holed_rows[v]:
+            continue
         last = -1
         for u in range(columns):
             if depth[v, u] > 0:
@@ -184,6 +190,8 @@ def fill_holes(depth: NDArray[np.float64]) -> int:
             elif outside[v, u]:
                 last = -1
     for u in range(columns):
+        if not holed_columns[u]:
+            continue
         last = -1
         for v in range(rows):
             if depth[v, u] > 0:

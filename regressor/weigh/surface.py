@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
 from regressor.weigh.profile import PROFILE_NAMES, rim_profile
+from regressor.weigh.widths import between, longest_widths
 
 LEVELS = (0.50, 0.70, 0.85)
 """Of the height: where cross sections are taken."""
@@ -26,12 +27,7 @@ LEAST_HEIGHT_M = 0.001
 CURVATURE_POINTS = 3000
 TOP = 0.6
 """Of the height: from there on up the top's curvature is fitted."""
-TRIMMED = 0.005
-"""Share of the outline's pixels that are left out at either end of a width: single ones say little."""
 AXIS_POINTS = 2000
-ANGLES = np.deg2rad(np.arange(0.0, 180.0, 5.0))
-DIRECTIONS = np.stack([np.cos(ANGLES), np.sin(ANGLES)])
-"""(2, 36) unit vectors in the level plane."""
 LARGEST_RATIO = 4.0
 """An outline area that the curvature implies is at most so many times the visible one, and at least its share."""
 
@@ -101,7 +97,7 @@ def surface_features(
     """
     heights = distance_m - level[:, 2]
     height_m = max(_quantiles(_ranked(heights, 0.99), (0.99,))[0], LEAST_HEIGHT_M)
-    length_m, width_m = _longest(level[:: max(1, len(level) // AXIS_POINTS)], DIRECTIONS, TRIMMED)
+    length_m, width_m = longest_widths(level[:: max(1, len(level) // AXIS_POINTS)])
     rim, rim_xy = _rim(inside, level, heights)
     low, middle, high = _quantiles(np.sort(rim / height_m), (0.1, 0.5, 0.9)) if len(rim) else (0.5, 0.5, 0.5)
     area_m2, volume_m3, x, y, top_x, top_y, *sections = _sums(level, areas_m2, heights, height_m)
@@ -156,91 +152,13 @@ def _sums(
     return area, volume, x / area, y / area, top_x / top, top_y / top, low, middle, high
 
 
-@kernel(nogil=True)
-def _longest(level: NDArray[np.float64], directions: NDArray[np.float64], trimmed: float) -> tuple[float, float]:
-    """Longest width of the outline of (n, 2 or more) points over (2, m) directions, and the one half of them further
-    on.
-
-    A direction is left out along which the whole extent is shorter than the longest width so far.
-    """
-    n, many = len(level), directions.shape[1]
-    x, y = np.ascontiguousarray(level[:, 0]), np.ascontiguousarray(level[:, 1])
-    extents = _extents(x, y, directions)
-    longest, length = -1, -np.inf
-    for d in np.argsort(-extents):
-        if extents[d] < length:
-            break
-        width = _widths((directions[0, d] * x + directions[1, d] * y).reshape(1, n), trimmed)[0]
-        if width > length or (width == length and d < longest):
-            longest, length = d, width
-    across = (longest + many // 2) % many
-    return length, _widths((directions[0, across] * x + directions[1, across] * y).reshape(1, n), trimmed)[0]
-
-
-@kernel(nogil=True, fastmath={"nnan", "nsz"})
-def _extents(x: NDArray[np.float64], y: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(m,) from the lowest to the highest of (n,) places along each of (2, m) directions."""
-    extents = np.empty(directions.shape[1])
-    for d in range(len(extents)):
-        a, b = directions[0, d], directions[1, d]
-        low = high = a * x[0] + b * y[0]
-        for k in range(len(x)):
-            value = a * x[k] + b * y[k]
-            low, high = min(low, value), max(high, value)
-        extents[d] = high - low
-    return extents
-
-
-@kernel(nogil=True)
-def _widths(along: NDArray[np.float64], trimmed: float) -> NDArray[np.float64]:
-    """(n,) distance of the quantiles `trimmed` and 1 - `trimmed` of each row: NumPy's numbers, without its partition.
-
-    Only the few values at either end of a row are kept in order. They are met in an order that jumps about, for a
-    raster's own would bring a new extreme with nearly every pixel.
-    """
-    rows, n = along.shape
-    widths = np.empty(rows)
-    at_low, at_high = trimmed * (n - 1), (1.0 - trimmed) * (n - 1)
-    keep = min(n, int(at_low) + 3)
-    jump = n // 2 + 1
-    while _common(jump, n) != 1:
-        jump += 1
-    low, high = np.empty(keep), np.empty(keep)
-    for row in range(rows):
-        low[:] = np.inf
-        high[:] = -np.inf
-        at = 0
-        for _ in range(n):
-            value = along[row, at]
-            at += jump
-            if at >= n:
-                at -= n
-            if value < low[keep - 1]:
-                i = keep - 1
-                while i > 0 and low[i - 1] > value:
-                    low[i] = low[i - 1]
-                    i -= 1
-                low[i] = value
-            if value > high[keep - 1]:
-                i = keep - 1
-                while i > 0 and high[i - 1] < value:
-                    high[i] = high[i - 1]
-                    i -= 1
-                high[i] = value
-        first, last = int(at_low), int(at_high)
-        below = _between(low[first], low[min(first + 1, n - 1)], at_low - first)
-        above = _between(high[n - 1 - last], high[n - 1 - min(last + 1, n - 1)], at_high - last)
-        widths[row] = above - below
-    return widths
-
-
 def _quantiles(ordered: NDArray[np.float64], shares: Sequence[float]) -> list[float]:
     """Of sorted values: NumPy's numbers, without what it does around them."""
     found, last = [], len(ordered) - 1
     for share in shares:
         at = share * last
         below = int(at)
-        found.append(float(_between(ordered[below], ordered[min(below + 1, last)], at - below)))
+        found.append(float(between(ordered[below], ordered[min(below + 1, last)], at - below)))
     return found
 
 
@@ -248,19 +166,6 @@ def _ranked(values: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """Values in such an order that those beside the quantile `share` stand where they would stand sorted."""
     below = int(share * (len(values) - 1))
     return np.partition(values, (below, min(below + 1, len(values) - 1)))
-
-
-@kernel(nogil=True)
-def _between(a: float, b: float, share: float) -> float:
-    """As NumPy interpolates, rounding included."""
-    return b - (b - a) * (1.0 - share) if share >= 0.5 else a + (b - a) * share
-
-
-@kernel(nogil=True)
-def _common(a: int, b: int) -> int:
-    while b:
-        a, b = b, a % b
-    return a
 
 
 @kernel(nogil=True)
@@ -308,22 +213,27 @@ def _quadric(xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float)
 def _normal_equations(
     xy: NDArray[np.float64], heights: NDArray[np.float64], unit: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(6, 6) and (6,) of `_quadric`."""
+    """(6, 6) and (6,) of `_quadric`: of its 36 sums 15 differ, those of x^i y^j."""
     n = len(xy)
     middle_x, middle_y = xy[:, 0].sum() / n, xy[:, 1].sum() / n
-    normal, right, terms = np.zeros((6, 6)), np.zeros(6), np.empty(6)
+    s10 = s01 = s20 = s11 = s02 = s30 = s21 = s12 = s03 = s40 = s31 = s22 = s13 = s04 = 0.0
+    h00 = h10 = h01 = h20 = h11 = h02 = 0.0
     for k in range(n):
-        x, y = (xy[k, 0] - middle_x) / unit, (xy[k, 1] - middle_y) / unit
-        terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = 1.0, x, y, x * x, x * y, y * y
-        for p in range(6):
-            right[p] += terms[p] * heights[k]
-            for q in range(p, 6):
-                normal[p, q] += terms[p] * terms[q]
-    for p in range(6):
-        normal[p, p] += 1e-6 * n
-        for q in range(p):
-            normal[p, q] = normal[q, p]
-    return normal, right
+        x, y, h = (xy[k, 0] - middle_x) / unit, (xy[k, 1] - middle_y) / unit, heights[k]
+        xx, xy_, yy = x * x, x * y, y * y
+        s10, s01, s20, s11, s02 = s10 + x, s01 + y, s20 + xx, s11 + xy_, s02 + yy
+        s30, s21, s12, s03 = s30 + xx * x, s21 + xx * y, s12 + x * yy, s03 + yy * y
+        s40, s31, s22, s13, s04 = s40 + xx * xx, s31 + xx * xy_, s22 + xx * yy, s13 + xy_ * yy, s04 + yy * yy
+        h00, h10, h01, h20, h11, h02 = h00 + h, h10 + h * x, h01 + h * y, h20 + h * xx, h11 + h * xy_, h02 + h * yy
+    sums = (
+        (float(n), s10, s01, s20, s11, s02),
+        (s10, s20, s11, s30, s21, s12),
+        (s01, s11, s02, s21, s12, s03),
+        (s20, s30, s21, s40, s31, s22),
+        (s11, s21, s12, s31, s22, s13),
+        (s02, s12, s03, s22, s13, s04),
+    )
+    return np.array(sums) + 1e-6 * n * np.eye(6), np.array((h00, h10, h01, h20, h11, h02))
 
 
 @kernel(nogil=True)

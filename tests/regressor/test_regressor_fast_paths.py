@@ -5,26 +5,26 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _tuber, _windows, disparity
+from conveyor.depth_noise import JUMP_PX, LEAST_SEEN, SIDE, _residuals, _tuber, _windows, disparity
 from regressor.network.sampling import farthest_points
 from regressor.weigh.completed import LEAST_HEIGHT, _about_middle, _directions, _extremes, _reach_mm, _turned
 from regressor.weigh.grown import view_heights_m
+from regressor.weigh.outline import fill_holes
 from regressor.weigh.prepare import _areas, _centred, _points
 from regressor.weigh.quadratic import pairs_of, quadratic
 from regressor.weigh.surface import (
     CURVATURE_POINTS,
-    DIRECTIONS,
     LEVELS,
-    _longest,
     _quadric,
     _quantiles,
     _ranked,
     _rim,
     _sums,
     _top,
-    _widths,
 )
+from regressor.weigh.widths import DIRECTIONS, longest_widths
 from tests.regressor.ellipsoids import ellipsoid_view
 
 RNG = np.random.default_rng(7)
@@ -107,9 +107,8 @@ def test_the_longest_axis_is_found_among_all() -> None:
         x, y = xy / np.hypot(*xy).max() if stretch < 1.5 else xy
         along = DIRECTIONS[0][:, None] * x + DIRECTIONS[1][:, None] * y
         widths = np.quantile(along, 0.995, axis=1) - np.quantile(along, 0.005, axis=1)
-        np.testing.assert_array_equal(_widths(along, 0.005), widths)
         longest = int(widths.argmax())
-        assert _longest(np.stack([x, y], axis=1), DIRECTIONS, 0.005) == (widths[longest], widths[(longest + 18) % 36])
+        assert longest_widths(np.stack([x, y], axis=1)) == (widths[longest], widths[(longest + 18) % 36])
 
 
 def test_areas_volume_and_middles_are_sums_over_the_pixels() -> None:
@@ -202,6 +201,54 @@ def test_windows_are_those_that_lie_on_one_surface() -> None:
             plain.append(window.ravel())
     assert 10 < len(plain) < 90
     np.testing.assert_array_equal(_windows(d, 7), np.array(plain, np.float64))
+
+
+def test_what_is_left_beside_a_window_s_quadric_is_that_of_least_squares() -> None:
+    y, x = np.mgrid[:SIDE, :SIDE].reshape(2, -1) / (SIDE // 2) - 1.0
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    windows = 30 + basis @ RNG.normal(0, 0.3, 6) + RNG.normal(0, 0.05, (40, SIDE * SIDE))
+    windows[10:][RNG.random((30, SIDE * SIDE)) < 0.4] = 0
+    plain = []
+    for window in windows:
+        seen = window > 0
+        left = window[seen] - basis[seen] @ np.linalg.lstsq(basis[seen], window[seen], rcond=None)[0]
+        plain.append(np.sqrt((left @ left) / (seen.sum() - 6)))
+    np.testing.assert_allclose(_residuals(windows), plain, rtol=1e-9)
+    assert len(_residuals(windows[:0])) == 0
+
+
+def test_holes_are_filled_along_rows_and_columns() -> None:
+    """The mean of both interpolations, each by how narrow the hole is there; what is open to the side stays empty."""
+    depth = RNG.uniform(0.3, 0.4, (24, 31))
+    depth[RNG.random(depth.shape) < 0.2] = 0
+    depth[8:14, 10:17] = 0
+    depth[:4, 20:26] = 0
+    outside = _reached_from_the_side(depth == 0)
+    plain, holes = depth.copy(), np.argwhere((depth == 0) & ~outside)
+    for v, u in holes:
+        total = weight = 0.0
+        for line, at in ((depth[v], u), (depth[:, u], v)):
+            seen = np.flatnonzero(line)
+            low, high = seen[seen < at][-1], seen[seen > at][0]
+            share = 1 / (high - low)
+            total += share * (line[low] * (high - at) + line[high] * (at - low)) / (high - low)
+            weight += share
+        plain[v, u] = total / weight
+    assert 50 < len(holes) < np.count_nonzero(depth == 0)
+    assert fill_holes(depth) == len(holes)
+    np.testing.assert_array_equal(depth, plain)
+    assert fill_holes(depth) == 0
+
+
+def _reached_from_the_side(empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    reached = empty.copy()
+    reached[1:-1, 1:-1] = False
+    while True:
+        framed = np.pad(reached, 1)
+        more = empty & (framed[:-2, 1:-1] | framed[2:, 1:-1] | framed[1:-1, :-2] | framed[1:-1, 2:] | reached)
+        if (more == reached).all():
+            return reached
+        reached = more
 
 
 def test_the_farthest_points_are_those_of_a_search_through_all() -> None:

@@ -63,8 +63,7 @@ def replay(
         recording: of any known format; all its cameras are used.
         out: folder for ledger.db, summary.json and tubers.csv; must not hold a run yet.
         speed: times real time; 0 as fast as the line takes it. Nothing is lost at any speed.
-        regressors: number of weighing processes, 1 to 64; None: two, or one where the cameras of a short
-            recording need all processors.
+        regressors: number of weighing processes, 1 to 64; None: two, or one on a single processor.
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.

@@ -22,7 +22,7 @@ def demo(
     out
         Folder for the recording (made once) and the results of each run.
     regressors
-        Number of weighing processes; default: two, or one where the cameras of a short recording need all processors.
+        Number of weighing processes; default: two, or one on a single processor.
     json
         Print the result as JSON on stdout.
     """

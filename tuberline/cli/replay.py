@@ -45,7 +45,7 @@ def replay(
     weights
         PointRAFT weights (.safetensors or the authors' .pth); default: the shipped ones.
     regressors
-        Number of weighing processes; default: two, or one where the cameras of a short recording need all processors.
+        Number of weighing processes; default: two, or one on a single processor.
     rrd
         Also write a Rerun recording to this file.
     ignore_masks
