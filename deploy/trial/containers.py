@@ -12,6 +12,7 @@ import os
 import shutil
 import signal
 import sqlite3
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic
@@ -27,17 +28,18 @@ from deploy.trial.tools import ROOT, TrialError, say, table, until
 
 ORDER = (
     *("router", "aggregator", "regressor", "segmenter-left", "camera-left", "metrics", "page", "viewer"),
-    *("encoder", "gnss"),
+    *("encoder", "gnss", "alarms"),
 )
 IMAGE = {
     "tuberline-edge:local": "edge",
     "tuberline:local": "node",
     "tuberline-camera:local": "camera",
+    "tuberline-alarms:local": "alarms",
     "tuberline-viewer:local": "viewer",
 }
 """The image that a service names, as the target that it is built from."""
 UID = 10001
-WATCH = ("metrics", "page", "viewer", "encoder", "gnss")
+WATCH = ("metrics", "page", "viewer", "encoder", "gnss", "alarms")
 """Whether the line still counts when they are killed does not matter: a recording brings its own travel."""
 RECORDING = ("--seed", "1607", "--tubers", "60", "--scene", "singulated", "--fps", "10", "--speed-mps", "0.1")
 """A minute of belt, so that the line is counting while it is hurt."""
@@ -48,6 +50,25 @@ AS_A_REPLAY = {
     "[aggregator]": "[aggregator]\ncamera_stall_s = 600.0",
 }
 TOKEN = "a-token-of-this-trial"
+HOOK = f"http://{GATEWAY}:9190/alarms"
+ALARMS = f"""
+[alarms]
+channels = ["{HOOK}"]
+after_s = 1.0
+"""
+"""In the line's file; what is killed is back after 2 to 4 s."""
+RECEIVER = """
+import http.server, json
+class Hook(http.server.BaseHTTPRequestHandler):
+    def do_POST(self):
+        body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+        print(body["event"], body["key"], flush=True)
+        self.send_response(204)
+        self.end_headers()
+    def log_message(self, *words):
+        pass
+http.server.ThreadingHTTPServer(("", 9190), Hook).serve_forever()
+"""
 ORDER_TO_PAGE = """
 import sys, urllib.error, urllib.request
 asked = urllib.request.Request("http://127.0.0.1:9180/order", b"{}", {"x-tuberline-token": sys.argv[1]})
@@ -163,7 +184,12 @@ def trial(engine: Engine, name_of: Named, shut: Sequence[str]) -> str:
     engine.within_own_network()
     try:
         rows = [calm(Line(engine, name_of, folder, "calm"), reference)]
-        rows.append(shaken(Line(engine, name_of, folder, "shaken"), reference))
+        with engine.start_within(sys.executable, "-c", RECEIVER) as hook:
+            try:
+                rows.append(shaken(Line(engine, name_of, folder, "shaken"), reference))
+            finally:
+                hook.terminate()
+            tell_alarms(hook.communicate()[0])
     finally:
         engine.leave_own_network()
     return table(("seconds until", *ORDER, "ledger"), rows)
@@ -200,6 +226,14 @@ def shaken(line: Line, reference: list[str]) -> tuple[object, ...]:
     return ("well again after SIGKILL", *(f"{back[name]:.1f}" for name in ORDER), "same")
 
 
+def tell_alarms(said: str) -> None:
+    """What the line's alarms sent while its containers were killed."""
+    begun = [line.partition(" ")[2] for line in said.splitlines() if line.startswith("begin ")]
+    if not begun:
+        raise TrialError(f"containers were killed and no alarm came to {HOOK}: {said[:300]}")
+    say(f"containers: {len(begun)} alarms came: {', '.join(sorted(set(begun)))}")
+
+
 def compare(what: str, found: list[str], wanted: list[str]) -> None:
     if found != wanted:
         pair = next(((a, b) for a, b in zip(found, wanted, strict=False) if a != b), (len(found), len(wanted)))
@@ -214,7 +248,7 @@ def prepare(engine: Engine, name_of: Named, folder: Path, shut: Sequence[str]) -
     text = (ROOT / "deploy/docker/site.toml").read_text(encoding="utf-8")
     for old, new in AS_A_REPLAY.items():
         text = text.replace(old, new)
-    (folder / "site.toml").write_text(text + DEVICES, encoding="utf-8")
+    (folder / "site.toml").write_text(text + DEVICES + ALARMS, encoding="utf-8")
     (folder / "page-token").write_text(TOKEN, encoding="utf-8")
     (folder / "page-token").chmod(0o400)
     os.chown(folder / "page-token", UID, UID)

@@ -51,6 +51,10 @@ class Engine:
         self._within = ["nsenter", f"--net=/run/netns/{SPACE}"]
         self.podman("network", "create", "--subnet", "10.78.0.0/24", "--gateway", GATEWAY, SPACE)
 
+    def start_within(self, *words: str) -> subprocess.Popen[str]:
+        """A program of this machine that containers reach at `GATEWAY`."""
+        return subprocess.Popen([*self._within, *words], stdout=subprocess.PIPE, text=True)
+
     def leave_own_network(self) -> None:
         """Remove it, and every container in it."""
         if self._within:

@@ -1,4 +1,4 @@
-"""`make images`: the base, the three images, what is in them, and a line of them. See --help."""
+"""`make images`: the base, the images, what is in them, and a line of them. See --help."""
 
 from __future__ import annotations
 
@@ -26,11 +26,18 @@ from deploy.trial.tools import (
 
 BASE = "docker.io/library/python:3.11-slim-bookworm"
 OWN_BASE = "localhost/tuberline-base:bookworm"
-IMAGES = {"edge": "tuberline-edge", "node": "tuberline", "camera": "tuberline-camera", "viewer": "tuberline-viewer"}
+IMAGES = {
+    "edge": "tuberline-edge",
+    "node": "tuberline",
+    "camera": "tuberline-camera",
+    "alarms": "tuberline-alarms",
+    "viewer": "tuberline-viewer",
+}
 FOR = {
     "edge": "segmenter, aggregator, page, metrics, recordings as cameras",
     "node": "regressor, and all the rest",
     "camera": "RealSense and ROS 2 cameras, encoder, GNSS receiver",
+    "alarms": "alarms by MQTT, mail, telephones and chats",
     "viewer": "viewer",
 }
 BUILT_WITH = ("buildah", "podman", "runc")
@@ -113,6 +120,8 @@ def check_image(engine: Engine, target: str) -> None:
             raise TrialError(f"the camera image should look for cameras and find none, said: {asked.stderr[-300:]}")
         engine.podman("run", "--rm", *SHUT, "--entrypoint", "python", name, "-c", "import pynmeagps, rosbags, serial")
         say("camera: the SDK looks for cameras; what ROS 2 and serial ports need is there")
+    if target == "alarms":
+        engine.podman("run", "--rm", *SHUT, "--entrypoint", "python", name, "-c", "import apprise, paho.mqtt.client")
 
 
 def demo(engine: Engine) -> tuple[str, float]:

@@ -86,7 +86,8 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
         assert spec["cap_drop"] == ["ALL"]
         assert "mem_limit" in spec
         # What the token opens stands in a file that only the page gets.
-        assert spec.get("secrets", []) == (["page-token"] if command == "page" else [])
+        secrets = {"page": ["page-token"], "alarms": ["alarm-channels"]}
+        assert spec.get("secrets", []) == secrets.get(command, [])
         assert arguments.get("token_file") == (Path("/run/secrets/page-token") if command == "page" else None)
         asked = spec.get("healthcheck", {}).get("test", ["", ""])[1]
         if command in ("metrics", "page"):
@@ -99,7 +100,7 @@ def test_every_service_runs_a_command_tuberline_takes(name: str) -> None:
             assert node == (f"{command}/{name}" if name else None)
     assert cameras == {(role, camera) for role in ("camera", "segmenter") for camera in line.cameras}
     assert {"router", "aggregator", "regressor", "segmenter", "camera", "metrics", "page", "viewer"} <= roles
-    assert {"encoder", "gnss"} <= roles
+    assert {"encoder", "gnss", "alarms"} <= roles
 
 
 def stages() -> dict[str, str]:
@@ -124,7 +125,9 @@ def test_a_service_that_opens_a_device_has_the_image_that_can(name: str) -> None
     for service, spec in compose(name)["services"].items():
         command = parsed(spec["command"] if "entrypoint" not in spec else shell_words(spec["command"][0]))
         live = command[0] == "camera" and line.cameras[command[1]["camera"]].source == "realsense"
-        extra = {"encoder": "encoder", "gnss": "gnss"}.get(command[0], "realsense" if live else "deploy")
+        extra = {"encoder": "encoder", "gnss": "gnss", "alarms": "alarms"}.get(
+            command[0], "realsense" if live else "deploy"
+        )
         target = spec["image"].removesuffix(":local").removeprefix("tuberline").removeprefix("-") or "node"
         assert re.search(rf"requirements\.py [^>]*\b{extra}\b", images[target]), (service, extra)
         if live:
@@ -180,7 +183,7 @@ def test_the_dockerfile_copies_all_packages_and_runs_unprivileged() -> None:
     for package in packages:
         assert f"COPY {package} {package}" in text
         assert f"!{package}" in ignored
-    for target in ("edge", "camera", "viewer", "node"):
+    for target in ("edge", "camera", "alarms", "viewer", "node"):
         assert re.findall(r"^USER (.*)$", stages()[target], re.MULTILINE)[-1] == "10001:10001"
     pinned = re.search(r"^torch==(\S+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
     assert pinned is None or f"ARG TORCH={pinned[1]}" in text
