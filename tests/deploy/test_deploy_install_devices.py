@@ -1,4 +1,4 @@
-"""deploy/install.sh for a line with an encoder and a GNSS receiver: who reads them, with what rights and names."""
+"""deploy/install.sh for a line with an encoder, a GNSS receiver or alarms: what runs, with what rights and names."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is 
 SECTIONS = {
     "encoder": '[encoder]\nsource = "serial:/dev/ttyACM0"\nmetres_per_pulse = 0.0005\nname = "shaft"\n',
     "gnss": '[gnss]\nsource = "serial:/dev/ttyUSB0?baud=9600"\nname = "roof"\n',
+    "alarms": '[alarms]\nchannels = ["https://farm.example/alarms"]\n',
 }
 LIVE = 'name = "field"\n[cameras.left]\nsource = "realsense"\nserial = "000000000001"\nbelt_distance_m = 0.46\n'
 RECORDED = 'name = "field"\n[cameras.left]\npath = "/recording"\n'
@@ -26,9 +27,9 @@ def config(folder: Path, *sections: str, cameras: str = LIVE) -> Path:
 
 
 def devices(root: Path) -> set[str]:
-    """Which of the two roles line field starts."""
+    """Which of the three roles line field starts."""
     nodes = (root / "etc/systemd/system/tuberline@field.target.d/nodes.conf").read_text()
-    return set(re.findall("Wants=tuberline-(encoder|gnss)@field.service", nodes))
+    return set(re.findall("Wants=tuberline-(encoder|gnss|alarms)@field.service", nodes))
 
 
 def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> None:
@@ -51,8 +52,10 @@ def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> N
         (("encoder", "gnss"), LIVE, {"encoder", "gnss"}),
         (("encoder",), LIVE, {"encoder"}),
         (("gnss",), LIVE, {"gnss"}),
+        (("alarms",), LIVE, {"alarms"}),
         ((), LIVE, set()),
         (("encoder", "gnss"), RECORDED, {"gnss"}),
+        (("encoder", "alarms"), RECORDED, {"alarms"}),
         (("encoder",), RECORDED + "waits = false\n", set()),
         (("encoder",), RECORDED + "waits = false\nstarts_at_s = 1795000000.0\n", {"encoder"}),
     ],
@@ -94,6 +97,17 @@ def test_with_roles_only_those_run(tmp_path: Path, role: str, other: str) -> Non
     named = install(tmp_path / "root", "--roles", f"{role}=shaft", config=file)
     assert (named.returncode, f"role '{role}=shaft' is not known" in named.stderr) == (2, True), "the file names it"
     assert contents(tmp_path / "root") == before
+
+
+def test_alarms_without_channels_are_refused(tmp_path: Path) -> None:
+    """Their unit would fail at every boot."""
+    file = config(tmp_path)
+    refused = install(tmp_path / "root", "--roles", "router,alarms", config=file)
+    assert (refused.returncode, f"role alarms: there is no [alarms] in {file}; add it with" in refused.stderr) == (
+        2,
+        True,
+    )
+    assert not (tmp_path / "root").exists()
 
 
 def test_each_gets_the_certificate_of_its_name_or_of_its_role(tmp_path: Path) -> None:

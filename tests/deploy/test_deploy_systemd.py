@@ -36,10 +36,19 @@ def install(destdir: Path, *options: str, config: Path | None = None) -> subproc
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example site, with alarms."""
+    file = tmp_path_factory.mktemp("site") / "site.toml"
+    example = (DEPLOY / "examples" / "site.toml").read_text(encoding="utf-8")
+    file.write_text(example + '\n[alarms]\nchannels = ["https://farm.example/alarms"]\n', encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory, site: Path) -> Path:
     """A folder with the example site installed for several roles."""
     destdir = tmp_path_factory.mktemp("root")
-    done = install(destdir, "--roles", ROLES, "--run", "monday")
+    done = install(destdir, "--roles", ROLES, "--run", "monday", config=site)
     assert done.returncode == 0, done.stderr
     return destdir
 
@@ -68,9 +77,9 @@ def test_a_target_wants_what_this_host_runs(installed: Path) -> None:
     assert (installed / "etc/tuberline/lines/field.run").read_text() == "monday\n"
 
 
-def test_installing_again_changes_nothing_and_says_so(installed: Path) -> None:
+def test_installing_again_changes_nothing_and_says_so(installed: Path, site: Path) -> None:
     before = contents(installed)
-    done = install(installed, "--roles", ROLES)
+    done = install(installed, "--roles", ROLES, config=site)
     assert contents(installed) == before
     assert {line.split()[0] for line in done.stdout.splitlines()} == {"kept", "would"}
     assert "field.run (monday)" in done.stdout
@@ -298,8 +307,8 @@ def test_a_crash_loop_is_slowed_down_and_told(installed: Path, tmp_path: Path) -
     assert start() == "", "what was long ago does not count"
 
 
-def test_uninstalling_takes_the_units_and_leaves_what_was_written(tmp_path: Path) -> None:
-    assert install(tmp_path, "--roles", ROLES).returncode == 0
+def test_uninstalling_takes_the_units_and_leaves_what_was_written(tmp_path: Path, site: Path) -> None:
+    assert install(tmp_path, "--roles", ROLES, config=site).returncode == 0
     ledger = tmp_path / "var/lib/tuberline/field/ledger/ledger.db"
     ledger.parent.mkdir(parents=True)
     ledger.write_bytes(b"ledger")
