@@ -24,7 +24,8 @@ class Presence:
     """Names of the living nodes of one role, `MOST_KEYS` at most. `on_change` runs on Zenoh's thread: keep it short.
 
     Counters: `alive_refused_full`, tokens for which there is no room; `alive_refused_name`, of names no node can have.
-    Zenoh tells a token again, and it counts again, where its answer to the question below comes after the answers' end.
+    Zenoh may tell a token twice, which counts twice: who lives is asked for now and then, and an answer that comes
+    after the end of the answers is told as a new token.
 
     Args:
         known: nodes ('role/name') that are kept before others when there is no room for all.
@@ -91,8 +92,8 @@ class Presence:
     def _told(self, found: set[str]) -> None:
         """All that an answer named are alive; who is missing from two answers in a row that named someone is not.
 
-        One answer alone proves no absence: Zenoh's word that it is over may overtake it, on a loaded machine in 3 of 40
-        questions for 5 tokens, in half of them for 3000 (1.10).
+        The end of the answers may overtake them (Zenoh 1.10): on a loaded machine 3 of 40 questions for 5 tokens were
+        answered by none of them, and half of those for 3000 by a part.
         """
         if not found:
             return  # no router, perhaps

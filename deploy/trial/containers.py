@@ -56,7 +56,7 @@ ALARMS = f"""
 channels = ["{HOOK}"]
 after_s = 1.0
 """
-"""In the line's file; what is killed is back after 2 to 4 s."""
+"""In the line's file; what is killed is away for some seconds at most."""
 RECEIVER = """
 import http.server, json
 class Hook(http.server.BaseHTTPRequestHandler):
