@@ -4,8 +4,8 @@
 
 A recording is laid end to end (links to its frames, travel going on) and played in real time to a line whose cameras
 wait for no one. Camera, segmenter, regressor, aggregator and router are killed in turn with SIGKILL; a second regressor
-never is. Memory, descriptors and threads of each process and the files in /dev/shm are sampled. FOLDER/soak.md
-holds the table, FOLDER/soak.json everything, the samples of each minute too.
+never is. Memory, descriptors and threads of each process and of the one that they are forked from, and the files in
+/dev/shm are sampled. FOLDER/soak.md holds the table, FOLDER/soak.json everything, the samples of each minute too.
 """
 
 from __future__ import annotations
@@ -54,6 +54,9 @@ class Watch:
         for spec in specs:
             if (pid := supervisor.pid(spec.name)) is not None and (seen := sample(pid, at_s)):
                 self.samples[spec.name].append(seen)
+        parent = parent_of(supervisor.pid(specs[0].name))
+        if parent not in (None, os.getpid()) and (seen := sample(parent, at_s)):
+            self.samples["forks"].append(seen)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -172,6 +175,14 @@ def soak(
             time.sleep(0.2)
         watch.restarts = dict(supervisor.restarts)
     return watch
+
+
+def parent_of(pid: int | None) -> int | None:
+    """The process that a node was forked from, or started by; None where it has just gone."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
+    except OSError:
+        return None
 
 
 def sample(pid: int, at_s: float) -> Sample | None:
