@@ -48,7 +48,7 @@ class Usage:
     """What one process took in the measured time."""
 
     cpu_percent: float
-    rss_mib: float
+    memory_mib: float
     restarts: int
 
 
@@ -164,7 +164,7 @@ def measure(config: LineConfig, out: Path, *, warm_up_s: float, seconds: float) 
             used_s = cpu_s(pid) - before[spec.name]
             seen = sample(pid, 0.0) if pid is not None else None
             measured.usage[spec.name] = Usage(
-                100 * used_s / measured.seconds, seen.rss_mib if seen else 0.0, supervisor.restarts[spec.name]
+                100 * used_s / measured.seconds, seen.share_mib if seen else 0.0, supervisor.restarts[spec.name]
             )
         measured.load_average = (load_before, os.getloadavg()[0])
         measured.sheets = watcher.observer.nodes()
@@ -222,7 +222,7 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
         "router_mb_per_s": None if measured.router_bytes is None else measured.router_bytes / 1e6 / measured.seconds,
         "cpu_percent": sum(usage.cpu_percent for usage in measured.usage.values()),
         "processes": {
-            name: {"cpu_percent": usage.cpu_percent, "rss_mib": usage.rss_mib, "restarts": usage.restarts}
+            name: {"cpu_percent": usage.cpu_percent, "memory_mib": usage.memory_mib, "restarts": usage.restarts}
             for name, usage in measured.usage.items()
         },
         "segmenters": {

@@ -19,13 +19,13 @@ def markdown(report: Mapping[str, Any]) -> str:
         f"{machine['cores']} cores {machine['machine']}, Python {machine['python']}, load average {before:.1f} at the "
         f"start and {after:.1f} at the end.",
         "",
-        "| process | CPU % of one core | RSS MiB | restarts |",
+        "| process | CPU % of one core | memory MiB | restarts |",
         "| --- | --- | --- | --- |",
         *(
-            f"| {name} | {p['cpu_percent']:.0f} | {p['rss_mib']:.0f} | {p['restarts']} |"
+            f"| {name} | {p['cpu_percent']:.0f} | {p['memory_mib']:.0f} | {p['restarts']} |"
             for name, p in report["processes"].items()
         ),
-        f"| all | {report['cpu_percent']:.0f} | {sum(p['rss_mib'] for p in report['processes'].values()):.0f} | |",
+        f"| all | {report['cpu_percent']:.0f} | {sum(p['memory_mib'] for p in report['processes'].values()):.0f} | |",
         "",
         "| hop, until | p50 s | p99 s | tubers |",
         "| --- | --- | --- | --- |",

@@ -188,16 +188,20 @@ def parent_of(pid: int | None) -> int | None:
 def sample(pid: int, at_s: float) -> Sample | None:
     """Look at a process; None where it has just gone."""
     try:
-        status = dict(
-            line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines() if ":" in line
-        )
+        memory, status = _table(f"/proc/{pid}/smaps_rollup"), _table(f"/proc/{pid}/status")
+        own_kib = int(memory["Private_Clean"].split()[0]) + int(memory["Private_Dirty"].split()[0])
+        share_kib = int(memory["Pss"].split()[0])
         ticks = int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
         descriptors = len(os.listdir(f"/proc/{pid}/fd"))
         uptime_s = float(Path("/proc/uptime").read_text().split()[0])
         age_s = uptime_s - ticks / os.sysconf("SC_CLK_TCK")
-        return Sample(at_s, age_s, pid, int(status["VmRSS"].split()[0]) / 1024, descriptors, int(status["Threads"]))
+        return Sample(at_s, age_s, pid, own_kib / 1024, share_kib / 1024, descriptors, int(status["Threads"]))
     except (OSError, KeyError, IndexError):
         return None
+
+
+def _table(file: str) -> dict[str, str]:
+    return dict(line.split(":", 1) for line in Path(file).read_text().splitlines() if ":" in line)
 
 
 def told(watch: Watch, books: dict[str, Any], *, minutes: float, warm_up_s: float) -> dict[str, Any]:
@@ -210,7 +214,7 @@ def told(watch: Watch, books: dict[str, Any], *, minutes: float, warm_up_s: floa
         "minutes": minutes,
         "warm_up_s": warm_up_s,
         "verdict": worst(verdict.word for verdict in roles),  # the sum of many is told: its limit is that of one
-        "line_rss_mib": asdict(line) if line else None,
+        "line_mib": asdict(line) if line else None,
         "kills": dict(watch.kills),
         "restarts": watch.restarts,
         "shm_files": {"first": shm[0], "last": shm[-1], "most": max(shm)},
@@ -231,12 +235,12 @@ def per_minute(seen: Sequence[Sample]) -> list[dict[str, float]]:
 
 
 def _row(verdict: RoleVerdict, restarts: int) -> str:
-    rss, fds, threads = (
+    memory, fds, threads = (
         f"{verdict.first[m]:.0f}, {verdict.last[m]:.0f}, {verdict.most[m]:.0f}" for m in MEASURES
     )  # fmt: skip
-    lives = ", ".join(f"{g.per_h:+.0f}" for life in verdict.per_life if (g := life["rss_mib"])) or "too short"
+    lives = ", ".join(f"{g.per_h:+.0f}" for life in verdict.per_life if (g := life["own_mib"])) or "too short"
     return (
-        f"| {verdict.name} | {restarts} | {rss} | {_slope(verdict.pooled['rss_mib'])} | {lives} | {fds} | {threads} "
+        f"| {verdict.name} | {restarts} | {memory} | {_slope(verdict.pooled['own_mib'])} | {lives} | {fds} | {threads} "
         f"| {verdict.word} |"
     )
 
@@ -250,14 +254,14 @@ def _slope(growth: Growth | None) -> str:
 
 def markdown(report: dict[str, Any]) -> str:
     """The report for people."""
-    books, shm, line = report["books"], report["shm_files"], report["line_rss_mib"]
+    books, shm, line = report["books"], report["shm_files"], report["line_mib"]
     whole = "too short to tell" if line is None else f"{_slope(Growth(**line))} MiB/h: {line['verdict']}"
     rows = [
         f"{report['minutes']:g} minutes, {sum(report['kills'].values())} kills; verdict: **{report['verdict']}**. "
         f"All processes together: {whole}. Files in /dev/shm: {shm['first']} at the start, {shm['last']} at the end, "
         f"{shm['most']} at most.",
         "",
-        "| process | restarts | RSS MiB first, last, most | growth MiB/h (95 %) | in each life | descriptors | threads "
+        "| process | restarts | own MiB first, last, most | growth MiB/h (95 %) | in each life | descriptors | threads "
         "| verdict |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
         *report["rows"],

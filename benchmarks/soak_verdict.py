@@ -19,18 +19,23 @@ WARM_UP_S = 90.0
 """A process is measured from this age on, where nothing else is said: before, it loads, compiles and fills caches."""
 BIN_S = 30.0
 LEAST_BINS = 4
-MEASURES = {"rss_mib": 30.0, "descriptors": 6.0, "threads": 6.0}
+MEASURES = {"own_mib": 30.0, "descriptors": 6.0, "threads": 6.0}
 """What must not grow, and the growth per hour below which no one need care."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One process at one moment: seconds since the soak began and since the process did."""
+    """One process at one moment: seconds since the soak began and since the process did.
+
+    `own_mib`: memory that it shares with no one; what forked processes share is in the resident memory of each.
+    `share_mib`: its own and its share of what it shares (PSS), so that all together make up what the line takes.
+    """
 
     at_s: float
     age_s: float
     pid: int
-    rss_mib: float
+    own_mib: float
+    share_mib: float
     descriptors: int
     threads: int
 
@@ -105,7 +110,7 @@ def role_verdict(name: str, samples: Sequence[Sample], *, warm_up_s: float = WAR
 
 
 def line_verdict(samples: dict[str, Sequence[Sample]], *, warm_up_s: float = WARM_UP_S) -> Growth | None:
-    """Growth of the resident memory of all processes together, at the moments at which all have settled."""
+    """Growth of the memory of all processes together, at the moments at which all have settled."""
     at: dict[float, list[Sample]] = defaultdict(list)
     for some in samples.values():
         for sample in some:
@@ -113,8 +118,8 @@ def line_verdict(samples: dict[str, Sequence[Sample]], *, warm_up_s: float = WAR
     stretches: dict[tuple[int, ...], list[tuple[float, float]]] = defaultdict(list)
     for at_s, seen in sorted(at.items()):
         if len(seen) == len(samples) and all(sample.age_s >= warm_up_s for sample in seen):
-            stretches[tuple(sorted(s.pid for s in seen))].append((at_s, sum(s.rss_mib for s in seen)))
-    return growth(list(stretches.values()), "rss_mib")
+            stretches[tuple(sorted(s.pid for s in seen))].append((at_s, sum(s.share_mib for s in seen)))
+    return growth(list(stretches.values()), "own_mib")
 
 
 def growth(lives: Sequence[Sequence[tuple[float, float]]], measure: str) -> Growth | None:

@@ -23,7 +23,7 @@ def lives(*, each_min: float, leak_mib_h: float, seed: int, descriptors_h: float
         samples.append(
             Sample(
                 float(at_s), age_s, 100 * seed + int(life), loaded + leak_mib_h * grown,
-                16 + int(descriptors_h * grown), 8,
+                loaded + leak_mib_h * grown, 16 + int(descriptors_h * grown), 8,
             )
         )  # fmt: skip
     return samples
@@ -37,7 +37,7 @@ def test_a_leak_is_found_over_all_lives_and_a_flat_process_is_called_flat(each_m
     assert leaking is not None
     assert (flat.word, flat.lives, len(flat.per_life)) == ("flat", 30 // each_min, 30 // each_min)
     assert leaking.word == "grows"
-    growth = leaking.pooled["rss_mib"]
+    growth = leaking.pooled["own_mib"]
     assert growth is not None
     assert growth.per_h == pytest.approx(200.0, rel=0.1)
     assert growth.low_per_h < 200.0 < growth.high_per_h
@@ -55,11 +55,11 @@ def test_descriptors_that_are_never_closed_are_found() -> None:
 def test_a_cache_that_is_filled_once_is_told_from_what_never_ends(filled_min: float, word: str) -> None:
     """An aggregator whose cache held its 4096 tubers after 12 minutes of 30 was called a leak."""
     flat = lives(each_min=30, leak_mib_h=0.0, seed=5)
-    filling = [replace(s, rss_mib=s.rss_mib + 40.0 * min(1.0, s.at_s / 60 / filled_min)) for s in flat]
+    filling = [replace(s, own_mib=s.own_mib + 40.0 * min(1.0, s.at_s / 60 / filled_min)) for s in flat]
     found = role_verdict("aggregator", filling)
     assert found is not None
     assert found.word == word
-    rss = found.pooled["rss_mib"]
+    rss = found.pooled["own_mib"]
     assert rss is not None
     assert rss.late is not None
     assert (abs(rss.late[0]) < 10.0) == (word == "settled")

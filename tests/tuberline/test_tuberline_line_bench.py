@@ -79,7 +79,7 @@ def test_the_table_names_every_loss() -> None:
             "load_average": (1.0, 2.0),
             "tubers_per_s": 19.6,
             "cpu_percent": 140.0,
-            "processes": {"router": {"cpu_percent": 140.0, "rss_mib": 10.0, "restarts": 0}},
+            "processes": {"router": {"cpu_percent": 140.0, "memory_mib": 10.0, "restarts": 0}},
             "segmenters": {"segmenter/left": books},
             "latency": {TOTAL: {"p50_s": 0.5, "p99_s": 0.9, "n": 1200}},
         }
