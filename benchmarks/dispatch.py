@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.line import cpu_s
 from benchmarks.line_watch import percentile
+from benchmarks.proc import cpu_s
 from conveyor import topics
 from conveyor.config import LineConfig, parse_config
 from conveyor.delivery import LatestPublisher, LatestSubscriber, Presence, ReliablePublisher, ReliableSubscriber

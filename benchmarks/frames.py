@@ -30,8 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.line import cpu_s
 from benchmarks.line_watch import percentile
+from benchmarks.proc import cpu_s
 from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.counters import CounterSet

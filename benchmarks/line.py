@@ -26,6 +26,7 @@ from typing import Any
 from benchmarks.line_belt import SCENES, simulated_belt
 from benchmarks.line_table import markdown
 from benchmarks.line_watch import TOTAL, Watcher, latencies_s, percentile
+from benchmarks.proc import cpu_s
 from benchmarks.soak import loop, sample
 from conveyor.config import LineConfig, dump_toml
 from conveyor.errors import TuberlineError
@@ -36,7 +37,6 @@ from tuberline.supervisor import Supervisor
 
 RUN = "bench"
 START_LIMIT_S = 120.0
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 STARTS_IN_S = 10.0
 """The belt begins to run when the processes are there: what passes before is not looked at."""
 LEVELS = ("views_per_tuber", "views_outstanding", "regressors_busy_share", "frame_age_max_ms", "frame_ms")
@@ -171,15 +171,6 @@ def measure(config: LineConfig, out: Path, *, warm_up_s: float, seconds: float) 
         measured.latencies = latencies_s(watcher.stamps, from_ns=from_ns)
         measured.tubers = sum(1 for committed_ns, _ in watcher.stamps.committed if committed_ns >= from_ns)
     return measured
-
-
-def cpu_s(pid: int | None) -> float:
-    """CPU seconds a process has used; 0 where it is gone."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0
-    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
 
 
 def received_bytes(pid: int | None) -> int | None:

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.frames import End
-from benchmarks.line import cpu_s
 from benchmarks.line_watch import percentile
+from benchmarks.proc import cpu_s
 from benchmarks.site_codecs import first_frames
 from benchmarks.site_net import Network
 from camera_sim.sim.presets import PRESETS

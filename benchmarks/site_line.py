@@ -14,6 +14,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Self
 
+from benchmarks.proc import cpu_s
 from benchmarks.site_net import Network, Traffic
 from benchmarks.site_share import CpuShare
 from conveyor.config import dump_toml, parse_config
@@ -158,12 +159,7 @@ class SiteLine:
 
     def cpu_s(self) -> dict[str, float]:
         """CPU seconds each running process has used."""
-        used = {}
-        for name, process in self._processes.items():
-            if process.poll() is None:
-                fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-                used[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-        return used
+        return {name: cpu_s(process.pid) for name, process in self._processes.items() if process.poll() is None}
 
     def _spawn(self, host: str, command: list[str], *, name: str, stdout: int) -> None:
         logs = self.out / "logs"

@@ -27,6 +27,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.proc import TICKS_PER_S, parent_of, stat_fields
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict, worst
 from conveyor.config import dump_toml
 from conveyor.config_camera import CameraConfig
@@ -177,24 +178,16 @@ def soak(
     return watch
 
 
-def parent_of(pid: int | None) -> int | None:
-    """The process that a node was forked from, or started by; None where it has just gone."""
-    try:
-        return int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
-    except OSError:
-        return None
-
-
 def sample(pid: int, at_s: float) -> Sample | None:
     """Look at a process; None where it has just gone."""
     try:
         memory, status = _table(f"/proc/{pid}/smaps_rollup"), _table(f"/proc/{pid}/status")
         own_kib = int(memory["Private_Clean"].split()[0]) + int(memory["Private_Dirty"].split()[0])
         share_kib = int(memory["Pss"].split()[0])
-        ticks = int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[19])
+        started_s = int(stat_fields(pid)[19]) / TICKS_PER_S
         descriptors = len(os.listdir(f"/proc/{pid}/fd"))
         uptime_s = float(Path("/proc/uptime").read_text().split()[0])
-        age_s = uptime_s - ticks / os.sysconf("SC_CLK_TCK")
+        age_s = uptime_s - started_s
         return Sample(at_s, age_s, pid, own_kib / 1024, share_kib / 1024, descriptors, int(status["Threads"]))
     except (OSError, KeyError, IndexError):
         return None

@@ -151,10 +151,6 @@ certs_there=$(echo "$facts" | sed -n 4p)
 encoder=$(echo "$facts" | sed -n 5p)
 gnss=$(echo "$facts" | sed -n 6p)
 started=$(echo "$facts" | sed -n 7p)
-case " $started " in
-*" alarms "*) alarms=yes ;;
-*) alarms=no ;;
-esac
 if [ "$usual" = yes ]; then
     for role in $started; do
         roles=$roles,$role
@@ -187,8 +183,11 @@ if chosen gnss ""; then
     units="$units tuberline-gnss@$line.service"
     stems="$stems gnss.$gnss"
 fi
-if chosen alarms "" && [ "$alarms" = no ]; then
-    fail "role alarms: there is no [alarms] in $given; add it with channels = [\"https://...\"] or the like"
+if chosen alarms ""; then
+    case " $started " in
+    *" alarms "*) ;;
+    *) fail "role alarms: there is no [alarms] in $given; add it with channels = [\"https://...\"] or the like" ;;
+    esac
 fi
 for camera in $cameras; do
     for role in segmenter camera; do

@@ -36,7 +36,7 @@ def _longest(level: NDArray[np.float64], directions: NDArray[np.float64], trimme
     extents = np.empty(many)
     for d in range(many):
         extents[d] = highest[d].max() + lowest[d].max()
-    longest, length, across = -1, -np.inf, 0
+    longest, length = -1, -np.inf
     for d in np.argsort(-extents):
         if extents[d] < length:
             break

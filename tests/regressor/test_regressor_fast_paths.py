@@ -25,6 +25,7 @@ from regressor.weigh.surface import (
     _top,
 )
 from regressor.weigh.widths import DIRECTIONS, longest_widths
+from tests.regressor.all_widths import all_widths
 from tests.regressor.ellipsoids import ellipsoid_view
 
 RNG = np.random.default_rng(7)
@@ -107,6 +108,7 @@ def test_the_longest_axis_is_found_among_all() -> None:
         x, y = xy / np.hypot(*xy).max() if stretch < 1.5 else xy
         along = DIRECTIONS[0][:, None] * x + DIRECTIONS[1][:, None] * y
         widths = np.quantile(along, 0.995, axis=1) - np.quantile(along, 0.005, axis=1)
+        np.testing.assert_array_equal(all_widths(np.stack([x, y], axis=1)), widths)
         longest = int(widths.argmax())
         assert longest_widths(np.stack([x, y], axis=1)) == (widths[longest], widths[(longest + 18) % 36])
 

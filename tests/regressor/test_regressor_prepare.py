@@ -10,7 +10,8 @@ import pytest
 from conveyor.geometry import straight_down_belt_from_camera
 from regressor.weigh.pixel_grid import pixel_grid
 from regressor.weigh.prepare import MAX_POINTS, RefusedCloud, clean_depth, prepare_cloud, prepare_view
-from regressor.weigh.widths import DIRECTIONS, TRIMMED, _ends, _width
+from regressor.weigh.widths import DIRECTIONS, TRIMMED
+from tests.regressor.all_widths import all_widths
 from tests.regressor.ellipsoids import ellipsoid_view
 
 
@@ -246,7 +247,4 @@ def test_widths_are_those_of_quantiles(points: int) -> None:
     xy = np.random.default_rng(points).normal(size=(points, 2)).round(1)
     along = DIRECTIONS[0] * xy[:, :1] + DIRECTIONS[1] * xy[:, 1:]
     widths = np.quantile(along, 1 - TRIMMED, axis=0) - np.quantile(along, TRIMMED, axis=0)
-    x, y = np.ascontiguousarray(xy.T)
-    highest, lowest = _ends(x, y, DIRECTIONS)
-    found = [_width(x, y, DIRECTIONS[:, d], highest[d], lowest[d], TRIMMED) for d in range(DIRECTIONS.shape[1])]
-    np.testing.assert_array_equal(found, widths)
+    np.testing.assert_array_equal(all_widths(xy), widths)

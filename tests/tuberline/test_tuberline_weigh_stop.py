@@ -17,7 +17,7 @@ from tests.conftest import wait_until
 from tests.regressor.ellipsoids import upper_side
 
 FILES = 4000
-"""A fast core weighs a hundred a second: whenever it is interrupted here, it has long not finished."""
+"""A fast core weighs some hundred a second, so that no interrupt here comes after the last."""
 BELT_M = 0.345
 
 
