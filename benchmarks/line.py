@@ -103,6 +103,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--regressors", type=int, default=2)
     parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
     parser.add_argument("--centroids", type=int, choices=(16, 32, 64))
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what the regressors weigh on")
     parser.add_argument("--direct", choices=("auto", "off"), default="auto", help="off: frames pass the router")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and line.json here")
@@ -114,7 +115,11 @@ def live_config(recording: Path, out: Path, options: argparse.Namespace) -> Line
     prepare_out(out)
     names = recording_cameras(recording)
     starts_at_s = time.time() + STARTS_IN_S
-    regressor: dict[str, Any] = {"processes": options.regressors, "precision": options.precision}
+    regressor: dict[str, Any] = {
+        "processes": options.regressors,
+        "precision": options.precision,
+        "device": options.device,
+    }
     if options.centroids:
         regressor["centroids"] = options.centroids
     live: Mapping[str, Any] = {
@@ -201,6 +206,7 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
                 "regressors",
                 "precision",
                 "centroids",
+                "device",
                 "direct",
                 "load",
                 "tubers",

@@ -65,11 +65,7 @@ class Clouds:
     @classmethod
     def load(cls, folder: Path | None, *, weights: Path | None, scratch: Path) -> Self:
         """The first 64 fitting views of a pack, or of one simulated now."""
-        if folder is None:
-            folder = scratch / "views"
-            options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
-            command = [sys.executable, "-m", "tuberline", "simulate-views", "--out", str(folder), *options]
-            subprocess.run(command, check=True, capture_output=True)
+        folder = folder or simulated_views(scratch)
         highest_m = load_weights(weights)[1].input.max_height_m
         kept = []
         for view in read_labelled(folder):
@@ -81,6 +77,15 @@ class Clouds:
         if len(kept) < VIEWS:
             raise TuberlineError(f"{folder} holds {len(kept)} clouds that fit; {VIEWS} are needed")
         return cls(tuple(points for points, _ in kept), np.array([height for _, height in kept], np.float32))
+
+
+def simulated_views(scratch: Path) -> Path:
+    """A pack of views made now, in `scratch`."""
+    folder = scratch / "views"
+    options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
+    command = [sys.executable, "-m", "tuberline", "simulate-views", "--out", str(folder), *options]
+    subprocess.run(command, check=True, capture_output=True)
+    return folder
 
 
 def backends(clouds: Clouds, *, weights: Path | None, scratch: Path) -> dict[str, Runner]:

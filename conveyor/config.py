@@ -170,6 +170,13 @@ class RegressorConfig(Section):
     )
     state_dir: Path | None = Field(None, description="where weights given to a running line are kept across restarts")
 
+    @model_validator(mode="after")
+    def _exact_on_a_gpu(self) -> Self:
+        if self.device == "cuda" and (self.precision == "bfloat16" or self.centroids is not None):
+            told = f'precision is "{self.precision}"' if self.centroids is None else f"centroids is {self.centroids}"
+            raise ValueError(f'device is "cuda" and {told}: a GPU weighs in float32 with all centroids; leave it out')
+        return self
+
 
 class AggregatorConfig(Section):
     """From tracks to a ledger and totals."""

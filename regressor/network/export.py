@@ -55,7 +55,8 @@ class ExportedPointRaft(nn.Module):
 
     def forward(self, groups: Tensor, height_m: Tensor) -> Tensor:
         """(B,) grams of (B, 256, 3) groups and (B,) heights."""
-        neighbours, centroids1, centroids2 = torch.split(groups, [NEIGHBOURS, NEIGHBOURS, CENTROIDS_2], dim=1)
+        neighbours, centroids1 = groups[:, :NEIGHBOURS], groups[:, NEIGHBOURS : 2 * NEIGHBOURS]
+        centroids2 = groups[:, 2 * NEIGHBOURS :]
         stage1 = edge_features(_mlp(self.model.sa1_module.conv), neighbours, centroids1, None)
         pairs = torch.cat([stage1, centroids1], dim=2)
         stage2 = edge_features(_mlp(self.model.sa2_module.conv), pairs, centroids2, None)

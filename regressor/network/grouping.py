@@ -21,6 +21,8 @@ from regressor.network.sampling import farthest_points, first_in_range
 
 CLOUD_POINTS = 1024
 CENTROIDS_2 = 128
+BOX_MARGIN = 1 - 1e-3
+"""Keeps the screen by a cloud's box on the safe side of float32 rounding; where it says no, distances decide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +187,9 @@ def _all_within_radii(groups: SharedGroups) -> bool:
 
 def radius_is_free_of(cloud: NDArray[np.float32]) -> bool:
     """Whether the cloud's box alone says that every pair lies inside both radii: no tuber is that long."""
-    # 1e-3 keeps the screen on the safe side of float32 rounding; where it says no, distances decide exactly.
     # Axis by axis: np.ptp over the rows of 10,000 points takes longer than sampling them.
     box = [float(axis.max() - axis.min()) for axis in cloud.T]
-    return float(np.linalg.norm(box)) < RADIUS_1_M * (1 - 1e-3)
+    return float(np.linalg.norm(box)) < RADIUS_1_M * BOX_MARGIN
 
 
 def _all_within(a: NDArray[np.float32], b: NDArray[np.float32], radius_m: float) -> bool:

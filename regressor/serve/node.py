@@ -76,7 +76,11 @@ class _Worker:
         node.announce()
         form = self._weigher.form
         node.log.info(
-            "ready with %s in %s, %s centroids", self._weigher.sidecar.model_id, form.precision, form.centroids or "all"
+            "ready with %s in %s, %s centroids, on %s",
+            self._weigher.sidecar.model_id,
+            form.precision,
+            form.centroids or "all",
+            self._weigher.device or "cpu",
         )
         if form.precision == "bfloat16" and not multiplies_bfloat16():
             node.log.warning(
@@ -139,7 +143,11 @@ class _Worker:
 
 
 def warm_up(weigher: Weigher) -> None:
-    """Weigh a made-up tuber a few times: compiles the kernels and touches the memory before the first real view."""
-    received = made_up_view(0.040, 0.036, 0.030)
+    """Weigh made-up tubers a few times: compiles the kernels and touches the memory before the first real view.
+
+    A large and a small one, which a GPU samples by kernels of their own.
+    """
+    received = [made_up_view(0.040, 0.036, 0.030), made_up_view(0.016, 0.014, 0.012)]
     for _ in range(WARM_UP_ROUNDS):
-        weigh_view(weigher, received, regressor="warm-up")
+        for view in received:
+            weigh_view(weigher, view, regressor="warm-up")

@@ -82,7 +82,7 @@ class Weigher:
         if state is not None and device is not None:
             from regressor.network.batched import BatchedPointRaft
 
-            self._together = BatchedPointRaft(state, device=device)
+            self._together = BatchedPointRaft(state, device=device, points=sidecar.input.points)
         self.state = state
         self._network = FastPointRaft(state, form) if state is not None else None
         self._interval = sidecar.interval_rule
@@ -138,8 +138,7 @@ class Weigher:
             ]
         heights_m = [self._height_m(cloud) for cloud in clouds]
         if self.sidecar.start.kind == "prefix":
-            points = [cloud.points for cloud in clouds]
-            network_g = self._together.weigh_clouds(points, heights_m, points=self.sidecar.input.points)
+            network_g = self._together.weigh_clouds([cloud.points for cloud in clouds], heights_m)
         else:
             network_g = self._together.weigh([self._group(cloud.points) for cloud in clouds], heights_m)
         return [

@@ -35,6 +35,8 @@ def test_defaults_need_no_file() -> None:
         ('name = "two words"', "two words"),
         ("[cameras.front]\nbelt_distance_m = 345", "less than or equal to 10 .got 345"),
         ("name = ", "is not TOML"),
+        ('[regressor]\ndevice = "cuda"\nprecision = "bfloat16"', "a GPU weighs in float32 with all centroids"),
+        ('[regressor]\ndevice = "cuda"\ncentroids = 32', 'device is "cuda" and centroids is 32'),
     ],
 )
 def test_a_fault_is_named_with_its_mend(tmp_path: Path, text: str, said: str) -> None:

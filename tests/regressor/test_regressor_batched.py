@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.network.batched import BatchedPointRaft, farthest_points_many
+from regressor.network.batched import MOST, WIDTHS, BatchedPointRaft, Sampler, sample_by_operations
 from regressor.network.fast import FastPointRaft
 from regressor.network.grouping import GatheredGroups, group_prefix
 from regressor.network.sampling import farthest_points
@@ -60,17 +60,68 @@ def test_many_views_at_once_weigh_what_each_weighs_alone(rng: np.random.Generato
             assert grams == pytest.approx([one.weight_g, one.low_g, one.high_g], rel=1e-4, abs=2e-3)
 
 
-@pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_sampling_many_clouds_picks_what_sampling_each_picks(rng: np.random.Generator, device: str) -> None:
-    """Points on a grid of a millimetre have exact ties: the lowest index wins in both."""
-    if device == "cuda" and not torch.cuda.is_available():
-        pytest.skip("no CUDA GPU here: sampling was NOT compared on one")
-    clouds = [rng.integers(0, 40, (n, 3)).astype(np.float32) / 1000 for n in (1, 7, 130, 1500, 3000)]
-    padded = np.zeros((len(clouds), 3072, 3), np.float32)
-    for row, cloud in zip(padded, clouds, strict=True):
-        row[: len(cloud)] = cloud
+def _sample_of(by: str) -> Sampler:
+    if by != "the kernel":
+        return sample_by_operations
+    from regressor.network.sampling_gpu import sample_by_kernel
+
+    return sample_by_kernel
+
+
+@pytest.mark.parametrize(("width", "beyond"), [(4096, ()), (16384, (9000, 16384)), (65536, (60000,))])
+@pytest.mark.parametrize("by", ["operations on the CPU", "operations on a GPU", "the kernel"])
+def test_sampling_many_clouds_picks_what_sampling_each_picks(
+    rng: np.random.Generator, by: str, width: int, beyond: tuple[int, ...]
+) -> None:
+    """Points on a grid of a millimetre have exact ties: the lowest index wins in all. Others tell a fused sum."""
+    device = torch.device("cpu" if by.endswith("CPU") else "cuda")
+    if device.type == "cuda" and not torch.cuda.is_available():
+        pytest.skip(f"no CUDA GPU here: sampling by {by} was NOT compared on one")
+    grid = [rng.integers(0, 40, (n, 3)).astype(np.float32) / 1000 for n in (1, 7, 130, 1500, 3000)]
+    clouds = [*grid, *((rng.normal(size=(n, 3)) * 0.03).astype(np.float32) for n in (900, 4096))]
+    clouds += [(rng.normal(size=(n, 3)) * 0.03).astype(np.float32) for n in beyond]
     lengths = [len(cloud) for cloud in clouds]
-    many = farthest_points_many(torch.from_numpy(padded).to(device), lengths, 128).cpu().numpy()
+    given = (np.concatenate(clouds), np.cumsum([0, *lengths[:-1]]), np.array(lengths))
+    sample = _sample_of(by)
+    many, span = sample(*(torch.from_numpy(part).to(device) for part in given), count=128, width=width)
+    assert np.array_equal(span.cpu().numpy(), [np.ptp(cloud, axis=0) for cloud in clouds])
+    many = many.cpu().numpy()
     for order, cloud in zip(many, clouds, strict=True):
         count = min(128, len(cloud))
         np.testing.assert_array_equal(order[:count], farthest_points(cloud, count))
+
+
+@pytest.mark.parametrize("points", [512, 1024, 2048])
+@pytest.mark.parametrize("device", ["cpu", "cuda"])
+def test_clouds_sampled_together_are_grouped_as_each_alone(rng: np.random.Generator, device: str, points: int) -> None:
+    """Small clouds, whose groups are padded, large ones, one in which a radius binds, and a pass that is not full; a
+    second pass of the same shape knows nothing of the first. Of 2048 points, half of the centroids were left out.
+    """
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA GPU here: passes were NOT compared on one")
+    state, _ = load_weights()
+    together, alone = BatchedPointRaft(state, device=device, points=points), FastPointRaft(state)
+    for sizes in ((3, 1800, 700, 2500, 90), (2600, 40, 1030, 1, 600)):
+        clouds = [(rng.uniform(-0.5, 0.5, (n, 3)) * (0.08, 0.06, 0.03)).astype(np.float32) for n in sizes]
+        clouds[1] *= 4
+        heights = [0.05, 0.03, 0.04, 0.07, 0.02]
+        groups = [group_prefix(cloud, points=points) for cloud in clouds]
+        expected = [alone.weigh(group, height) for group, height in zip(groups, heights, strict=True)]
+        assert together.weigh_clouds(clouds, heights) == pytest.approx(expected, rel=1e-4, abs=2e-3)
+
+
+def test_a_cloud_too_large_for_a_pass_is_weighed_alone(rng: np.random.Generator) -> None:
+    state, _ = load_weights()
+    cloud = (rng.uniform(-0.5, 0.5, (WIDTHS[-1] + 1, 3)) * (0.08, 0.06, 0.03)).astype(np.float32)
+    expected = FastPointRaft(state).weigh(group_prefix(cloud), 0.05)
+    assert BatchedPointRaft(state, device="cpu").weigh_clouds([cloud], [0.05]) == pytest.approx([expected], rel=1e-4)
+
+
+def test_more_clouds_than_a_pass_holds_are_all_weighed(rng: np.random.Generator) -> None:
+    state, _ = load_weights()
+    clouds = [(rng.uniform(-0.5, 0.5, (20, 3)) * (0.08, 0.06, 0.03)).astype(np.float32) for _ in range(MOST + 3)]
+    heights = [0.04] * len(clouds)
+    together = BatchedPointRaft(state, device="cuda" if torch.cuda.is_available() else "cpu")
+    found = together.weigh_clouds(clouds, heights)
+    assert found[-3:] == pytest.approx(together.weigh_clouds(clouds[-3:], heights[-3:]), rel=1e-4)
+    assert found[:3] == pytest.approx(together.weigh_clouds(clouds[:3], heights[:3]), rel=1e-4)

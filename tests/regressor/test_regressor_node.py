@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from conveyor.messages import Counters, Weight
 from conveyor.node import Node
 from regressor.serve.form import form_of
 from regressor.serve.node import run_regressor
-from regressor.weigh.weigher import Weigher, weigh_view
+from regressor.weigh.weigher import BATCHED, Weigher, weigh_view
 from tests.conftest import wait_until
 from tests.regressor.ellipsoids import ellipsoid_view
 
@@ -38,6 +39,12 @@ def node(link: LinkConfig) -> Iterator[Node]:
 
 @pytest.fixture
 def worker(node: Node, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    with _running(node, tmp_path) as process:
+        yield process
+
+
+@contextmanager
+def _running(node: Node, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """`tuberline regressor` as its own process, announced when this returns."""
     path = tmp_path / "line.toml"
     path.write_text(dump_toml(node.config))
@@ -76,6 +83,26 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
     assert "libtorch" not in Path(f"/proc/{worker.pid}/maps").read_text(), "two seconds and 200 MB for nothing"
     os.kill(worker.pid, signal.SIGTERM)
     assert worker.wait(30) == 0
+
+
+def test_a_worker_on_a_gpu_answers_as_one_without(link: LinkConfig, tmp_path: Path) -> None:
+    """Each answer is that of the CPU, to rounding, and says that it was batched."""
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA GPU here: a worker on one was NOT tried")
+    config = LineConfig(link=link, regressor=RegressorConfig(device="cuda"))
+    with Node("segmenter", "front", config=config, run="run") as node, _running(node, tmp_path):
+        answers = ReliableSubscriber(node, topics.WEIGHT, Weight, camera="front")
+        work = LatestPublisher(node, topics.VIEW, regressor="r1")
+        wait_until(lambda: work.has_listener, what="the worker's subscription")
+        views = [ellipsoid_view((0.03 + n / 1e4, 0.028, 0.022), name=f"t{n}/0") for n in range(24)]
+        for view in views:
+            work.put(view)
+        got = {weight.view_id: weight for weight in (answers.get(30.0) for _ in views) if weight is not None}
+    weigher = Weigher.load()
+    for view in views:
+        expected = weigh_view(weigher, view, regressor="r1")
+        assert got[view.view_id].weight_g == pytest.approx(expected.weight_g, rel=1e-4)
+        assert got[view.view_id].flags == (*expected.flags, BATCHED)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="a CUDA GPU is here")

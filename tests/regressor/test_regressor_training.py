@@ -190,7 +190,12 @@ def test_a_gpu_takes_the_same_steps_or_is_said_to_be_missing(data: CloudSet, tmp
             Training(data, data, replace(settings, device="cuda"))
         pytest.skip("no CUDA GPU here: training was NOT compared on one")
     here, there = Training(data, data, settings), Training(data, data, replace(settings, device="cuda"))
-    assert [there.step() for _ in range(3)] == pytest.approx([here.step() for _ in range(3)], rel=1e-3)
+    # Each from where the GPU stands: Adam's first steps go by the signs of gradients, so that rounding grows from step
+    # to step.
+    for _ in range(3):
+        save_state(there, tmp_path / "state.pt")
+        here.restore(load_state(tmp_path / "state.pt"))
+        assert there.step() == pytest.approx(here.step(), rel=1e-4)
     save_state(there, tmp_path / "state.pt")
     here.restore(load_state(tmp_path / "state.pt"))
     assert predict(there.finished_model(), data, highest_m=0.16) == pytest.approx(
