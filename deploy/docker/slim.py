@@ -34,6 +34,8 @@ STRIPPED = ("cryptography", "llvmlite", "lz4", "numba", "pydantic_core", "zenoh"
 """Not those whose makers moved libraries into a folder NAME.libs: strip breaks what patchelf has laid out."""
 SOURCES = (".pyi", ".pyx", ".pxd", ".h", ".hpp", ".c", ".a")
 """Endings of what only compilers and type checkers read."""
+COMPILES = "triton"
+"""It hands its own to a compiler at run time, for a GPU."""
 OURS = ("conveyor", "camera_sim", "segmenter", "regressor", "aggregator", "viewer", "tuberline")
 LARGE = ("scipy", "numpy", "torch", "sympy", "networkx", "rerun", "pygments")
 
@@ -58,7 +60,8 @@ def slim(site: Path) -> None:
         for found in list(site.glob(pattern)):
             remove(found)
     for file in [file for file in site.rglob("*") if file.suffix in SOURCES]:
-        remove(file)
+        if file.relative_to(site).parts[0] != COMPILES:
+            remove(file)
     for name in INSTALLERS:
         for found in [site / name, *site.glob(f"{name}-*.dist-info")]:
             remove(found)

@@ -9,9 +9,9 @@ picked never do.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from importlib.util import find_spec
 from typing import Any, Protocol
 
 import numpy as np
@@ -70,7 +70,8 @@ class BatchedPointRaft:
         self._points = points
         self._alone = FastPointRaft(state)
         self._network = ExportedPointRaft(model_of(state)).to(self._device)
-        self._sample = _sampler(self._device) if kernel else sample_by_operations
+        self._count = max(NEIGHBOURS, stage_counts(points)[1])
+        self._sample = _sampler(self._device, count=self._count) if kernel else sample_by_operations
         self._put = _Put(self._device, places=len(places_of(1, points)))
         self._passes: dict[tuple[int, int], _Pass] = {}
         # All graphs work in the same memory: only one runs at a time.
@@ -114,8 +115,7 @@ class BatchedPointRaft:
         longest = max(len(cloud) for cloud in clouds)
         batch, width = 1 << (len(clouds) - 1).bit_length(), next(width for width in WIDTHS if width >= longest)
         if (batch, width) not in self._passes:
-            count = max(NEIGHBOURS, stage_counts(self._points)[1])
-            steps = _Steps(self._network, self._sample, count, width)
+            steps = _Steps(self._network, self._sample, self._count, width)
             self._passes[batch, width] = _Pass(steps, self._put.given(batch), pool=self._pool)
         return self._passes[batch, width]
 
@@ -152,7 +152,7 @@ class _Put:
         heights_m: Sequence[float],
         places: Sequence[NDArray[np.int64]],
     ) -> None:
-        """Put these clouds there; those behind them stay what they were, and are weighed for nobody."""
+        """Put these clouds there; what stands behind them stays, and is weighed to no purpose."""
         lengths = [len(cloud) for cloud in clouds]
         n, total = len(clouds), sum(lengths)
         np.concatenate(clouds, out=self._points[:total])
@@ -250,13 +250,24 @@ def places_of(used: int, points: int) -> NDArray[np.int64]:
     return places
 
 
-def _sampler(device: torch.device) -> Sampler:
-    """What samples on that device: a kernel where there is one, or plain operations."""
-    if device.type == "cuda" and find_spec("triton") is not None:
+def _sampler(device: torch.device, *, count: int) -> Sampler:
+    """What samples on that device: the kernel where it can be built, or plain operations."""
+    if device.type != "cuda":
+        return sample_by_operations
+    try:
         from regressor.network.sampling_gpu import sample_by_kernel
 
-        return sample_by_kernel
-    return sample_by_operations
+        begins = torch.zeros(1, dtype=torch.int64, device=device)
+        for width in WIDTHS:
+            sample_by_kernel(torch.zeros(1, 3, device=device), begins, begins + 1, count=count, width=width)
+    except Exception as error:  # Triton raises what the machine's compiler says, by no common class
+        logging.getLogger("regressor").warning(
+            "the GPU's sampling kernel cannot be built here, so a pass takes four times as long: give the machine "
+            "Triton, a C compiler and Python's headers (Debian: gcc, python3-dev). It says: %s",
+            error,
+        )
+        return sample_by_operations
+    return sample_by_kernel
 
 
 def sample_by_operations(

@@ -46,6 +46,22 @@ def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> N
     assert set(groups.split()) == {group for _, group in given}
 
 
+def test_a_regressor_s_unit_may_open_a_gpu_and_keep_what_is_compiled_for_it(tmp_path: Path) -> None:
+    """Nodes see no devices; Triton and the driver would write into a home that is not there."""
+    done = install(tmp_path, config=config(tmp_path))
+    assert (done.returncode, done.stderr) == (0, "")
+    units = tmp_path / "etc/systemd/system"
+    (own,) = (units / "tuberline-regressor@.service.d").iterdir()
+    (common,) = (units / "tuberline-.service.d").iterdir()
+    assert own.name > common.name
+    said = own.read_text().splitlines()
+    assert {"PrivateDevices=no", "DevicePolicy=closed", "DeviceAllow=char-nvidia* rw"} <= set(said)
+    (kept,) = (line for line in said if line.startswith("Environment="))
+    folders = re.findall(r"_(?:DIR|PATH)=(\S+)", kept)
+    assert folders == ["/var/cache/tuberline/triton", "/var/cache/tuberline/cuda"]
+    assert "CacheDirectory=tuberline" in common.read_text()
+
+
 @pytest.mark.parametrize(
     ("sections", "cameras", "started"),
     [
