@@ -42,6 +42,7 @@ MOST_POINTS = 1 << 21
 WIDTHS = (4096, 16384, 65536)
 """How many points the largest cloud of a pass may have. With 1, 2, 4 .. 128 clouds these are few shapes, so that a
 graph is captured seldom. What is larger is weighed alone."""
+KERNEL_NEEDS = "give the machine Triton, a C compiler and Python's headers (Debian: gcc, python3-dev)"
 
 
 class BatchedPointRaft:
@@ -254,6 +255,16 @@ def _sampler(device: torch.device, *, count: int) -> Sampler:
     """What samples on that device: the kernel where it can be built, or plain operations."""
     if device.type != "cuda":
         return sample_by_operations
+    if fault := kernel_fault(device, count=count):
+        logging.getLogger("regressor").warning("%s", fault)
+        return sample_by_operations
+    from regressor.network.sampling_gpu import sample_by_kernel
+
+    return sample_by_kernel
+
+
+def kernel_fault(device: torch.device, *, count: int = CENTROIDS_2) -> str | None:
+    """Why the sampling kernel cannot be built for that GPU, and what that means; None where it can."""
     try:
         from regressor.network.sampling_gpu import sample_by_kernel
 
@@ -261,13 +272,11 @@ def _sampler(device: torch.device, *, count: int) -> Sampler:
         for width in WIDTHS:
             sample_by_kernel(torch.zeros(1, 3, device=device), begins, begins + 1, count=count, width=width)
     except Exception as error:  # Triton raises what the machine's compiler says, by no common class
-        logging.getLogger("regressor").warning(
-            "the GPU's sampling kernel cannot be built here, so a pass takes four times as long: give the machine "
-            "Triton, a C compiler and Python's headers (Debian: gcc, python3-dev). It says: %s",
-            error,
+        return (
+            f"the GPU's sampling kernel cannot be built here, so a pass takes four times as long: {KERNEL_NEEDS}. "
+            f"It says: {error}"
         )
-        return sample_by_operations
-    return sample_by_kernel
+    return None
 
 
 def sample_by_operations(

@@ -14,5 +14,10 @@ def usable_device(name: str) -> torch.device:
         InputError: a CUDA device without a GPU that this torch can use.
     """
     if name.startswith("cuda") and not torch.cuda.is_available():
-        raise InputError(f"device '{name}': torch {torch.__version__} finds no CUDA GPU here; use 'cpu'")
+        fix = (
+            "take torch with CUDA (`make install TORCH_INDEX=`)"
+            if torch.version.cuda is None
+            else "see that `nvidia-smi` lists it and that this process may open /dev/nvidia*"
+        )
+        raise InputError(f"device '{name}': torch {torch.__version__} finds no CUDA GPU here; use 'cpu', or {fix}")
     return torch.device(name)

@@ -19,9 +19,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+import torch
 
 from conveyor import __version__, topics
-from conveyor.config import LineConfig, LinkConfig, load_config, parse_config
+from conveyor.config import AggregatorConfig, LineConfig, LinkConfig, RegressorConfig, load_config, parse_config
 from conveyor.delivery import KeptPublisher
 from conveyor.errors import LinkError
 from conveyor.identity import Identity
@@ -35,6 +36,7 @@ from tuberline.cli.doctor import bundle, doctor
 from tuberline.cli.health import health
 from tuberline.doctor import Finding, Level, worst
 from tuberline.doctor.examine import Live, examine, look
+from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
 from tuberline.doctor.link import check_certificates, check_port
 from tuberline.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
@@ -51,6 +53,25 @@ def counters(name: str, **changes: object) -> Counters:
 def only(findings: list[Finding]) -> Finding:
     assert len(findings) == 1, findings
     return findings[0]
+
+
+def test_a_gpu_that_is_asked_for_is_looked_for() -> None:
+    asked = RegressorConfig(device="cuda", processes=1)
+    found = only(check_gpu(LineConfig(regressor=asked)))
+    if torch.cuda.is_available():
+        assert (found.level, "its sampling kernel can be built" in found.text) == (Level.OK, True)
+    else:
+        assert (found.level, "finds no CUDA GPU here" in found.text) == (Level.FAULT, True)
+    assert check_gpu(LineConfig(regressor=RegressorConfig(device="cuda", processes=0))) == []
+    assert check_gpu(LineConfig()) == []
+
+
+def test_weights_of_regressors_on_other_hosts_are_not_missed_here(tmp_path: Path) -> None:
+    """Where regressors run, weights that are not there are a fault, also on a host without torch."""
+    for processes, level in ((0, Level.OK), (1, Level.FAULT)):
+        asked = RegressorConfig(weights=tmp_path / "w.safetensors", processes=processes)
+        found = examine(LineConfig(regressor=asked, aggregator=AggregatorConfig(out=tmp_path)), offline=True)
+        assert [finding.level for finding in found if finding.check == "weights"] == [level]
 
 
 def test_a_fix_belongs_to_every_fault_and_to_no_ok() -> None:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from itertools import islice
 from typing import Any
 
@@ -65,6 +64,7 @@ def examine(
 ) -> list[Finding]:
     """All findings, the machine's first. `on_work` is told what is looked at, how much is done, and of how much."""
     from tuberline.doctor import link, machine
+    from tuberline.doctor.gpu import check_gpu
 
     on_work("looking at this machine", 0, 4)
     findings = machine.check_disk(config.aggregator.out, what="the ledger")
@@ -73,7 +73,7 @@ def examine(
     findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
     findings += check_places(config) + link.check_certificates(config, now=datetime.now(UTC))
     on_work("weighing the reference clouds", 1, 4)
-    findings += _weights(config)
+    findings += _weights(config) + check_gpu(config)
     on_work("listening to the line", 2, 4)
     heard = Live() if offline else live or look(config)
     on_work("looking through the cameras", 3, 4)
@@ -134,16 +134,17 @@ def _running_weights(observer: Observer) -> list[Finding]:
 
 
 def _weights(config: LineConfig) -> list[Finding]:
-    if find_spec("torch") is None:
-        return [ok("weights", "not tried: there is no torch here, so regressors run on other hosts")]
+    file = config.regressor.weights
+    if file is not None and not file.exists() and config.regressor.processes == 0:
+        return [ok("weights", f"{file} is not here; nor do regressors run here (regressor.processes = 0)")]
 
     def load() -> str:
         from regressor.serve.check import check_weights
         from regressor.weigh.weigher import Weigher
 
-        weigher = Weigher.load(config.regressor.weights)
+        weigher = Weigher.load(file)
         worst_off = max(abs(a.weight_g / a.true_g - 1) for a in check_weights(weigher, config))
-        where = config.regressor.weights or "the shipped ones"
+        where = file or "the shipped ones"
         return f"{where}: {weigher.sidecar.model_id}, reference clouds within {100 * worst_off:.0f} %"
 
     return [_tried("weights", load, "set regressor.weights to a .safetensors or .pth that `tuberline evaluate` takes")]
