@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -11,12 +12,15 @@ from typing import Any
 import pytest
 
 from conveyor import topics
-from conveyor.config import LineConfig, LinkConfig, dump_toml
+from conveyor.config import LineConfig, LinkConfig, dump_toml, load_config
 from conveyor.delivery import KeptPublisher
-from conveyor.messages import Totals
+from conveyor.messages import Counters, Totals
 from conveyor.node import Node
 from tests.alarms.alarm_words import Receiver, receiving
 from tests.conftest import wait_until
+from tuberline.alarms.outbox import alarms_folder, is_in_use
+from tuberline.doctor import Level
+from tuberline.doctor.alarms import check_alarms
 from tuberline.processes import line_processes
 
 
@@ -112,10 +116,39 @@ def load(*, coverage: float) -> Totals:
     )
 
 
+@pytest.mark.graph
+def test_the_doctor_says_whether_somebody_sends_them(link: LinkConfig, tmp_path: Path) -> None:
+    """A line whose file has alarms and that was started without their sender told so nowhere."""
+    config = load_config(alarms_config(link, tmp_path, 80))
+    folder = alarms_folder(config)
+
+    def levels(host: str = socket.gethostname()) -> list[Level]:
+        ledger = Counters(
+            "aggregator", "aggregator", "r", 1, host=host, version="", status="ok", uptime_s=1.0, values={}, gauges={}
+        )
+        return [
+            f.level for f in check_alarms(config, {"aggregator/aggregator": ledger}, alive={"aggregator/aggregator"})
+        ]
+
+    assert levels() == [Level.WARNING]
+    process = start(tmp_path / "line.toml")
+    try:
+        wait_until(lambda: is_in_use(folder) is True, what="the sender's file")
+        assert levels() == [Level.OK]
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait(30)
+    assert is_in_use(folder) is False
+    assert levels() == [Level.WARNING]
+    assert levels(host="of the camera") == [], "they are sent where the ledger is"
+    assert check_alarms(config, {}, alive=set()) == []
+    (folder / "alarms.db").write_bytes(b"no database" * 99)
+    assert is_in_use(folder) is None
+    assert levels() == []
+
+
 def test_run_starts_the_alarms_of_a_line_that_has_some(tmp_path: Path) -> None:
     file = alarms_config(LinkConfig(), tmp_path, 80)
-    from conveyor.config import load_config
-
     config = load_config(file)
     assert [s.args for s in line_processes(config, config_path=file, run="r")][-1] == ("alarms", str(file))
     assert "alarms" not in [s.name for s in line_processes(LineConfig(), config_path=file, run="r")]

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from conveyor.config import LineConfig
 from conveyor.errors import StorageError, TakenError
 from tuberline.alarms.machine import Active, AlarmMachine, Timing
 from tuberline.alarms.message import AlarmMessage
@@ -200,6 +201,27 @@ class Outbox:
                 left += 1
         if left:
             log.warning("%d messages for channels that are no longer configured are not sent", left)
+
+
+def alarms_folder(config: LineConfig) -> Path:
+    """Where a line's messages wait."""
+    stated = config.alarms.state_dir if config.alarms is not None else None
+    return stated or config.aggregator.out / "alarms"
+
+
+def is_in_use(folder: Path) -> bool | None:
+    """Whether a process holds the messages in `folder`, so that alarms are sent; None where that cannot be told."""
+    path = folder / FILE
+    try:
+        if not path.is_file():
+            return False
+        with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=0.2)) as db:
+            db.execute("SELECT count(*) FROM facts").fetchone()
+    except sqlite3.OperationalError as error:
+        return True if "locked" in str(error) else None
+    except (OSError, sqlite3.Error):
+        return None
+    return False
 
 
 def _fact(name: str, value: object) -> Change:

@@ -13,7 +13,7 @@ from conveyor.access import known_nodes
 from conveyor.config import LineConfig
 from tuberline.alarms.channels import Channel
 from tuberline.alarms.machine import Timing
-from tuberline.alarms.outbox import Outbox
+from tuberline.alarms.outbox import Outbox, alarms_folder
 from tuberline.alarms.seen import disk_stands_still, seen_alarms, unknown_keys
 from tuberline.alarms.sender import Sender
 from tuberline.doctor.finding import Finding
@@ -91,8 +91,9 @@ class AlarmService:
             raise ValueError("the config has no [alarms]")
         self._config = config
         self._clock, self._wall = clock, wall
-        folder = config.alarms.state_dir or config.aggregator.out / "alarms"
-        self._outbox = Outbox(folder, channels=[channel.id for channel in channels], keep=config.alarms.keep)
+        self._outbox = Outbox(
+            alarms_folder(config), channels=[channel.id for channel in channels], keep=config.alarms.keep
+        )
         self._timing = Timing(config.alarms.after_s, config.alarms.clear_s, config.alarms.again_after_s)
         self._senders = [Sender(channel, self._outbox) for channel in channels]
         self._disks = DiskWatch(_folders(config))

@@ -84,6 +84,7 @@ def examine(
 
 
 def _running(config: LineConfig, live: Live) -> list[Finding]:
+    from tuberline.doctor.alarms import check_alarms
     from tuberline.doctor.belt import check_running_belts
     from tuberline.doctor.depth import check_running_noise, trained_range
     from tuberline.doctor.encoder import check_encoder
@@ -106,6 +107,7 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
         *check_agreement(live.totals),
         *check_running_noise(config, live.nodes, trained_range(config), alive=live.alive),
         *live.weights,
+        *check_alarms(config, live.nodes, alive=live.alive),
         *check_versions({name: c for name, c in live.nodes.items() if name in live.alive}, own=__version__),
         *check_clocks({name: s for name, s in live.clocks_s.items() if name in live.alive}, live.nodes),
     ]
