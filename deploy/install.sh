@@ -2,8 +2,8 @@
 # Installs a line's systemd units on this host: install.sh [OPTIONS] LINE.toml
 #
 #   --roles LIST     what runs here, comma-separated; default: router,aggregator,camera,segmenter,regressor,
-#                    and encoder, gnss and alarms where LINE.toml has [encoder] (it needs a live camera), [gnss], [alarms].
-#                    also: viewer, recorder, metrics, page. camera=front,camera=rear: those cameras only.
+#                    and encoder, gnss, alarms and viewer where LINE.toml has [encoder] (it needs a live camera), [gnss],
+#                    [alarms], [viewer]. also: recorder, metrics, page. camera=front,camera=rear: those cameras only.
 #                    loader: no unit, the certificate that `tuberline load` and the page need to change loads.
 #   --page-token FILE  who has the token in FILE (16 characters and more) gives orders on the page
 #   --certs DIR      copy the certificates that these roles need from DIR (made by `tuberline certs make`)
@@ -119,7 +119,7 @@ own() {
 }
 
 # Of the config that is on standard input, one line each: the line's name, its cameras, its regressors, its folder of
-# certificates, the names of its encoder and of its receiver, what `tuberline run` starts of these two and alarms.
+# certificates, the names of its encoder and of its receiver, what `tuberline run` starts of these two, alarms and viewer.
 facts_of() {
     python3 -S -c "
 import json, sys
@@ -131,7 +131,8 @@ print(certs if certs.startswith('/') else '/etc/tuberline/certs')
 names = {role: line[role]['name'] for role in ('encoder', 'gnss') if line.get(role)}
 print(names.get('encoder', ''), names.get('gnss', ''), sep='\n')
 live = any(camera['source'] != 'recording' or camera['starts_at_s'] for camera in line['cameras'].values())
-print(*(role for role in (*names, *(['alarms'] if line.get('alarms') else [])) if live or role != 'encoder'))"
+others = [role for role in ('alarms', 'viewer') if line.get(role)]
+print(*(role for role in (*names, *others) if live or role != 'encoder'))"
 }
 facts=$(echo "$checked" | facts_of)
 line=$(echo "$facts" | sed -n 1p)

@@ -1,4 +1,4 @@
-"""deploy/install.sh for a line with an encoder, a GNSS receiver or alarms: what runs, with what rights and names."""
+"""deploy/install.sh for a line with an encoder, a GNSS receiver, alarms or a viewer: what runs, with what rights and names."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ SECTIONS = {
     "encoder": '[encoder]\nsource = "serial:/dev/ttyACM0"\nmetres_per_pulse = 0.0005\nname = "shaft"\n',
     "gnss": '[gnss]\nsource = "serial:/dev/ttyUSB0?baud=9600"\nname = "roof"\n',
     "alarms": '[alarms]\nchannels = ["https://farm.example/alarms"]\n',
+    "viewer": "[viewer]\n",
 }
 LIVE = 'name = "field"\n[cameras.left]\nsource = "realsense"\nserial = "000000000001"\nbelt_distance_m = 0.46\n'
 RECORDED = 'name = "field"\n[cameras.left]\npath = "/recording"\n'
@@ -27,9 +28,9 @@ def config(folder: Path, *sections: str, cameras: str = LIVE) -> Path:
 
 
 def devices(root: Path) -> set[str]:
-    """Which of the three roles line field starts."""
+    """Which of these roles line field starts."""
     nodes = (root / "etc/systemd/system/tuberline@field.target.d/nodes.conf").read_text()
-    return set(re.findall("Wants=tuberline-(encoder|gnss|alarms)@field.service", nodes))
+    return set(re.findall(r"Wants=tuberline-(encoder|gnss|alarms|viewer)@field(?::viewer)?\.service", nodes))
 
 
 def test_the_groups_of_a_camera_s_unit_may_open_a_realsense(tmp_path: Path) -> None:
@@ -69,6 +70,7 @@ def test_a_regressor_s_unit_may_open_a_gpu_and_keep_what_is_compiled_for_it(tmp_
         (("encoder",), LIVE, {"encoder"}),
         (("gnss",), LIVE, {"gnss"}),
         (("alarms",), LIVE, {"alarms"}),
+        (("viewer",), LIVE, {"viewer"}),
         ((), LIVE, set()),
         (("encoder", "gnss"), RECORDED, {"gnss"}),
         (("encoder", "alarms"), RECORDED, {"alarms"}),
