@@ -17,6 +17,7 @@ import pytest
 from conveyor.config import load_config
 from conveyor.identity import Identity, own_files
 from tests.conftest import ROOT
+from tuberline.alarms.outbox import alarms_folder
 from tuberline.cli import build_app
 
 yaml = pytest.importorskip("yaml", reason="PyYAML is not installed: compose files and manifests unchecked")
@@ -308,6 +309,27 @@ def test_the_pages_commands_make_what_the_pods_mount(tmp_path: Path) -> None:
         nodes = {"observer", {"metrics": "observer", "page": "loader"}.get(role, role)}
         needed = {file.name for node in nodes for file in own_files(folder, node)}
         assert set(files) == needed, "no node gets a key that is not its own"
+
+
+def test_alarms_are_a_component_that_a_line_with_alarms_adds(tmp_path: Path) -> None:
+    component = yaml.safe_load((KUBERNETES / "alarms" / "kustomization.yaml").read_text())
+    assert (component["kind"], component["resources"]) == ("Component", ["alarms.yaml"])
+    text = (KUBERNETES / "alarms" / "alarms.yaml").read_text()
+    workload = yaml.safe_load(text)
+    validate = pytest.importorskip("kubernetes_validate", reason="kubernetes-validate is not installed: unchecked")
+    validate.validate(workload, desired_version="1.31", strict=True)
+    pod = workload["spec"]["template"]["spec"]
+    (container,) = pod["containers"]
+    assert container["image"] == component["images"][0]["name"]
+    assert parsed(container["args"]) == ("alarms", {"config": Path("/etc/tuberline/line.toml")})
+    assert (pod["securityContext"]["runAsNonRoot"], workload["spec"]["replicas"]) == (True, 1)
+    mounts = {mount["name"]: mount["mountPath"] for mount in container["volumeMounts"]}
+    (said,) = re.findall(r"^# (channels_file = .*) in \[alarms\]\.$", text, re.M)
+    (file := tmp_path / "line.toml").write_text((KUBERNETES / "line.toml").read_text() + f"[alarms]\n{said}\n")
+    line = load_config(file)
+    assert line.alarms is not None
+    assert str(line.alarms.channels_file) == f"{mounts['channels']}/channels"
+    assert alarms_folder(line).is_relative_to(mounts["waiting"])
 
 
 def test_every_key_that_a_pod_reads_of_the_lines_map_is_in_it() -> None:

@@ -1,4 +1,4 @@
-"""deploy/install.sh for a line with an encoder, a GNSS receiver, alarms or a viewer: what runs, with what rights and names."""
+"""deploy/install.sh for a line with an encoder, a GNSS receiver, alarms or a viewer: what runs, with which rights."""
 
 from __future__ import annotations
 
