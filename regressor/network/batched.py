@@ -140,7 +140,7 @@ class _Put:
         self._host = (
             zeros(MOST_POINTS, 3),
             zeros(MOST, dtype=whole),
-            torch.ones_like(zeros(MOST, dtype=whole)),
+            zeros(MOST, dtype=whole).fill_(1),
             zeros(MOST, places, dtype=whole),
             zeros(MOST),
         )
