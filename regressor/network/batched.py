@@ -256,7 +256,7 @@ def _sampler(device: torch.device, *, count: int) -> Sampler:
     if device.type != "cuda":
         return sample_by_operations
     if fault := kernel_fault(device, count=count):
-        logging.getLogger("regressor").warning("%s", fault)
+        logging.getLogger("regressor").warning("%s; %s", fault, KERNEL_NEEDS)
         return sample_by_operations
     from regressor.network.sampling_gpu import sample_by_kernel
 
@@ -272,10 +272,7 @@ def kernel_fault(device: torch.device, *, count: int = CENTROIDS_2) -> str | Non
         for width in WIDTHS:
             sample_by_kernel(torch.zeros(1, 3, device=device), begins, begins + 1, count=count, width=width)
     except Exception as error:  # Triton raises what the machine's compiler says, by no common class
-        return (
-            f"the GPU's sampling kernel cannot be built here, so a pass takes four times as long: {KERNEL_NEEDS}. "
-            f"It says: {error}"
-        )
+        return f"the GPU's sampling kernel cannot be built here, so a pass takes four times as long ({error})"
     return None
 
 
