@@ -73,3 +73,32 @@ def test_a_replay_that_is_told_to_stop_takes_its_nodes_along(tmp_path: Path) -> 
         assert replay.wait(30) == 128 + signal.SIGTERM
     # One that was being started when the signal came is known to no one; it ends by itself, within a second.
     wait_until(lambda: all(gone(pid) for pid in pids), what="the nodes are gone")
+
+
+DROPPED = """
+import os, signal, sys, time, weakref
+from tuberline.cli.leaving import leave_when_told
+leave_when_told()
+class Thing: pass
+thing = Thing()
+watched = weakref.ref(thing, lambda _: signal.raise_signal(signal.{name}))
+del thing
+print("went on", flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 128 + signal.SIGTERM), ("SIGINT", -signal.SIGINT)])
+def test_a_signal_that_python_drops_is_given_again(name: str, code: int) -> None:
+    """A replay that was told to stop while a module's lock was tidied up counted on to its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", DROPPED.format(name=name)], cwd=ROOT, capture_output=True, text=True, timeout=30
+    )
+    assert (done.returncode, done.stdout) == (code, "went on\n")
+    assert "Exception ignored" not in done.stderr
+
+
+def test_what_is_dropped_otherwise_is_told() -> None:
+    script = "from tuberline.cli.leaving import leave_when_told as f; f()\nclass A:\n def __del__(self): 1 / 0\nA()"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=30)
+    assert (done.returncode, "ZeroDivisionError" in done.stderr) == (0, True)

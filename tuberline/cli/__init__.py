@@ -7,16 +7,15 @@ from __future__ import annotations
 import gc
 import logging
 import os
-import signal
 import sys
 import traceback
-from types import FrameType
 
 from conveyor.crash import end_on_faults
 from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
+from tuberline.cli.leaving import leave_when_told
 
 __all__ = ["build_app", "main"]
 
@@ -36,7 +35,7 @@ def main() -> None:
     setup_logs()
     if sys.argv[1:2] and sys.argv[1] in LONG_RUNNING:
         end_on_faults()
-    signal.signal(signal.SIGTERM, _leave)
+    leave_when_told()
     watch_supervisor()
     code = _flushed(_run())
     if "zenoh" in sys.modules:
@@ -44,11 +43,6 @@ def main() -> None:
         # The interpreter's goodbye can wait forever for a Zenoh thread that wants to call back into it.
         os._exit(code)
     sys.exit(code)
-
-
-def _leave(number: int, _frame: FrameType | None) -> None:
-    """Leave by an exception, so that a command stops the processes it started; nodes have handlers of their own."""
-    raise SystemExit(128 + number)
 
 
 def _run() -> int:

@@ -1,0 +1,39 @@
+"""A command that is told to end leaves by an exception, so that it stops the processes it started and tidies up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from types import FrameType
+
+AGAIN_AFTER_S = 0.05
+
+
+class Told(SystemExit):
+    """The command was told to end by SIGTERM."""
+
+
+def leave_when_told() -> None:
+    """SIGTERM ends this command by `Told`, wherever it is; nodes have handlers of their own.
+
+    Python drops what is raised while it calls back for an object that is gone, and goes on: such a signal, SIGINT
+    too, is given again.
+    """
+    signal.signal(signal.SIGTERM, _leave)
+    sys.unraisablehook = _dropped
+
+
+def _leave(number: int, _frame: FrameType | None) -> None:
+    raise Told(128 + number)
+
+
+def _dropped(dropped: sys.UnraisableHookArgs) -> None:
+    numbers = {Told: signal.SIGTERM, KeyboardInterrupt: signal.SIGINT}
+    if (number := numbers.get(dropped.exc_type)) is None:
+        sys.__unraisablehook__(dropped)
+        return
+    again = threading.Timer(AGAIN_AFTER_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
