@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from conveyor.errors import InputError
-from regressor.network.batched import MOST, WIDTHS, BatchedPointRaft, Sampler, sample_by_operations
+from regressor.network import batched
+from regressor.network.batched import WIDTHS, BatchedPointRaft, Sampler, sample_by_operations
 from regressor.network.fast import FastPointRaft
 from regressor.network.grouping import GatheredGroups, group_prefix
 from regressor.network.sampling import farthest_points
@@ -117,11 +118,16 @@ def test_a_cloud_too_large_for_a_pass_is_weighed_alone(rng: np.random.Generator)
     assert BatchedPointRaft(state, device="cpu").weigh_clouds([cloud], [0.05]) == pytest.approx([expected], rel=1e-4)
 
 
-def test_more_clouds_than_a_pass_holds_are_all_weighed(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize(("most", "most_points"), [(4, batched.MOST_POINTS), (batched.MOST, 100)])
+def test_more_clouds_than_a_pass_holds_are_all_weighed(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, most: int, most_points: int
+) -> None:
+    """More clouds, or more points."""
+    monkeypatch.setattr(batched, "MOST", most)
+    monkeypatch.setattr(batched, "MOST_POINTS", most_points)
     state, _ = load_weights()
-    clouds = [(rng.uniform(-0.5, 0.5, (20, 3)) * (0.08, 0.06, 0.03)).astype(np.float32) for _ in range(MOST + 3)]
-    heights = [0.04] * len(clouds)
+    clouds = [(rng.uniform(-0.5, 0.5, (30, 3)) * (0.08, 0.06, 0.03)).astype(np.float32) for _ in range(7)]
+    alone = FastPointRaft(state)
     together = BatchedPointRaft(state, device="cuda" if torch.cuda.is_available() else "cpu")
-    found = together.weigh_clouds(clouds, heights)
-    assert found[-3:] == pytest.approx(together.weigh_clouds(clouds[-3:], heights[-3:]), rel=1e-4)
-    assert found[:3] == pytest.approx(together.weigh_clouds(clouds[:3], heights[:3]), rel=1e-4)
+    expected = [alone.weigh(group_prefix(cloud), 0.04) for cloud in clouds]
+    assert together.weigh_clouds(clouds, [0.04] * 7) == pytest.approx(expected, rel=1e-4)
