@@ -174,9 +174,9 @@ def _work(folder: Path, way: str, seconds: float, ready: Any, found: Any) -> Non
         spreads = [TYPICAL_BELT_SD_M] * len(clouds)
         return len(weigher.weigh_many(clouds, belt_sd_m=spreads, resting_sd_m=[0.0] * len(clouds)))
 
-    weighed, turn = weigh(0), 1
+    weigh(0)
     ready.wait()
-    begun, weighed = time.perf_counter(), 0
+    begun, weighed, turn = time.perf_counter(), 0, 1
     while (passed := time.perf_counter() - begun) < seconds:
         weighed += weigh(turn * TOGETHER)
         turn += 1

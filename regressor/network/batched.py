@@ -140,7 +140,7 @@ class _Put:
         self._host = (
             zeros(MOST_POINTS, 3),
             zeros(MOST, dtype=whole),
-            zeros(MOST, dtype=whole).fill_(1),
+            zeros(MOST, dtype=whole),
             zeros(MOST, places, dtype=whole),
             zeros(MOST),
         )
@@ -153,15 +153,17 @@ class _Put:
         heights_m: Sequence[float],
         places: Sequence[NDArray[np.int64]],
     ) -> None:
-        """Put these clouds there; what stands behind them stays, and is weighed to no purpose."""
+        """Put these clouds there. A pass may hold more: those have no points, for two clouds that share some would
+        write to the same memory while they are sampled.
+        """
         lengths = [len(cloud) for cloud in clouds]
         n, total = len(clouds), sum(lengths)
         np.concatenate(clouds, out=self._points[:total])
         self._begins[:n] = np.cumsum([0, *lengths[:-1]])
-        self._lengths[:n] = lengths
+        self._lengths[:n], self._lengths[n:] = lengths, 0
         self._places[:n] = places
         self._heights[:n] = heights_m
-        for device, host, used in zip(self._device, self._host, (total, n, n, n, n), strict=True):
+        for device, host, used in zip(self._device, self._host, (total, n, MOST, n, n), strict=True):
             device[:used].copy_(host[:used], non_blocking=True)
 
     def given(self, batch: int) -> tuple[Tensor, ...]:
@@ -283,7 +285,7 @@ def sample_by_operations(
 
     Args:
         points: (M, 3) float32, all clouds one after the other, finite.
-        begins, lengths: (B,) int64, where each begins, and its 1 to `width` points; on the same device.
+        begins, lengths: (B,) int64, where each begins, and its 0 to `width` points; on the same device.
         count: how many to pick of each; beyond its length a cloud's picks say nothing.
 
     Returns:

@@ -1,7 +1,8 @@
 """Farthest-point sampling of many clouds on a GPU: one kernel, in which each cloud has a multiprocessor of its own.
 
 Operation by operation it is 14 launches a pick; here a cloud stays on its multiprocessor from the first pick to the
-last. Triton comes with every build of torch for CUDA; `regressor.network.batched` asks before it imports this.
+last. Triton comes with every build of torch for CUDA, and needs a C compiler: see `kernel_fault` in
+`regressor.network.batched`.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def _large(points, begins, lengths, nearest, order, span, COUNT: tl.constexpr, B
 def sample_by_kernel(
     points: Tensor, begins: Tensor, lengths: Tensor, *, count: int, width: int
 ) -> tuple[Tensor, Tensor]:
-    """As `regressor.network.batched.sample_by_operations`, for tensors on a GPU."""
+    """As `regressor.network.batched.sample_by_operations`, for tensors on a GPU. No two clouds may share points."""
     order = torch.empty((len(begins), count), dtype=torch.int64, device=points.device)
     span = torch.empty((len(begins), 3), device=points.device)
     # Each product and each sum is rounded by itself, as in the kernel for one cloud.

@@ -102,10 +102,11 @@ def test_clouds_sampled_together_are_grouped_as_each_alone(rng: np.random.Genera
         pytest.skip("no CUDA GPU here: passes were NOT compared on one")
     state, _ = load_weights()
     together, alone = BatchedPointRaft(state, device=device, points=points), FastPointRaft(state)
-    for sizes in ((3, 1800, 700, 2500, 90), (2600, 40, 1030, 1, 600)):
+    many = (5000, 4200, 900, 6000, 30, 4100, 7000)
+    for sizes in ((3, 1800, 700, 2500, 90), (2600, 40, 1030, 1, 600), many, many[::-1][:5]):
         clouds = [(rng.uniform(-0.5, 0.5, (n, 3)) * (0.08, 0.06, 0.03)).astype(np.float32) for n in sizes]
         clouds[1] *= 4
-        heights = [0.05, 0.03, 0.04, 0.07, 0.02]
+        heights = rng.uniform(0.02, 0.07, len(clouds)).tolist()
         groups = [group_prefix(cloud, points=points) for cloud in clouds]
         expected = [alone.weigh(group, height) for group, height in zip(groups, heights, strict=True)]
         assert together.weigh_clouds(clouds, heights) == pytest.approx(expected, rel=1e-4, abs=2e-3)
