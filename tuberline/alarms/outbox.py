@@ -24,7 +24,8 @@ from tuberline.alarms.message import AlarmMessage
 
 log = logging.getLogger("alarms")
 
-FILE = "alarms.db"
+FOLDER, FILE = "alarms", "alarms.db"
+"""Where messages wait, in the aggregator's folder unless the config names another."""
 TABLES = """
 CREATE TABLE IF NOT EXISTS facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS active (key TEXT PRIMARY KEY, begun TEXT NOT NULL, begun_unix_s REAL NOT NULL);
@@ -206,7 +207,7 @@ class Outbox:
 def alarms_folder(config: LineConfig) -> Path:
     """Where a line's messages wait."""
     stated = config.alarms.state_dir if config.alarms is not None else None
-    return stated or config.aggregator.out / "alarms"
+    return stated or config.aggregator.out / FOLDER
 
 
 def is_in_use(folder: Path) -> bool | None:

@@ -12,8 +12,8 @@ from typing import Any
 from conveyor.apart import apart_in_words
 from conveyor.heights import heights_in_words
 from conveyor.messages import CamerasApart, HeightChange
+from tuberline.alarms import outbox
 from tuberline.alarms.message import AlarmMessage
-from tuberline.alarms.outbox import FILE as OUTBOX
 from tuberline.export.report.gather import DayFacts, LoadFacts, RunFacts
 
 WORTH_TELLING = 0.005
@@ -26,7 +26,7 @@ REASONS = {
     "after_last_frame": "after the last frame",
     "camera_never_looked": "under a camera that never looked",
 }
-ALARMS = Path("alarms") / OUTBOX
+ALARMS = Path(outbox.FOLDER) / outbox.FILE
 
 
 def what_went_wrong(facts: DayFacts) -> list[str]:
