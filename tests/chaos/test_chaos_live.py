@@ -129,7 +129,8 @@ def test_belt_that_passed_a_dead_segmenter_is_told(loaded_recording: Path, tmp_p
         line.wait_count("tracks_counted", 4)
         line.kill("segmenter-front")
 
-    summary = live_run(loaded_recording, tmp_path / "run", kill, speed=0.4, regressors=1)
+    # At 0.4 the segmenter is back, on a fast machine, before any belt has left the view.
+    summary = live_run(loaded_recording, tmp_path / "run", kill, speed=0.7, regressors=1)
     frames, _, tracks = sheet_of(summary)
     assert summary["restarts"]["segmenter-front"] == 1
     assert frames["gaps"] > 0
