@@ -361,9 +361,13 @@ class Cameras:
         return max(expected) if expected and wait else min(complete.values())
 
     def _complete_x_m(self, camera: str) -> float:
-        """Where `camera` is complete, by its newest mark whose moment the line's travel reaches."""
+        """Where `camera` is complete, by its newest mark whose moment the line's travel reaches.
+
+        One that ended is complete everywhere only then: a recording that is read faster than the reference's ends while
+        its last tracks have no place yet, and what they belong to must not be committed without them.
+        """
         state = self.states[camera]
-        if state.final:
+        if state.final and not state.marks:
             return -math.inf
         for at in range(len(state.marks) - 1, -1, -1):
             mark = state.marks[at]
@@ -375,6 +379,7 @@ class Cameras:
                 estimated=mark.travel_estimated,
             )
             if place is not None:
+                newest = at == len(state.marks) - 1
                 del state.marks[:at]
-                return place
+                return -math.inf if state.final and newest else place
         return math.inf

@@ -38,10 +38,10 @@ def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
         head_start_m=sums.head_start_m,
         sights=dict(sums.sights),
     )
-    estimated = any(_estimated(view, run.run, camera) for camera in run.cameras)
+    told = all(_told(view, run.run, camera) for camera in run.cameras)
     for camera in run.cameras:
         restored.marks[camera] = _marks(view, run.run, camera)
-        restored.curves[camera] = _curve(view, run.run, camera) if estimated else []
+        restored.curves[camera] = [] if told else _curve(view, run.run, camera)
         settled = sums.settled.get(camera, 0)
         restored.applied[camera] = settled
         for found in read_entries_after(view, run.run, camera, settled):
@@ -59,10 +59,12 @@ def _marks(view: LedgerView, run: str, camera: str) -> list[Mark]:
     return [mark for n in numbers if (mark := read_mark(view, run, camera, n)) is not None]
 
 
-def _estimated(view: LedgerView, run: str, camera: str) -> bool:
-    """No encoder tells this camera where the belt is."""
+def _told(view: LedgerView, run: str, camera: str) -> bool:
+    """An encoder tells this camera where the belt is. One that has not marked yet may have none: then the marks of the
+    others are needed to lay it beside them.
+    """
     last = read_coverage(view, run, camera, limit=1, newest=True)
-    return bool(last and last[0][5])
+    return bool(last and not last[0][5])
 
 
 def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:

@@ -87,6 +87,7 @@ def tell(
     estimated: bool = False,
     told_to: Collection[str] = (),
     split: float = 0.05,
+    spread_m: float = 0.1,
 ) -> Story:
     """A belt with up to `n` tubers under 1 to 3 cameras whose lanes overlap.
 
@@ -96,6 +97,7 @@ def tell(
         estimated: no encoder; each camera has its own zero and up to 1 % drift.
         told_to: names of cameras that have one all the same.
         split: share of tracks told in two halves that never met in a frame.
+        spread_m: cameras hang so far up and down the belt from its middle, at most.
     """
     rng = np.random.default_rng(seed)
     tubers = scatter(rng, n, apart_m=apart_m, length_m=length_m)
@@ -105,7 +107,7 @@ def tell(
         Camera(
             f"cam{i}",
             *lane,
-            x_m=float(rng.uniform(-0.1, 0.1)),
+            x_m=float(rng.uniform(-spread_m, spread_m)),
             zero_m=float(rng.uniform(-0.5, 0.5)) if estimates[i] else 0.0,
             drift=float(rng.uniform(-0.01, 0.01)) if estimates[i] else 0.0,
         )

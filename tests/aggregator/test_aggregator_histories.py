@@ -31,7 +31,7 @@ from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 
 HISTORIES = int(os.environ.get("TUBERLINE_HISTORIES", "150"))
-_told: dict[tuple[int | str, ...], list[str]] = {}
+_told: dict[tuple[int | str | float, ...], list[str]] = {}
 
 
 class Crash(Exception):
@@ -59,12 +59,19 @@ class Histories(RuleBasedStateMachine):
     steps: Steps
 
     @initialize(
-        seed=st.integers(0, 400), cameras=st.integers(2, 3), told_to=st.sampled_from(("all", "none", "cam0", "cam1"))
+        seed=st.integers(0, 400),
+        cameras=st.integers(2, 3),
+        told_to=st.sampled_from(("all", "none", "cam0", "cam1")),
+        spread_m=st.sampled_from((0.1, 0.4)),
     )
-    def begin(self, seed: int, cameras: int, told_to: str) -> None:
-        """The encoder tells the belt's travel to all cameras, to none, or to one."""
-        told = tell(seed, cameras=cameras, estimated=told_to != "all", told_to={told_to}, n=8, length_m=0.8)
-        key = (seed, cameras, told_to)
+    def begin(self, seed: int, cameras: int, told_to: str, spread_m: float) -> None:
+        """The encoder tells the belt's travel to all cameras, to none, or to one. They hang side by side, or up and
+        down the belt.
+        """
+        told = tell(
+            seed, cameras=cameras, estimated=told_to != "all", told_to={told_to}, spread_m=spread_m, n=8, length_m=0.8
+        )
+        key = (seed, cameras, told_to, spread_m)
         if key not in _told:
             _told[key] = undisturbed(self.ledger, told).canonical()
         self.calm = _told[key]

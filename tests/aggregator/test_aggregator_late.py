@@ -12,7 +12,7 @@ from aggregator.core.cameras import STARTUP_GRACE_S
 from aggregator.ledger.writer import Ledger
 from conveyor.messages import TrackEntry
 from tests.aggregator.belt_story import Story, tell
-from tests.aggregator.virtual_line import STALL_S, Aggregator, fresh_run
+from tests.aggregator.virtual_line import STALL_S, Aggregator, fresh_run, undisturbed
 
 
 def each_tuber_once(it: Aggregator, told: Story) -> None:
@@ -194,3 +194,28 @@ def test_marks_that_repeat_an_old_moment_are_no_sign_of_progress(tmp_path: Path)
             it.commit()
         assert it.core.applied()["cam1"] == mark.n + 29
         assert it.core.cameras.says(it.now_s)["cam1"] == "silent"
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_camera_that_is_read_to_its_end_before_the_others_counts_nothing_twice(
+    seed: int, restart: bool, tmp_path: Path
+) -> None:
+    """Recordings at full speed, travel to be estimated, cameras along the belt: the one with fewer frames ended while
+    its last tracks had no place on the line's travel yet, and was waited for no longer; what they were of was
+    committed, and counted again when their place was known.
+    """
+    told = tell(seed, cameras=2 + seed % 2, estimated=True, spread_m=0.4, length_m=2.0, n=30)
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        calm = undisturbed(ledger, told)
+        for ahead in told.names:
+            it = Aggregator(ledger, told.in_run(fresh_run("ahead")))
+            send_all(it, ahead)
+            it.commit()
+            for n in it.commits():
+                if restart and n % 7 == 0:
+                    it.start()
+            it.deliver_the_rest()
+            assert it.core.finished
+            assert it.canonical() == calm.canonical(), ahead
+            assert len(it.tubers()) == len(told.seen())
