@@ -135,7 +135,9 @@ class SegmenterConfig(Section):
         le=3600,
         description="then a tuber is logged by its volume; live: at once if it had to wait for half",
     )
-    state_dir: Path | None = Field(None, description="where the log not yet committed is kept across restarts")
+    state_dir: Path | None = Field(
+        None, description="where the log not yet committed is kept across restarts; default: state/ in aggregator.out"
+    )
 
     @field_validator("method", mode="before")
     @classmethod
@@ -267,6 +269,8 @@ class LineConfig(Section):
 def load_config(path: Path) -> LineConfig:
     """The line described by the TOML file at `path`; relative paths inside are relative to that file.
 
+    A segmenter's log is always kept on disk: one that starts again without it loses what it had not sent.
+
     Raises:
         ConfigError: unreadable, not TOML, or refused; the text names every faulty key.
     """
@@ -276,7 +280,9 @@ def load_config(path: Path) -> LineConfig:
             "writes a line's file for it"
         )
     raw = read_toml(path, what="config", error=ConfigError)
-    return parse_config(raw, where=str(path), base=path.resolve().parent)
+    config = parse_config(raw, where=str(path), base=path.resolve().parent)
+    kept = config.segmenter.state_dir or config.aggregator.out / "state"
+    return config.model_copy(update={"segmenter": config.segmenter.model_copy(update={"state_dir": kept})})
 
 
 def parse_config(raw: dict[str, Any], *, where: str, base: Path | None = None) -> LineConfig:

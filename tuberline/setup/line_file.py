@@ -102,6 +102,7 @@ def _rest(name: str, processes: int, belt: Mapping[str, float]) -> str:
             _aside("method", "classical", "counts all; the default tells clods and stones from tubers"),
             "\n[regressor]\n",
             _row("processes", processes, "that weigh, on this machine; more may join from others"),
+            _row("state_dir", f"runs/{name}/weights", "keeps weights that are given to the running line"),
             "\n[aggregator]\n",
             _row("out", f"runs/{name}", "ledger.db, summary.json, tubers.csv; relative to this file"),
             _aside("tickets", "tickets.json", "what a scale said: `tuberline calibrate`"),
