@@ -39,6 +39,8 @@ def write_late_summary(config: LineConfig, run: str, *, stopped_s: float | None 
             core.cameras.ran_until(round(stopped_s * 1e9), now_s)
         reporter = Reporter(ledger, core, config=config, counters=CounterSet())
         reporter.stopped()
+        if not core.finished:
+            ledger.stopped(run, reporter.at_rest(now_s))
         reporter.write(out, now_s)
         if core.finished:  # it was down between the last entry and its goodbye
             ledger.finish(run, reporter.summary_text(now_s), sights=core.cameras.sights)

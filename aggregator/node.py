@@ -76,6 +76,7 @@ class AggregatorNode:
         self._refused_runs: set[str] = set()
         self._told: dict[str, CameraInfo] = {}
         self._committed_s = -math.inf
+        self._reported_n = 0
 
     @property
     def ledger_path(self) -> Path:
@@ -183,10 +184,14 @@ class AggregatorNode:
                     self._leave()
                     return
                 self._finish(now_s)
+            elif reported and self._reported_n != self._ledger.loads.last_n:
+                self._report(now_s)  # a ticket came, or a load was ended or undone, after the belt had ended
         if not reported:
             self._commit()
             self._reporter.stopped()
-            self._report(time.monotonic(), in_haste=True)
+            now_s = time.monotonic()
+            self._ledger.stopped(self._run, self._reporter.at_rest(now_s))
+            self._report(now_s, in_haste=True)
 
     def _gather(self, for_s: float, *, at_most_s: float) -> None:
         """Receive entries until every camera has marked how far it is and the last commit is `COMMITS_APART_S` ago, for
@@ -317,6 +322,7 @@ class AggregatorNode:
 
     def _report(self, now_s: float, *, in_haste: bool = False) -> None:
         """Write summary.json and tubers.csv, and publish the totals as they are now."""
+        self._reported_n = self._ledger.loads.last_n
         if not self._reporter.write(self._settings.out, now_s, in_haste=in_haste, turn=self._node.progress):
             self._node.log.warning("stopped early: tubers.csv left out, `tuberline ledger dump` gives every tuber")
         self._publish_totals(now_s)

@@ -11,7 +11,7 @@ from typing import Any
 from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import Ticket, read_tickets
 from aggregator.core.class_totals import class_totals
-from aggregator.core.coverage import Coverage, Moment, coverage
+from aggregator.core.coverage import Coverage, Moment, at_rest, coverage
 from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_state import load_state
@@ -19,6 +19,7 @@ from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load, LoadEvent
 from aggregator.core.machine import Aggregation
 from aggregator.core.reasons import LoadState
+from aggregator.core.sight import CameraSight
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.apart import cameras_apart
 from aggregator.ledger.audit import audit_sums
@@ -73,6 +74,10 @@ class Reporter:
     def stopped(self) -> None:
         """The process was told to stop: what is not in the ledger by now was not seen."""
         self._over = True
+
+    def at_rest(self, now_s: float) -> dict[str, CameraSight]:
+        """What each camera looked at, as a ledger keeps it whose line is stopped now."""
+        return at_rest(self._core.cameras.sights, self._moment(now_s))
 
     def coverage(self, now_s: float) -> Coverage:
         """What of the load's belt was seen."""

@@ -156,6 +156,20 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
     return placed
 
 
+def at_rest(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str, CameraSight]:
+    """The histories as a ledger keeps them when its line is stopped at `moment`: `coverage` of them, asked for when the
+    run is over and with nothing known beside, is the same then.
+    """
+    return {
+        name: sight.at_rest(
+            until_ns=moment.until_ns.get(name),
+            ran_m=moment.ran_m.get(name),
+            waiting_m=moment.waiting_m.get(name, 0.0),
+        )
+        for name, sight in sights.items()
+    }
+
+
 def belt_window(sights: Mapping[str, CameraSight], from_x_m: float, to_x_m: float) -> tuple[float, float]:
     """The travel at which a stretch of belt between two places (the first the larger) lies at the centre rows of the
     cameras, in the mean of those that have seen a tuber cross it; in the terms of `coverage`.

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Self
 
@@ -196,6 +196,17 @@ class CameraSight:
         (ta, sa), (tb, sb) = self.curve[right - 1], self.curve[right]
         return sa + (sb - sa) * (t_ns - ta) / (tb - ta)
 
+    def _ns_at(self, s: float) -> int:
+        """The capture time at which the belt had come to `s`: `s_at` the other way round."""
+        (t0, s0), (t1, s1) = self.curve[0], self.curve[-1]
+        if not s0 < s < s1:
+            speed = self.speed_mps(first=s <= s0)
+            t, at = (t0, s0) if s <= s0 else (t1, s1)
+            return t + round((s - at) / speed * 1e9) if speed > 0 else t
+        right = next(n for n, (_, later) in enumerate(self.curve) if later >= s)
+        (ta, sa), (tb, sb) = self.curve[right - 1], self.curve[right]
+        return ta + round((tb - ta) * (s - sa) / (sb - sa))
+
     def speed_mps(self, *, first: bool) -> float:
         """Belt speed over the first 5 or the last 2 seconds and more of marks; 0 where there is but one."""
         if len(self.curve) < 2:
@@ -237,6 +248,23 @@ class CameraSight:
             newest_ns = max(self.last_ns, known.last_ns or 0)
             s += (until_ns - newest_ns) / 1e9 * self.speed_mps(first=False)
         return s
+
+    def at_rest(self, *, until_ns: int | None, ran_m: float | None, waiting_m: float) -> CameraSight:
+        """The same history as it is kept when the line is stopped: with how far the belt ran after the newest mark, and
+        without the belt at its end whose tubers are in no ledger yet. Arguments as in `coverage.Moment`.
+        """
+        if self.final or not self.curve:
+            return self
+        end = self.end_m(until_ns=until_ns, ran_m=ran_m)
+        told = replace(self.published)
+        if end > self.length_m + WHOLE:
+            told.last_ns = max(told.last_ns or 0, self._ns_at(end))
+            if not self.estimated:
+                told.last_travel_m = self.first_travel_m + end
+        complete_ns = self.complete_ns
+        if waiting_m > WHOLE:
+            complete_ns = self._ns_at(max(0.0, min(self.length_m, self.s_at(complete_ns)) - waiting_m))
+        return replace(self, published=told, complete_ns=complete_ns)
 
     def plain(self) -> dict[str, Any]:
         """As JSON keeps it."""

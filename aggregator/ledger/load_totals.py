@@ -22,6 +22,7 @@ from aggregator.ledger.reader import (
     RunRow,
     coverage_of,
     ledger_file,
+    moment_of,
     read_runs,
     read_sums,
     reading,
@@ -171,17 +172,17 @@ class ReadLoads:
 
     @cached_property
     def seen(self) -> dict[str, Seen]:
-        """What the cameras of each run looked at: the run is taken to be over."""
+        """What the cameras of each run looked at: it is over, but for the one that a line is writing."""
         found = {}
         for name, run in self.runs.items():
             sights = read_sums(self._view, name).sights
-            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, Moment(over=True))
+            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, moment_of(self._view, run))
         return found
 
     def whole(self, run: RunRow) -> LoadCounted:
         """A run in which no load was started: it is one load by itself."""
         sums = read_sums(self._view, run.run)
-        return counted([(sums.load, coverage_of(run, sums))])
+        return counted([(sums.load, coverage_of(run, sums, moment_of(self._view, run)))])
 
     def without_load(self, run: str, seen: Seen) -> LoadCounted | None:
         """What passed in `run` while no load was open; None where a load was open all the time."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from aggregator.core.coverage import Coverage, Moment, coverage
 from aggregator.core.foreign import ForeignBody
 from aggregator.core.sight import CameraSight
+from aggregator.ledger.receipt import is_being_written
 from aggregator.ledger.rows import body_from, tuber_from
 from aggregator.ledger.schema import BATCH, COVERAGE, ENTRY, FOREIGN, OBSERVATION, RUN, SUMMARY, TOTAL, TUBER
 from aggregator.ledger.sums import RunSums
@@ -225,10 +226,20 @@ def read_sums(view: LedgerView, run: str) -> RunSums:
     return RunSums.from_text(found[2])
 
 
-def coverage_of(run: RunRow, sums: RunSums) -> Coverage:
-    """What of a run's belt was seen, as its ledger knows it."""
+def moment_of(view: LedgerView, run: RunRow) -> Moment:
+    """How who reads a ledger asks what of `run` was seen: it is over, but for the run that a line is writing: belt that
+    its log has not come to yet is not belt that was missed.
+    """
+    if run.finished or not is_being_written(view.path):
+        return Moment(over=True)
+    newest = view.row(BATCH, "ORDER BY seq DESC")
+    return Moment(over=newest is not None and newest[1] != run.run)
+
+
+def coverage_of(run: RunRow, sums: RunSums, moment: Moment | None = None) -> Coverage:
+    """What of a run's belt was seen, as its ledger knows it; `moment` as by `moment_of`, else the run is over."""
     sights = {camera: sums.sights.get(camera, CameraSight()) for camera in run.cameras}
-    return coverage(sights, seen_by=sums.load.seen_by, moment=Moment(over=True))
+    return coverage(sights, seen_by=sums.load.seen_by, moment=moment or Moment(over=True))
 
 
 def entry_checksum(payload: bytes) -> int:

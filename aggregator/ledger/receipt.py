@@ -10,7 +10,9 @@ from __future__ import annotations
 import fcntl
 import os
 import struct
+import time
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -20,6 +22,8 @@ from conveyor.errors import LedgerError, StorageError
 _SLOT = struct.Struct("<8sQI")
 _MAGIC = b"TUBRACK1"
 _STRIDE = 4096
+ASKED_MOST, ASKED_AGAIN_S = 10, 0.01
+"""So often, and so far apart, the lock is asked for: readers hold it for a moment (`is_being_written`)."""
 
 
 def receipt_path(ledger: Path) -> Path:
@@ -37,7 +41,7 @@ class Receipt:
     def __enter__(self) -> Self:
         try:
             self._fd = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock()
         except BlockingIOError as error:
             os.close(self._fd)
             raise StorageError(
@@ -54,6 +58,14 @@ class Receipt:
             os.close(self._fd)
             self._fd = -1
 
+    def _lock(self) -> None:
+        for _ in range(ASKED_MOST):  # who asks whether it is being written has it for a moment
+            with suppress(BlockingIOError):
+                fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return
+            time.sleep(ASKED_AGAIN_S)
+        fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
     def write(self, seq: int) -> None:
         """Make durable that batches 1..seq may be acknowledged."""
         body = _MAGIC + struct.pack("<Q", seq)
@@ -64,6 +76,21 @@ class Receipt:
             raise StorageError(
                 f"receipt {self._path} cannot be written: {error.strerror}; nothing is acknowledged"
             ) from error
+
+
+def is_being_written(ledger: Path) -> bool:
+    """Whether some process has `ledger` open for writing; False where that cannot be told."""
+    try:
+        fd = os.open(receipt_path(ledger), os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        return isinstance(error, BlockingIOError)
+    finally:
+        os.close(fd)
+    return False
 
 
 def read_receipt(path: Path) -> int | None:

@@ -314,6 +314,19 @@ class Ledger:
                 self._loads.settle(run, sums)
                 next_step(self._db, run, sums)
 
+    def stopped(self, run: str, sights: Mapping[str, CameraSight]) -> None:
+        """Keep what was looked at (`coverage.at_rest`) of a run whose line is stopped; it may go on later.
+
+        Raises:
+            LedgerError: it could not be written.
+        """
+        with explained(self.path, f"stopping run {run}"), self._transaction("stop"):
+            known = read_run(self.view, run)
+            if known is not None and not known.finished:
+                sums = self.sums(run)
+                sums.sights = dict(sights)
+                next_step(self._db, run, sums)
+
     def _transaction(self, name: str) -> _Transaction:
         return _Transaction(self, name)
 

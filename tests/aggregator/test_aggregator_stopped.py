@@ -1,0 +1,171 @@
+"""What a stopped or a running line is said to have seen is the same by whoever says it: its summary, or its ledger."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aggregator.core.coverage import Moment, at_rest, coverage
+from aggregator.core.sight import CameraSight
+from aggregator.ledger.load_totals import ReadLoads
+from aggregator.ledger.reader import coverage_of, moment_of, read_runs, read_sums, reading
+from aggregator.ledger.receipt import is_being_written
+from aggregator.ledger.writer import Ledger
+from conveyor import topics
+from conveyor.config import LineConfig, dump_toml
+from conveyor.delivery.kept import KeptPublisher
+from conveyor.messages import CameraInfo
+from conveyor.node import Node
+from tests.aggregator.belt_story import tell
+from tests.aggregator.looking_story import START_NS, look, positions_m, some_outages
+from tests.aggregator.test_aggregator_load_orders import loader
+from tests.aggregator.test_aggregator_node import Process, Segmenters, camera_info, line, process
+from tests.aggregator.virtual_line import Aggregator, fresh_run
+from tests.conftest import wait_until
+
+__all__ = ["line", "process"]
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+def test_histories_at_rest_say_what_was_known_when_the_line_stopped(estimated: bool, rng: np.random.Generator) -> None:
+    """How far the belt ran after the newest mark, and belt whose tubers are in no ledger yet, are kept with them."""
+    differing = 0
+    for _ in range(200):
+        belt_m = positions_m(rng, rng.uniform(8, 40), steady=estimated)
+        if belt_m[-1] < 1.0:
+            continue
+        seconds = (len(belt_m) - 1) / 30.0
+        sights = {
+            name: look(belt_m, some_outages(rng, seconds), estimated=estimated, final=False, name=name).sight
+            for name in ("a", "b")[: int(rng.integers(1, 3))]
+        }
+        now_ns = START_NS + round((seconds + rng.uniform(0, 20)) * 1e9)
+        moment = Moment(
+            over=True,
+            until_ns={name: now_ns for name in sights if rng.random() < 0.6},
+            ran_m={name: float(rng.uniform(0, 3)) for name in sights if rng.random() < 0.3},
+            waiting_m={name: float(rng.uniform(0, 0.5)) for name in sights if rng.random() < 0.5},
+        )
+        seen_by = {frozenset(sights): 5}
+        told = coverage(sights, seen_by=seen_by, moment=moment)
+        kept = {
+            n: CameraSight.from_plain(json.loads(json.dumps(s.plain()))) for n, s in at_rest(sights, moment).items()
+        }
+        read = coverage(kept, seen_by=seen_by, moment=Moment(over=True))
+        assert read.belt_m == pytest.approx(told.belt_m, abs=1e-6)
+        assert read.share == pytest.approx(told.share, abs=1e-6)
+        assert read.mean_unseen_m() == pytest.approx(told.mean_unseen_m(), abs=1e-5)
+        differing += coverage(sights, seen_by=seen_by, moment=Moment(over=True)).share != told.share
+    assert differing > 20, "the moment made no difference: the test tests nothing"
+
+
+def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_path: Path) -> None:
+    """Belt that the log has not come to yet was told as not seen: 42 % where the page said 100 %."""
+    path = tmp_path / "ledger.db"
+    told = tell(5, cameras=2, n=20, length_m=2.0)
+    with Ledger(path) as ledger:
+        it = Aggregator(ledger, told.in_run(fresh_run("now")))
+        for published in (state.sight.published for state in it.core.cameras.states.values()):
+            published.take(
+                replace(camera_info("cam0", first_s=0.0, last_s=60.0), first_travel_m=0.0, last_travel_m=9.0)
+            )
+        for n in it.commits():
+            if n == 8:
+                break
+        assert is_being_written(path)
+        with reading(path) as view:
+            (run,) = read_runs(view)
+            assert not moment_of(view, run).over
+            running = coverage_of(run, read_sums(view, run.run), moment_of(view, run))
+            assert ReadLoads(view).whole(run).coverage == running.share == 1.0
+    assert not is_being_written(path)
+    with reading(path) as view:
+        assert moment_of(view, run).over
+        assert (coverage_of(run, read_sums(view, run.run), moment_of(view, run)).share or 0.0) < 0.9
+
+
+def test_who_asks_whether_a_ledger_is_written_keeps_no_writer_out(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.db"
+    assert not is_being_written(path)
+    for _ in range(20):
+        with Ledger(path):
+            assert is_being_written(path)
+        assert not is_being_written(path)
+
+
+@pytest.mark.graph
+@pytest.mark.timeout(120)
+def test_a_stopped_line_has_one_coverage(line: tuple[LineConfig, Path], process: Process) -> None:
+    """In summary.json belt after the last mark was not seen, in the ledger, its exports and reports there was none."""
+    config, _ = line
+    told = tell(13, cameras=2, n=30, length_m=3.0)
+    with Node("segmenter", "cam0", config=config, run="story") as node:
+        segmenters = Segmenters(node, told)
+        infos = {name: KeptPublisher(node, topics.CAMERA_INFO, camera=name) for name in told.names}
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        for name, out in infos.items():
+            said: CameraInfo = camera_info(name, first_s=0.0, last_s=9.0)
+            out.put(replace(said, first_travel_m=-0.15, last_travel_m=6.0))
+        segmenters.deliver(14)
+        process.popen.terminate()
+        code, text = process.end()
+        assert code in (0, -15), text
+    summary = json.loads((config.aggregator.out / "summary.json").read_text())
+    assert summary["unseen_m"]["after_last_frame"] > 0.1
+    with reading(config.aggregator.out / "ledger.db") as view:
+        (run,) = read_runs(view)
+        read = coverage_of(run, read_sums(view, run.run), moment_of(view, run))
+        whole = ReadLoads(view).whole(run)
+    assert read.share == pytest.approx(summary["coverage"], abs=1e-6)
+    assert read.belt_m == pytest.approx(summary["belt_m"], abs=1e-6)
+    assert read.mean_unseen_m() == pytest.approx(summary["unseen_m"], abs=1e-5)
+    assert whole.coverage == read.share
+
+
+@pytest.fixture
+def lasting(line: tuple[LineConfig, Path]) -> Iterator[tuple[LineConfig, Process]]:
+    """A line whose aggregator stays when its cameras have ended."""
+    config, path = line
+    config = config.model_copy(update={"aggregator": config.aggregator.model_copy(update={"exit_when_final": False})})
+    path.write_text(dump_toml(config))
+    running = Process(path)
+    yield config, running
+    if running.popen.poll() is None:
+        running.kill()
+
+
+@pytest.mark.graph
+@pytest.mark.timeout(120)
+def test_what_is_said_of_loads_after_the_belt_ended_is_in_the_files(lasting: tuple[LineConfig, Process]) -> None:
+    """A ticket of the evening, or a load's end, came into the ledger alone."""
+    config, process = lasting
+    told = tell(14, cameras=2, n=30, length_m=3.0)
+    summary, table = config.aggregator.out / "summary.json", config.aggregator.out / "tubers.csv"
+    with Node("segmenter", "cam0", config=config, run="story") as node, loader(config) as ask:
+        segmenters = Segmenters(node, told)
+        wait_until(lambda: segmenters.all_acknowledged(0), what="the first acknowledgement", timeout_s=40)
+        assert ask("start", fields={"name": "A"}).done
+        segmenters.deliver()
+        wait_until(summary.exists, what="the summary of a run whose cameras ended", timeout_s=40)
+        (load,) = json.loads(summary.read_text())["loads"]
+        assert not load["calibrated_by"]
+        grams = load["as_weighed_g"]
+        assert ask("ticket", load="A", kg=1.1 * grams / 1000).done
+
+        def calibrated() -> bool:
+            return bool(json.loads(summary.read_text())["loads"][0]["calibrated_by"])
+
+        wait_until(calibrated, what="the ticket in summary.json", timeout_s=20)
+        with table.open(newline="") as rows:
+            assert {row["load"] for row in csv.DictReader(rows)} == {"1"}
+        assert ask("undo").done
+        process.popen.terminate()
+        assert process.end()[0] in (0, -15)
+    with table.open(newline="") as rows:
+        assert {row["load"] for row in csv.DictReader(rows)} == {"0"}, "the undone start is in the table, too"
