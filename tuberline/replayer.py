@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from conveyor.taken_port import check_port_free, free_port
 from conveyor.topics import check_name
 from tuberline.places import places_in
 from tuberline.processes import line_processes, usual_regressors
+from tuberline.recorded import has_positions, lost_frames
 from tuberline.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -104,7 +105,8 @@ def replay_recording(
     take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
-    return _count(config, out=out, run=run, show=show, forks=forks)
+    notes = [f"camera '{name}': {note}" for name, of in zip(cameras, told, strict=True) for note in of.notes]
+    return _count(config, out=out, run=run, show=show, forks=forks, notes=notes)
 
 
 def _keep(config: LineConfig, *, out: Path, run: str) -> None:
@@ -169,34 +171,22 @@ def _finished(out: Path, run: str) -> bool:
     return row is not None and row.finished
 
 
-def _count(config: LineConfig, *, out: Path, run: str, show: bool, forks: ForkServer | None) -> dict[str, Any]:
-    """Run the line until it has counted everything; its summary."""
-    positions, unusable = _has_positions(out, run=run)
+def _count(
+    config: LineConfig, *, out: Path, run: str, show: bool, forks: ForkServer | None, notes: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Run the line until it has counted everything; its summary. `notes`: what is to be known of the recording."""
+    positions, unusable = has_positions(out, run=run)
     specs = line_processes(config, config_path=(out / CONFIG_FILE).resolve(), run=run, positions=positions)
     with Supervisor(specs, log_dir=out / "logs", forks=forks) as supervisor:
-        findings = [*unusable, *_wait_until_counted(supervisor, config, show=show)]
+        findings = [*notes, *unusable, *_wait_until_counted(supervisor, config, show=show)]
     summary = _summary(out)
+    findings += lost_frames(summary["cameras"], logs=out / "logs")
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts
     if findings:
         summary["findings"] = findings
     return summary
-
-
-def _has_positions(out: Path, *, run: str) -> tuple[bool, list[str]]:
-    """Whether the recording's positions can be told again; if they cannot be read that is a finding, and tubers count
-    all the same.
-    """
-    from camera_sim.gnss.recorded import recorded_positions
-    from conveyor.formats.positions import POSITIONS_FILE
-
-    if not (out / POSITIONS_FILE).is_file():
-        return False, []
-    try:
-        return bool(recorded_positions(out / POSITIONS_FILE, run=run)), []
-    except InputError as error:
-        return False, [f"the machine's positions are not replayed: {error}"]
 
 
 def _summary(out: Path) -> dict[str, Any]:

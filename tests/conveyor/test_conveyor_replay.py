@@ -10,6 +10,7 @@ from conveyor.config import LineConfig
 from conveyor.errors import InputError
 from tuberline.cli.replay import parse_speed
 from tuberline.processes import line_processes
+from tuberline.recorded import lost_frames
 from tuberline.replayer import fingerprint, prepare_out, replay_config
 
 
@@ -70,3 +71,14 @@ def test_further_settings_join_the_defaults(tmp_path: Path) -> None:
     )
     assert config.segmenter.views_per_tuber == 5
     assert config.segmenter.state_dir == tmp_path / "state"
+
+
+def test_frames_that_were_lost_are_told_with_their_number(tmp_path: Path) -> None:
+    """Of 210 frames 100 were cut off, and only the log said so."""
+    cameras = {
+        "left": {"frames": {"published": 210, "processed": 110, "gaps": 100}},
+        "right": {"frames": {"published": 210, "processed": 210, "gaps": 0}},
+    }
+    (told,) = lost_frames(cameras, logs=tmp_path)
+    assert "camera 'left': 100 of 210 frames are missing or cannot be read" in told
+    assert str(tmp_path / "camera-left.log") in told

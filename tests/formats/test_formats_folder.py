@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
@@ -168,6 +170,61 @@ def test_travel_that_is_set_back_goes_on(small_recording: Path) -> None:
     read_m = [item.travel_m for item in source.frames(run="r") if isinstance(item, Frame)]
     assert read_m == pytest.approx(travel_m, abs=0.001), "what the belt moved in between is its median step"
     assert f"sets travel_m back at seq {half}: it is taken to go on" in source.description.notes[0]
+
+
+def _with_travel(recording: Path, change: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Change travel_m of the recording's frames.csv; (frames,) metres as it was."""
+    folder = next(recording.glob("*/frames.csv")).parent
+    head, *rows = (folder / "frames.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    before = np.array([float(cell[2]) for cell in cells])
+    for cell, travel_m in zip(cells, change(before.copy()).tolist(), strict=True):
+        cell[2] = repr(travel_m)
+    (folder / "frames.csv").write_text("\n".join([head, *(",".join(cell) for cell in cells)]) + "\n")
+    return before
+
+
+def _read_travel(recording: Path) -> tuple[list[float | None], str]:
+    source = open_source(recording)
+    read_m = [item.travel_m for item in source.frames(run="r") if isinstance(item, Frame)]
+    return read_m, " ".join(source.description.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "note"),
+    [
+        (lambda m: np.where(np.arange(len(m)) >= 9, m - 0.16, m), "sets travel_m back at seq 9"),
+        (lambda m: np.where(np.arange(len(m)) >= 9, m + 5.0, m), "lets travel_m jump at seq 9"),
+        (lambda m: np.where(np.isin(np.arange(len(m)), (9, 10)), -1.0, m), "sets travel_m back at seq 9"),
+    ],
+    ids=["a little back", "5 m on", "two frames of nothing"],
+)
+def test_travel_that_no_belt_runs_goes_on(
+    change: Callable[[NDArray[np.float64]], NDArray[np.float64]], note: str, small_recording: Path
+) -> None:
+    """A counter that wrapped every 20 cm left no tuber of 40, one that jumped 5 m left six of 25 counted twice."""
+    travel_m = _with_travel(small_recording, change)
+    read_m, notes = _read_travel(small_recording)
+    assert read_m == pytest.approx(travel_m.tolist(), abs=0.002)
+    assert f"frames.csv {note}" in notes
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda m: np.concatenate([m[:8], m[8] - (m[8:] - m[8])]),
+        lambda m: np.floor(m / 0.05) * 0.05,
+        lambda m: 1000.0 * m,
+    ],
+    ids=["a belt that is turned back", "an encoder of 5 cm steps", "millimetres"],
+)
+def test_travel_that_a_belt_may_run_stays_as_it_is(
+    change: Callable[[NDArray[np.float64]], NDArray[np.float64]], small_recording: Path
+) -> None:
+    travel_m = _with_travel(small_recording, change)
+    read_m, notes = _read_travel(small_recording)
+    assert read_m == change(travel_m.copy()).tolist()
+    assert "travel_m" not in notes
 
 
 def test_what_is_no_recording_lists_what_was_looked_for(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from conveyor.errors import InputError
@@ -56,8 +57,13 @@ class FrameRow:
     travel_m: float | None
 
 
-SET_BACK_M = 0.25
-"""Between two frames no belt runs back that far: its counter was set back."""
+SET_BACK_M, SET_BACK_STEPS, SET_BACK_LEAST_M = 0.25, 3.0, 0.03
+"""Between two frames no belt runs back that far, nor so many of its usual steps (and that far): its counter was set
+back."""
+FASTEST_MPS, JUMP_STEPS = 3.0, 5.0
+"""No belt is faster, ten times a harvester's: travel that is, by more than so many usual steps, jumped."""
+MOST_JUMPS = 0.1
+"""Of all steps. Where more of them jump, travel is no metres: that is another fault, told elsewhere."""
 
 
 def read_camera_file(path: Path) -> CameraFile:
@@ -155,28 +161,56 @@ def read_frame_rows(path: Path) -> list[FrameRow]:
     return rows
 
 
-def travel_going_on(rows: list[FrameRow]) -> tuple[list[FrameRow], list[int]]:
-    """Rows whose belt travel goes on where it was set back, and the numbers of the frames where that was done.
+@dataclass(frozen=True, slots=True)
+class GoingOn:
+    """Rows whose belt travel goes on, and the numbers of the frames where it was set back, or jumped."""
 
-    A counter that starts again puts other tubers where the first ones lay, and they would be taken for the same. What
-    the belt moved meanwhile is taken from its median speed, by the clock, or by frame numbers where that fell back too.
+    rows: list[FrameRow]
+    set_back: list[int]
+    jumped: list[int]
+
+
+def travel_going_on(rows: list[FrameRow]) -> GoingOn:
+    """The rows with belt travel that goes on where it was set back or jumped.
+
+    A counter that starts again puts other tubers where the first ones lay, and they would be taken for the same; one
+    that jumps tears a tuber apart that lies in view. What the belt moved meanwhile is taken from its median speed, by
+    the clock, or by frame numbers where that fell back too.
     """
     given = [n for n, row in enumerate(rows) if row.travel_m is not None]
     travel_m = np.array([rows[n].travel_m for n in given], float)
     frames = np.diff([rows[n].seq for n in given])
     ns = np.diff([rows[n].captured_ns for n in given])
     moved_m = np.diff(travel_m)
-    set_back = moved_m < -SET_BACK_M * frames
-    if not set_back.any():
-        return rows, []
-    forward = (moved_m > 0) & (ns > 0)
-    by_clock_m = ns * np.median(moved_m[forward] / ns[forward]) if forward.any() else 0.0 * frames
-    by_number_m = frames * np.median(moved_m[forward] / frames[forward]) if forward.any() else 0.0 * frames
-    steps_m = np.where(set_back, np.where(ns > 0, by_clock_m, by_number_m), moved_m)
+    forward = moved_m > 0
+    step_m = float(np.median(moved_m[forward] / frames[forward])) if forward.any() else 0.0
+    back_m = min(SET_BACK_M, max(SET_BACK_LEAST_M, SET_BACK_STEPS * step_m))
+    set_back = moved_m < -back_m * frames
+    jumped = (ns > 0) & (moved_m > FASTEST_MPS * ns / 1e9 + JUMP_STEPS * step_m * frames)
+    if jumped.sum() > MOST_JUMPS * len(moved_m):
+        jumped[:] = False
+    if not (set_back | jumped).any():
+        return GoingOn(rows, [], [])
+    unknown = set_back | jumped | _silent(moved_m, set_back, jumped)
+    usual = forward & ~jumped & (ns > 0)
+    by_clock_m = ns * np.median(moved_m[usual] / ns[usual]) if usual.any() else 0.0 * frames
+    by_number_m = frames * np.median(moved_m[usual] / frames[usual]) if usual.any() else 0.0 * frames
+    steps_m = np.where(unknown, np.where(ns > 0, by_clock_m, by_number_m), moved_m)
     going_on = list(rows)
     for n, at_m in zip(given[1:], travel_m[0] + np.cumsum(steps_m), strict=True):
         going_on[n] = replace(rows[n], travel_m=float(at_m))
-    return going_on, [rows[n].seq for n, back in zip(given[1:], set_back, strict=True) if back]
+    found = [[rows[n].seq for n, is_so in zip(given[1:], where, strict=True) if is_so] for where in (set_back, jumped)]
+    return GoingOn(going_on, *found)
+
+
+def _silent(moved_m: NDArray[np.float64], set_back: NDArray[np.bool_], jumped: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) steps between a fall and the jump that undid it, all of them zero: the encoder said nothing meanwhile."""
+    silent = np.zeros(len(moved_m), np.bool_)
+    for n in np.flatnonzero(set_back):
+        moving = np.flatnonzero(moved_m[n + 1 :])
+        if len(moving) and jumped[n + 1 + moving[0]]:
+            silent[n + 1 : n + 1 + moving[0]] = True
+    return silent
 
 
 def _row(path: Path, number: int, cells: list[str]) -> FrameRow:

@@ -30,7 +30,8 @@ class FolderSource:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._rows, set_back = travel_going_on(read_frame_rows(folder / "frames.csv"))
+        travel = travel_going_on(read_frame_rows(folder / "frames.csv"))
+        self._rows = travel.rows
         described = describe(
             read_camera_file(folder / "camera.json"), origin=f"folder {folder}", frames=len(self._rows)
         )
@@ -38,11 +39,13 @@ class FolderSource:
         name = folder.resolve().name
         if plain_name(described.name, where=folder / "camera.json") != name:
             notes.append(f"camera.json names it '{described.name}': it is called '{name}', as its folder is")
-        if set_back:
-            notes.append(
-                f"frames.csv sets travel_m back at seq {', '.join(map(str, set_back[:5]))}: it is taken to go on there "
-                "at the belt's usual speed"
-            )
+        for what, where in (("sets travel_m back", travel.set_back), ("lets travel_m jump", travel.jumped)):
+            if where:
+                more = f" and {len(where) - 5} more" if len(where) > 5 else ""
+                notes.append(
+                    f"frames.csv {what} at seq {', '.join(map(str, where[:5]))}{more}: it is taken to go on there at "
+                    "the belt's usual speed"
+                )
         self._description = replace(described, name=name, notes=tuple(notes))
         if not (folder / "depth").is_dir():
             raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
