@@ -77,6 +77,7 @@ def replay_recording(
         TuberlineError: a node gave up; the text carries its last words.
     """
     from conveyor.formats import open_source
+    from conveyor.formats.inspection import described_doubtfully
 
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
@@ -105,7 +106,9 @@ def replay_recording(
     take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
-    notes = [f"camera '{name}': {note}" for name, of in zip(cameras, told, strict=True) for note in of.notes]
+    notes = [
+        f"camera '{name}': {note}" for name, d in zip(cameras, told, strict=True) for note in described_doubtfully(d)
+    ]
     return _count(config, out=out, run=run, show=show, forks=forks, notes=notes)
 
 

@@ -122,14 +122,17 @@ def _inspect(source: RecordedSource) -> CameraReport:
         color=any(frame.color_jpeg is not None for frame in frames),
         warnings=(
             *texts,
-            *d.notes,
-            *_intrinsics_warnings(d.intrinsics),
-            *_pose_warnings(d),
+            *described_doubtfully(d),
             *_scale_warnings(frames, belt_seen_m, d),
             *_time_warnings(gaps, clock_faults),
             *_rate_warnings(d.fps, steps_s),
         ),
     )
+
+
+def described_doubtfully(d: CameraDescription) -> tuple[str, ...]:
+    """What is suspicious about a camera before any frame is looked at, in words."""
+    return (*d.notes, *_intrinsics_warnings(d.intrinsics), *_pose_warnings(d))
 
 
 def _samples(keys: list[FrameKey]) -> list[FrameKey]:
