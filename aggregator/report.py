@@ -25,7 +25,8 @@ from aggregator.ledger.apart import cameras_apart
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
-from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket, with_own
+from aggregator.ledger.line_tickets import with_own
+from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket
 from aggregator.ledger.reader import read_marks
 from aggregator.ledger.stated import told_belt
 from aggregator.ledger.writer import Ledger

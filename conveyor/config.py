@@ -209,10 +209,14 @@ class ViewerConfig(Section):
     )
 
 
+LINE_NAME, REPLAY_NAME = "line", "replay"
+"""What a line, and a replay, is called where no one named it. Two of such a name may be of different cameras."""
+
+
 class LineConfig(Section):
     """One line: its name, its link, its cameras and its nodes."""
 
-    name: str = Field("line", description="the line's name: its topics lie under `tuberline/NAME/`")
+    name: str = Field(LINE_NAME, description="the line's name: its topics lie under `tuberline/NAME/`")
     link: LinkConfig = LinkConfig()
     access: AccessConfig = AccessConfig()
     cameras: dict[str, CameraConfig] = Field(default_factory=dict)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from aggregator.ledger.files import write_whole
 from conveyor.belt_findings import belt_findings
-from conveyor.config import LineConfig, dump_toml, load_config, parse_config
+from conveyor.config import REPLAY_NAME, LineConfig, dump_toml, load_config, parse_config
 from conveyor.contract import read_contract
 from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
 from conveyor.files import cause, unwritable, whole_output
@@ -280,7 +280,7 @@ def replay_config(
 ) -> LineConfig:
     """The line that replays `recording`: embedded defaults, a router on a free port of this machine."""
     raw: dict[str, Any] = {
-        "name": "replay",
+        "name": REPLAY_NAME,
         "link": {"router": f"tcp/127.0.0.1:{free_port()}", "connect_timeout_s": 60.0},
         "cameras": {
             n: {"path": str(recording.resolve()), "speed": speed, **(places or {}).get(n, {})} for n in cameras

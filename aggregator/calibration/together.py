@@ -3,7 +3,8 @@
 The resting level and the camera are one and the same in all loads, so their errors add up; a variety's own factor is
 one in all loads of it. Heaps of one line are taken to be alike: errors of what lies under others add up, too. What
 differs from load to load, each tuber's own error, and belt that was not seen are independent from load to load: their
-squares add up.
+squares add up. Loads of several lines, each calibrated by its own tickets, are added as if they were of one line: that
+is too wide rather than too narrow.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class Together:
     Attributes:
         as_weighed_g: before any calibration, of what was seen.
         parts_percent: 90 % half-widths by cause, in percent of the estimate; their squares add up.
-        tickets: evidence that the calibration rests on.
+        tickets: evidence that the calibration of a load rests on; of the one that has most.
     """
 
     tubers: int

@@ -10,7 +10,8 @@ from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_told import load_now
 from aggregator.core.loads import Load, LoadTicket
 from aggregator.ledger.earlier_loads import heights_before
-from aggregator.ledger.load_totals import ReadLoads, Seen, count_load, tickets_beside
+from aggregator.ledger.line_tickets import tickets_beside
+from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
 from conveyor.errors import InputError

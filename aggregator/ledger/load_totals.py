@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Protocol
 
 from aggregator.calibration.correction import Prior, prior_told
 from aggregator.calibration.load_tickets import load_ticket
-from aggregator.calibration.tickets import Ticket, same_tubers
+from aggregator.calibration.tickets import Ticket
 from aggregator.core.coverage import Coverage, Moment
 from aggregator.core.load_orders import find
 from aggregator.core.load_sums import LoadSums
@@ -101,18 +101,6 @@ def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") ->
         else:
             tickets += [ticket] if ticket is not None else []
     return tickets, refused
-
-
-def tickets_beside(ledger: ReadLoads) -> tuple[list[Ticket], list[str]]:
-    """(all that calibrates a ledger that is read: its loads' own tickets and its config's; what cannot, in words)."""
-    own, words = tickets_of(ledger, ledger.seen, cultivar=ledger.stated.cultivar)
-    return with_own(ledger.stated.tickets, own), [*ledger.stated.words, *words]
-
-
-def with_own(given: Sequence[Ticket], own: Sequence[Ticket]) -> list[Ticket]:
-    """All tickets: of those that hold the same tubers the loads' own, else the later one given."""
-    latest = {ticket.key: ticket for ticket in given}.values()
-    return [*(ticket for ticket in latest if not any(same_tubers(ticket, one) for one in own)), *own]
 
 
 def unused_ticket(ledger: Sums, event: LoadEvent, seen: Mapping[str, Seen]) -> str:

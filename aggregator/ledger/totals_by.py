@@ -14,7 +14,8 @@ from aggregator.calibration.together import OneLoad, Together, together
 from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.load_totals import ReadLoads, count_load, tickets_of, with_own
+from aggregator.ledger.line_tickets import line_tickets
+from aggregator.ledger.load_totals import ReadLoads, count_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
@@ -56,41 +57,70 @@ class Labelled:
     run: str
 
 
+@dataclass(frozen=True, slots=True)
+class AllLoads:
+    """The loads of some ledgers.
+
+    Attributes:
+        by_ledger: those of each, by its file. refused: tickets that cannot calibrate, in words. doubts: what else is
+            to be said of tickets: that they hold for one ledger alone.
+    """
+
+    by_ledger: Mapping[Path, list[Labelled]]
+    refused: list[str]
+    doubts: list[str]
+
+    @property
+    def loads(self) -> list[Labelled]:
+        """All of them, ledger by ledger."""
+        return [load for loads in self.by_ledger.values() for load in loads]
+
+    def of(self, path: Path) -> list[Labelled]:
+        """Those of one of the ledgers (or folders of runs)."""
+        return self.by_ledger[ledger_file(path).resolve()]
+
+
 def totals_by(paths: Sequence[Path], by: str, *, tickets: Sequence[Ticket] = ()) -> tuple[list[Total], list[str]]:
-    """(totals by label, the sum of all last; tickets that cannot calibrate, in words).
+    """(totals by label, the sum of all last; tickets that cannot calibrate, in words); as `all_loads` and `sums_by`."""
+    found = all_loads(paths, tickets=tickets)
+    return sums_by(found.loads, by), found.refused
+
+
+def sums_by(loads: Sequence[Labelled], by: str) -> list[Total]:
+    """Totals by label, the sum of all last; none where there is no load.
+
+    Args:
+        by: one of `BY`.
+
+    Raises:
+        InputError: it is none of these.
+    """
+    if by not in BY:
+        raise InputError(f"totals by {by!r}: known are {', '.join(BY)}")
+    return [*grouped(loads, by), total_of(ALL, loads)] if loads else []
+
+
+def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLoads:
+    """Every load of these ledgers, each calibrated by the tickets of its line (`aggregator.ledger.line_tickets`).
 
     A run in which no load was started is one load by itself; what passed while none was open is told as that.
 
     Args:
         paths: folders of runs, or ledgers.
-        by: one of `BY`.
-        tickets: more than the ledgers' own loads have and the configs beside them name. Of two of the same load its
-            own is taken, else the one given here.
+        tickets: more, which calibrate all of them. Of two of the same load its own is taken, else the one given here.
 
     Raises:
-        LedgerError: a ledger that cannot be read. InputError: `by` is none of these.
+        LedgerError: a ledger that cannot be read.
     """
-    if by not in BY:
-        raise InputError(f"totals by {by!r}: known are {', '.join(BY)}")
-    loads, refused = all_loads(paths, tickets=tickets)
-    return ([*grouped(loads, by), total_of(ALL, loads)] if loads else []), refused
-
-
-def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> tuple[list[Labelled], list[str]]:
-    """(every load of these ledgers, tickets that cannot calibrate, in words); as `totals_by`."""
     with ExitStack() as stack:
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
-        ledgers = [ReadLoads(stack.enter_context(reading(file))) for file in files]
-        own: list[Ticket] = []
-        refused: list[str] = []
-        for ledger in ledgers:
-            found, words = tickets_of(ledger, ledger.seen, cultivar=ledger.stated.cultivar)
-            own += found
-            refused += (*ledger.stated.words, *words)
-        loads = []
-        for ledger in ledgers:
-            loads += labelled(ledger, with_own((*ledger.stated.tickets, *tickets), own))
-        return loads, refused
+        ledgers = {file: ReadLoads(stack.enter_context(reading(file))) for file in files}
+        loads, refused, doubts = {}, [], dict[str, None]()
+        for (file, ledger), known in zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True):
+            loads[file] = labelled(ledger, known.tickets)
+            refused += known.refused
+            doubts |= dict.fromkeys(known.unshared)
+        return AllLoads(loads, refused, list(doubts))
 
 
 def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:

@@ -22,7 +22,9 @@ def fresh_run(prefix: str) -> str:
 
 
 class Aggregator:
-    """An aggregation and its ledger, as the node ties them together; the clock is ours."""
+    """An aggregation and its ledger, as the node ties them together; the clock is ours. `line`: what it is called."""
+
+    line = "t"
 
     def __init__(self, ledger: Ledger, story: Story, *, reach_mm: float | None = None) -> None:
         self.ledger = ledger
@@ -36,7 +38,7 @@ class Aggregator:
     def start(self) -> None:
         """Begin, or begin again from the ledger alone."""
         restored = self.ledger.open_run(
-            self.story.run, line="t", cameras=self.story.names, version="1", started_ns=0, may_be_finished=True
+            self.story.run, line=self.line, cameras=self.story.names, version="1", started_ns=0, may_be_finished=True
         )
         self.core = Aggregation(
             self.story.run,

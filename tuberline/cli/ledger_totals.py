@@ -21,8 +21,8 @@ def totals(
     """Print what the loads of one or many ledgers come to, raw and calibrated, with 90 % intervals.
 
     What loads have in common (the resting level, the camera, a variety's factor) is one error in all of them: the
-    interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate,
-    and those that the line.toml beside a ledger names.
+    interval of a sum does not shrink as if each load were weighed by another line. Tickets of these loads calibrate
+    the loads of their own line, and those that the line.toml beside a ledger names that ledger.
 
     Parameters
     ----------
@@ -31,27 +31,34 @@ def totals(
     by
         What to add up: loads one by one, or by their field, variety, day or season (the year).
     tickets
-        A file of tickets beside these, as `tuberline calibrate` keeps it.
+        A file of tickets beside these, as `tuberline calibrate` keeps it: they calibrate all of the loads.
     json
         For machines.
     """
     from aggregator.calibration.tickets import read_tickets
-    from aggregator.ledger.totals_by import totals_by
+    from aggregator.ledger.totals_by import all_loads, sums_by
     from conveyor.errors import InputError
     from tuberline.cli.progress import ledger_bar
 
     if not paths:
         raise InputError("name the folders of the runs whose loads are to be added up")
     with ledger_bar():
-        found, refused = totals_by(paths, by, tickets=read_tickets(tickets) if tickets else ())
+        found = all_loads(paths, tickets=read_tickets(tickets) if tickets else ())
+        sums = sums_by(found.loads, by)
     if json:
-        values = {"by": by, "totals": [asdict(total) for total in found], "tickets_refused": refused}
+        values = {
+            "by": by,
+            "totals": [asdict(total) for total in sums],
+            "tickets_refused": found.refused,
+            "tickets_doubted": found.doubts,
+        }
         sys.stdout.write(json_module.dumps(values, indent=2) + "\n")
         return
-    _print(found, refused, by)
+    refused = [f"a ticket does not calibrate: {words}" for words in found.refused]
+    _print(sums, [*refused, *found.doubts], by)
 
 
-def _print(found: list[Total], refused: list[str], by: str) -> None:
+def _print(found: list[Total], remarks: list[str], by: str) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -76,5 +83,5 @@ def _print(found: list[Total], refused: list[str], by: str) -> None:
     if found and found[-1].sums.parts_percent:
         parts = ", ".join(f"{name} {part:.1f} %" for name, part in found[-1].sums.parts_percent.items())
         console.print(f"the 90 % interval of all is made of: {parts}", highlight=False)
-    for words in refused:
-        console.print(Text(f"a ticket does not calibrate: {words}"))
+    for words in remarks:
+        console.print(Text(words))

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from aggregator.ledger.load_totals import ReadLoads, tickets_beside
 from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
-from aggregator.ledger.stated import belt_of_run
-from aggregator.ledger.totals_by import ALL, labelled, total_of, totals_by
+from aggregator.ledger.stated import belt_of_run, stated_beside
+from aggregator.ledger.totals_by import ALL, all_loads, total_of, totals_by
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
@@ -106,15 +105,14 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
 
     By the ledgers as they are now: a line that was stopped has no summary in its ledger, and tickets come later.
     """
-    found = []
+    found, read = [], all_loads(runs)
     for path in runs:
         file = ledger_file(path)
         with reading(file) as db:
             known = all_runs(db, file)
-            ledger = ReadLoads(db)
-            loads = labelled(ledger, tickets_beside(ledger)[0])
             models = {model for run in known for model in read_sums(db, run.run).load.models()}
-            belt = belt_of_run(db, known[-1].run, ledger.stated)
+            belt = belt_of_run(db, known[-1].run, stated_beside(file))
+        loads = read.of(path)
         sums, by = total_of(ALL, loads).sums, (load.one.totals.calibrated().told for load in loads)
         counted = sums.tubers > 0
         found.append(

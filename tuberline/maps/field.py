@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aggregator.calibration.tickets import Ticket
 from aggregator.core.loads import NO_LOAD, span_of
-from aggregator.ledger.load_totals import ReadLoads, tickets_beside
+from aggregator.ledger.line_tickets import tickets_by_ledger
+from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import (
     LedgerView,
     all_runs,
@@ -140,7 +142,11 @@ def field_map(
         raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
     known: Sequence[Sequence[Tuber] | None] = tubers or [None] * len(runs)
     found_tracks = tracks or _own_tracks(runs)
-    read = [_read(file, track, settings, run, own) for file, track, own in zip(runs, found_tracks, known, strict=True)]
+    calibrating = tickets_by_ledger(runs)
+    read = [
+        _read(file, track, settings, run, own, tickets)
+        for file, track, own, tickets in zip(runs, found_tracks, known, calibrating, strict=True)
+    ]
     plane = plane_of(read[0].track)
     found = [_points(machine, plane, settings) for machine in read]
     factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
@@ -186,7 +192,14 @@ def _own_tracks(runs: Sequence[Path]) -> list[Path]:
     return tracks
 
 
-def _read(run: Path, track: Path, settings: Settings, name: str | None, known: Sequence[Tuber] | None) -> _Run:
+def _read(
+    run: Path,
+    track: Path,
+    settings: Settings,
+    name: str | None,
+    known: Sequence[Tuber] | None,
+    tickets: Sequence[Ticket],
+) -> _Run:
     file = ledger_file(run)
     with reading(file) as db:
         chosen = all_runs(db, file) if name is None else [the_run(db, file, name)]
@@ -195,7 +208,7 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
         if not tubers:
             raise InputError(f"run {run} counted no tuber: there is nothing to map")
         values = np.array(tubers, dtype=np.float64)
-        scale, shared_percent = _scale(db, rows)
+        scale, shared_percent = _scale(db, rows, tickets)
     crop = Crop(
         time_s=np.array([row[0] for row in tubers]) / 1e9,
         kg=values[:, 1] / 1000 * scale,
@@ -216,13 +229,13 @@ def _read(run: Path, track: Path, settings: Settings, name: str | None, known: S
     )
 
 
-def _scale(db: LedgerView, tubers: Sequence[Tuber]) -> tuple[NDArray[np.float64], float]:
+def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -> tuple[NDArray[np.float64], float]:
     """((N,) by what each tuber is multiplied, half of the interval of all in percent): calibration and unseen belt.
 
     Each load has its own, by its tickets, its variety and the belt that was missed under it; a run without loads, too.
     """
     ledger = ReadLoads(db)
-    loads = labelled(ledger, tickets_beside(ledger)[0])
+    loads = labelled(ledger, tickets)
     scales = {(load.run, NO_LOAD): load.one.scale for load in loads if load.load is None}
     of_load = {load.load.number: load.one.scale for load in loads if load.load is not None}
 

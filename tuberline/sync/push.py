@@ -16,7 +16,8 @@ from typing import Any
 
 import msgpack
 
-from aggregator.ledger.load_totals import ReadLoads, tickets_beside
+from aggregator.ledger.line_tickets import tickets_beside
+from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
 from aggregator.ledger.totals_by import labelled, together_of
 from conveyor.errors import InputError, LinkError

@@ -98,7 +98,8 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
     Raises:
         InputError: no load on that day; the text says which days there are. LedgerError: a ledger cannot be trusted.
     """
-    found, refused = all_loads(runs)
+    read = all_loads(runs)
+    found = read.loads
     days = sorted({load.labels["day"] for load in found})
     # Belt without a load that carried nothing is nothing to tell.
     found = [load for load in found if load.load is not None or load.one.totals.sums.count] or found
@@ -122,7 +123,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         calibrated_by=tuple(dict.fromkeys(filter(None, (load.one.totals.calibrated().told for load in loads)))),
         camera_doubt=whole.camera_doubt(),
         late=whole.late,
-        refused=tuple(refused),
+        refused=tuple(read.refused),
         runs=tuple(run for path in dict.fromkeys(ledger_file(run) for run in runs) for run in _runs(path)),
     )
 
