@@ -144,7 +144,7 @@ class AggregatorNode:
             camera: KeptPublisher(node, topics.COMMITTED, camera=camera) for camera in self._config.cameras
         }
         self._queries = Queries(node, self.ledger_path, run=self._run, totals=self._reporter.totals(time.monotonic()))
-        self._orders = Orders(node, self._ledger, self._core, unused=self._reporter.unused_ticket)
+        self._orders = Orders(node, self._ledger, self._core, remark=self._reporter.ticket_remark)
         known = known_nodes(self._config)
         self._segmenters = Presence(node, "segmenter", known=known)
         self._infos = KeptSubscriber(node, topics.CAMERA_INFO, CameraInfo, known=known, camera="*")

@@ -34,13 +34,13 @@ class Orders:
     """The queryable of an aggregator that takes orders about loads."""
 
     def __init__(
-        self, node: Node, ledger: Ledger, core: Aggregation, *, unused: Callable[[LoadEvent, float], str]
+        self, node: Node, ledger: Ledger, core: Aggregation, *, remark: Callable[[LoadEvent, float], str]
     ) -> None:
-        """`unused` says why a ticket that was entered calibrates nothing; '' where it does."""
+        """`remark`: what is to be said of a ticket that was entered; '' where nothing is."""
         self._node = node
         self._ledger = ledger
         self._core = core
-        self._unused = unused
+        self._remark = remark
         self._stated_offset_mm = node.config.belt.resting_offset_mm
         self._lock = threading.Lock()
         self._said_s: dict[int, float] = {}
@@ -132,7 +132,7 @@ class Orders:
             self._core.cameras.loads_change()
             self._node.counters.add("load_orders_done")
             self._told(event)
-        return answer(order, event, self._ledger.loads, unused=self._unused(event, now_s))
+        return answer(order, event, self._ledger.loads, remark=self._remark(event, now_s))
 
     def _place_x_m(self, order: LoadOrder, came_s: float, now_s: float) -> float:
         """As `order_place_x_m`, of an order that came at `came_s`."""

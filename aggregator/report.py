@@ -26,9 +26,10 @@ from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.files import tubers_csv, write_whole
 from aggregator.ledger.line_tickets import with_own
-from aggregator.ledger.load_totals import Seen, count_load, tickets_of, unused_ticket
+from aggregator.ledger.load_totals import Seen, count_load, tickets_of
 from aggregator.ledger.reader import read_marks
 from aggregator.ledger.stated import told_belt
+from aggregator.ledger.ticket_doubts import ticket_remark
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
@@ -109,9 +110,10 @@ class Reporter:
         found[own] = Seen(cameras.sights, self._moment(now_s))
         return found
 
-    def unused_ticket(self, event: LoadEvent, now_s: float) -> str:
-        """Why a ticket that was entered calibrates nothing, in words; '' where it does."""
-        return unused_ticket(self._ledger, event, self._seen(now_s))
+    def ticket_remark(self, event: LoadEvent, now_s: float) -> str:
+        """What is to be said of a ticket that was entered, in words; '' where nothing is."""
+        seen, cultivar = self._seen(now_s), self._config.aggregator.cultivar
+        return ticket_remark(self._ledger, event, seen, lambda: self._tickets(now_s), cultivar=cultivar)
 
     def open_load(self, now_s: float) -> LoadNow | None:
         """The load that is open, by its own sums; None where none is."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,18 +42,49 @@ class LeftOut:
         """More than chance explains."""
         return not self.ticket.set_aside and abs(self.z) > CONTRADICTS_SD
 
+    @property
+    def told(self) -> str:
+        """That it contradicts, in words."""
+        return (
+            f"contradicts all else that is known: {self.ticket.name} says {self.ticket.ticket_g / 1000:.3f} kg, "
+            f"expected are {self.expected_g / 1000:.3f} kg, {abs(self.z):.1f} standard deviations apart; it counts for "
+            "little"
+        )
+
 
 def left_out_z(tickets: Sequence[Ticket], prior: Prior) -> Floats:
     """(tickets,) standard deviations that each lies from what the others say."""
-    return np.array([_left_out(tickets, n, prior).z for n in range(len(tickets))])
+    return np.array([entry.z for entry in _each_left_out(tuple(tickets), prior)])
 
 
 def leave_one_out(tickets: Sequence[Ticket], model: str, prior: Prior) -> tuple[LeftOut, ...]:
     """Every ticket of `model` against the others in use; those set aside against all in use."""
     known = usable(tickets, model)
     aside = sorted((t for t in tickets if t.model == model and t.set_aside), key=lambda t: t.key)
-    found = [_left_out(known, n, prior) for n in range(len(known))]
-    return (*found, *(_left_out((*known, ticket), len(known), prior) for ticket in aside))
+    return (*_each_left_out(known, prior), *(_left_out((*known, ticket), len(known), prior) for ticket in aside))
+
+
+def contradicting(tickets: Sequence[Ticket], model: str, *, stated_offset_mm: float) -> list[LeftOut]:
+    """Tickets of `model` that the others contradict, each with what the others expect of it.
+
+    `stated_offset_mm`: resting offset that the line states; of how well it knows that, nothing is taken for granted.
+    """
+    prior = Prior(stated_offset_mm=round(stated_offset_mm, 3))  # a mean over stretches differs in its last digits
+    return [entry for entry in _each_left_out(usable(tickets, model), prior) if entry.contradicts]
+
+
+def contradicting_all(tickets: Sequence[Ticket]) -> list[LeftOut]:
+    """Tickets that the others of the same weights contradict, each by the resting offset that its own run states."""
+    found = []
+    for model, offset_mm in dict.fromkeys((t.model, round(t.stated_offset_mm, 3)) for t in tickets):
+        entries = contradicting(tickets, model, stated_offset_mm=offset_mm)
+        found += [entry for entry in entries if round(entry.ticket.stated_offset_mm, 3) == offset_mm]
+    return found
+
+
+@lru_cache(maxsize=32)
+def _each_left_out(tickets: tuple[Ticket, ...], prior: Prior) -> tuple[LeftOut, ...]:
+    return tuple(_left_out(tickets, n, prior) for n in range(len(tickets)))
 
 
 def _left_out(tickets: Sequence[Ticket], n: int, prior: Prior) -> LeftOut:

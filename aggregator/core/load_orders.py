@@ -15,6 +15,8 @@ MOST_KG = 200_000.0
 SCALE_ERROR = 0.005
 """Of a ticket, where the scale's error is not told."""
 NAMED_IN_ERRORS = 8
+MOST_TEXT = 4000
+"""Characters of an answer."""
 
 
 def decide(
@@ -77,15 +79,15 @@ def _asked_before(order: LoadOrder, event: LoadEvent, book: LoadBook) -> bool:
     return same and (found.kind, found.load) == (event.kind, event.load)
 
 
-def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, unused: str = "") -> LoadAnswer:
-    """What is told of an order that was carried out. `unused`: why the ticket entered calibrates nothing."""
+def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, remark: str = "") -> LoadAnswer:
+    """What is told of an order that was carried out. `remark`: what is to be said of the ticket that was entered."""
     load = book.loads[event.load]
     place = event.place_x_m
     finite = place if place is not None and abs(place) < 1e7 else None
     return LoadAnswer(
         order.request,
         True,
-        text=_told(event, book) + (f"; it is kept, but does not calibrate: {unused}" if unused else ""),
+        text="; ".join(filter(None, (_told(event, book), remark)))[:MOST_TEXT],
         load=load.number,
         name=load.name,
         event=event.n,
@@ -95,7 +97,7 @@ def answer(order: LoadOrder, event: LoadEvent, book: LoadBook, *, unused: str = 
 
 def refusal(order: LoadOrder, error: Exception, *, later: bool = False) -> LoadAnswer:
     """What is told of an order that was not."""
-    return LoadAnswer(order.request, False, error=str(error)[:4000], later=later)
+    return LoadAnswer(order.request, False, error=str(error)[:MOST_TEXT], later=later)
 
 
 def _told(event: LoadEvent, book: LoadBook) -> str:

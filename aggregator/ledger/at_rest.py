@@ -5,9 +5,14 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from aggregator.calibration.tickets import Ticket
 from aggregator.core.coverage import Moment
 from aggregator.core.load_orders import answer, decide, refusal
-from aggregator.ledger.load_totals import Seen, unused_ticket
+from aggregator.core.loads import LoadEvent
+from aggregator.ledger.line_tickets import with_own
+from aggregator.ledger.load_totals import Seen, tickets_of
+from aggregator.ledger.stated import stated_beside
+from aggregator.ledger.ticket_doubts import ticket_remark
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from conveyor.load_orders import check_order
@@ -39,10 +44,16 @@ def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
         except InputError as error:
             return refusal(order, error)
         ledger.say(event)
-        return answer(order, event, ledger.loads, unused=unused_ticket(ledger, event, _seen(ledger, event.load)))
+        return answer(order, event, ledger.loads, remark=_remark(path, ledger, event))
 
 
-def _seen(ledger: Ledger, load: int) -> dict[str, Seen]:
-    """What the cameras looked at in the runs in which a load has belt; all of them are over."""
-    runs = dict.fromkeys(run for run, _ in ledger.loads.loads[load].spans)
-    return {run: Seen(ledger.sums(run).sights, Moment(over=True)) for run in runs}
+def _remark(path: Path, ledger: Ledger, event: LoadEvent) -> str:
+    """What is to be said of a ticket that was entered; all runs are over."""
+    runs = dict.fromkeys(run for load in ledger.loads.loads.values() for run, _ in load.spans)
+    seen = {run: Seen(ledger.sums(run).sights, Moment(over=True)) for run in runs}
+    stated = stated_beside(path)
+
+    def tickets() -> list[Ticket]:
+        return with_own(stated.tickets, tickets_of(ledger, seen, cultivar=stated.cultivar)[0])
+
+    return ticket_remark(ledger, event, seen, tickets, cultivar=stated.cultivar)

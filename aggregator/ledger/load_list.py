@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from aggregator.calibration.leave_one_out import contradicting_all
 from aggregator.calibration.load_tickets import load_ticket
 from aggregator.core.foreign_totals import jacket_g
 from aggregator.core.load_told import load_now
@@ -12,6 +13,7 @@ from aggregator.core.loads import Load, LoadTicket
 from aggregator.ledger.earlier_loads import heights_before
 from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
+from aggregator.ledger.ticket_doubts import load_doubts
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
 from conveyor.errors import InputError
@@ -25,14 +27,18 @@ def told_loads(
 
     Names and units as in `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what
     scales said), `said` (all that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket
-    does not calibrate) and `jacket_g` (gross less net less foreign matter: soil on tubers).
+    does not calibrate), `doubts` (what speaks against its tickets) and `jacket_g` (gross less net less foreign matter:
+    soil on tubers).
     """
     ledger = ReadLoads(view)
     seen = ledger.seen
     tickets, _ = tickets_beside(ledger)
+    contradictions = contradicting_all(tickets)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]
-    return [_told(ledger, load, seen, tickets, contract) for load in newest]
+    return [
+        _told(ledger, load, seen, tickets, contract) | {"doubts": load_doubts(load, contradictions)} for load in newest
+    ]
 
 
 def _told(

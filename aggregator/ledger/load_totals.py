@@ -15,7 +15,7 @@ from aggregator.core.coverage import Coverage, Moment
 from aggregator.core.load_orders import find
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import LoadCounted, counted, span_coverage
-from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
+from aggregator.core.loads import NO_LOAD, Load, LoadBook
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
 from aggregator.ledger.reader import (
@@ -101,18 +101,6 @@ def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") ->
         else:
             tickets += [ticket] if ticket is not None else []
     return tickets, refused
-
-
-def unused_ticket(ledger: Sums, event: LoadEvent, seen: Mapping[str, Seen]) -> str:
-    """Why the net ticket that was just entered calibrates nothing, in words; '' where it does, or nothing was."""
-    if event.kind is not Said.TICKET or not event.payload["net"] or event.payload["ticket_g"] is None:
-        return ""
-    load = ledger.loads.loads[event.load]
-    try:
-        load_ticket(load, count_load(ledger, load, seen))
-    except InputError as error:
-        return str(error)
-    return ""
 
 
 def ticket_of_load(path: Path, wanted: str, *, cultivar: str = "") -> Ticket:

@@ -17,6 +17,7 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.line_tickets import line_tickets
 from aggregator.ledger.load_totals import ReadLoads, count_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
+from aggregator.ledger.ticket_doubts import ledger_doubts
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 
@@ -63,7 +64,7 @@ class AllLoads:
 
     Attributes:
         by_ledger: those of each, by its file. refused: tickets that cannot calibrate, in words. doubts: what else is
-            to be said of tickets: that they hold for one ledger alone.
+            to be said of tickets: that others contradict them, or that they hold for one ledger alone.
     """
 
     by_ledger: Mapping[Path, list[Labelled]]
@@ -119,7 +120,7 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLo
         for (file, ledger), known in zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True):
             loads[file] = labelled(ledger, known.tickets)
             refused += known.refused
-            doubts |= dict.fromkeys(known.unshared)
+            doubts |= dict.fromkeys((*known.unshared, *ledger_doubts(ledger, known.tickets)))
         return AllLoads(loads, refused, list(doubts))
 
 

@@ -141,6 +141,7 @@ def test_killed_at_the_change_every_tuber_is_in_its_load(line: tuple[LineConfig,
             wrong = ask("ticket", load="A", kg=5000.0)
             assert (wrong.done, wrong.name) == (True, "A")
             assert "it is kept, but does not calibrate: the ticket says 5000.0 kg" in wrong.text
+            assert "is below its net one, 5000.0 kg" in ask("ticket", load="A", kg=4000.0, net=False).text
             # kill -9 of the asker: what it asked for is done once, or not at all, and can be asked for again.
             args = [sys.executable, "-m", "tuberline", "load", "end", "--config", str(path), "--request", "end-1"]
             ending = subprocess.Popen(args, cwd=ROOT, stdout=subprocess.PIPE)

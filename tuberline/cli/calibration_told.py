@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from aggregator.calibration.correction import Correction, Prior
+    from aggregator.calibration.correction import Correction
     from aggregator.calibration.leave_one_out import LeftOut
     from aggregator.calibration.tickets import Ticket
 
@@ -17,16 +17,19 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
     """The ticket, the factor for a typical load, and the correction."""
     from aggregator.calibration.apply import load_factor
     from aggregator.calibration.correction import Prior
+    from aggregator.calibration.leave_one_out import contradicting
     from aggregator.calibration.robust import correction_of
 
-    prior = Prior(stated_offset_mm=ticket.stated_offset_mm)
+    offset_mm = ticket.stated_offset_mm
+    prior = Prior(stated_offset_mm=offset_mm)
     found = load_factor(known, ticket.model, prior, cultivar=ticket.cultivar)
     correction = correction_of(known, ticket.model, prior, cultivar=ticket.cultivar)
+    against = contradicting(known, ticket.model, stated_offset_mm=offset_mm)
     return {
         "ticket": asdict(ticket),
         "load_factor": asdict(found) if found else None,
         "correction": correction_values(correction),
-        "contradicting": [entry.ticket.name for entry in contradicting(known, ticket.model, prior)],
+        "contradicting": [entry.ticket.name for entry in against],
     }
 
 
@@ -45,20 +48,15 @@ def correction_values(correction: Correction) -> dict[str, Any]:
     return {**plain, "loads_differ_by": correction.load_sd, "tickets": dict(correction.used)}
 
 
-def contradicting(known: Sequence[Ticket], model: str, prior: Prior) -> list[LeftOut]:
-    """Tickets of `model` that the others contradict."""
-    from aggregator.calibration.leave_one_out import leave_one_out
-
-    return [entry for entry in leave_one_out(known, model, prior) if entry.contradicts]
-
-
 def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
     """Lines for the terminal after a ticket was added."""
     from aggregator.calibration.apply import load_factor, told
     from aggregator.calibration.correction import Prior
+    from aggregator.calibration.leave_one_out import contradicting
     from aggregator.calibration.robust import correction_of
 
-    prior = Prior(stated_offset_mm=ticket.stated_offset_mm)
+    offset_mm = ticket.stated_offset_mm
+    prior = Prior(stated_offset_mm=offset_mm)
     found = load_factor(known, ticket.model, prior, cultivar=ticket.cultivar)
     correction = correction_of(known, ticket.model, prior, cultivar=ticket.cultivar)
     lines = [
@@ -72,7 +70,7 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
             f"totals of such loads are multiplied by {found.factor:.3f}, a load is then known to "
             f"{100 * found.half_width:.1f} %",
         ]
-    lines += [warning(entry, path) for entry in contradicting(known, ticket.model, prior)]
+    lines += [warning(entry, path) for entry in contradicting(known, ticket.model, stated_offset_mm=offset_mm)]
     lines.append(f'put tickets = "{path}" under [aggregator] of the line\'s file')
     return "\n".join(lines) + "\n"
 
@@ -81,8 +79,6 @@ def warning(entry: LeftOut, path: Path) -> str:
     """A ticket that contradicts, and what to do about it."""
     part = f"--part '{entry.ticket.part}' " if entry.ticket.part else ""
     return (
-        f"contradicts all else that is known: {entry.ticket.name} says {entry.ticket.ticket_g / 1000:.3f} kg, "
-        f"expected are {entry.expected_g / 1000:.3f} kg, {abs(entry.z):.1f} standard deviations apart; it counts for "
-        f"little. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
+        f"{entry.told}. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
         f'--kind {entry.ticket.kind} {part}--reason "..."'
     )

@@ -53,7 +53,7 @@ def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit:
 
 
 def print_loads(loads: list[dict[str, Any]]) -> None:
-    """One line a load."""
+    """One line a load, below them what is to be said of their tickets."""
     console = Console()
     if not loads:
         console.print("no load was started: each run is one load by itself; tuberline load start NAME begins one")
@@ -75,6 +75,15 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
     console.print(table)
+    for load in loads:
+        for words in _of_tickets(load):
+            console.print(Text(f"{load['number']}: {words}"))
+
+
+def _of_tickets(load: dict[str, Any]) -> list[str]:
+    """Why its ticket does not calibrate, and what speaks against its tickets."""
+    refused = [f"its ticket does not calibrate: {words}" for words in load.get("refused", ())]
+    return [*refused, *load.get("doubts", ())]  # a line of an earlier version tells no doubts
 
 
 def print_load(load: dict[str, Any]) -> None:
@@ -85,8 +94,6 @@ def print_load(load: dict[str, Any]) -> None:
         console.print(Text(f"{_clock(said['unix_s'])}  {said['by'] or 'unknown'}: {said['text']}"))
     for change in load.get("heights", ()):
         console.print(Text(heights_told(HeightChange(**change))))
-    for refused in load["refused"]:
-        console.print(Text(f"its ticket does not calibrate: {refused}"))
 
 
 def _weight(middle_g: float, low_g: float, high_g: float) -> str:

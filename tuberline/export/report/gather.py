@@ -75,7 +75,7 @@ class RunFacts:
 
 @dataclass(frozen=True, slots=True)
 class DayFacts:
-    """All that a report tells. `refused`: tickets that do not calibrate, in words."""
+    """All that a report tells. `refused`: tickets that do not calibrate, `doubts`: what speaks against others."""
 
     days: tuple[str, ...]
     loads: tuple[LoadFacts, ...]
@@ -89,6 +89,7 @@ class DayFacts:
     camera_doubt: tuple[float, float]
     late: int
     refused: tuple[str, ...]
+    doubts: tuple[str, ...]
     runs: tuple[RunFacts, ...]
 
 
@@ -124,6 +125,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         camera_doubt=whole.camera_doubt(),
         late=whole.late,
         refused=tuple(read.refused),
+        doubts=tuple(read.doubts),
         runs=tuple(run for path in dict.fromkeys(ledger_file(run) for run in runs) for run in _runs(path)),
     )
 

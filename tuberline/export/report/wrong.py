@@ -58,6 +58,8 @@ def _unseen(facts: DayFacts) -> Iterator[str]:
 def _tickets(facts: DayFacts) -> Iterator[str]:
     for refused in facts.refused:
         yield f"A ticket does not calibrate: {refused}{'' if refused.endswith('?') else '.'}"
+    for words in facts.doubts:
+        yield f"{words[:1].upper()}{words[1:]}."
     for load in facts.loads:
         if load.ticket_kg is not None and not load.low_kg <= load.ticket_kg <= load.high_kg:
             yield _outside(load, load.ticket_kg)
