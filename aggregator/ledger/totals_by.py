@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from aggregator.calibration.correction import Prior
@@ -151,6 +151,19 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
             found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m, name)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
+
+
+def run_loads(ledger: ReadLoads, run: RunRow, tickets: Sequence[Ticket]) -> list[OneLoad]:
+    """What passed in one run of a ledger, load by load; of a load that went on elsewhere what passed in this run."""
+    seen, ones = ledger.seen, []
+    for load in ledger.loads.loads.values():
+        spans = tuple(span for span in load.spans if span[0] == run.run)
+        if spans and not load.undone:
+            here = count_load(ledger, replace(load, spans=spans), seen)
+            ones.append(_one(here, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar))
+    rest = ledger.without_load(run.run, seen[run.run]) if run.run in ledger.loads.spans else ledger.whole(run)
+    rests = [] if rest is None else [_one(rest, tickets, ledger.prior(run.run), ledger.stated.cultivar)]
+    return [*ones, *rests]
 
 
 def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from json import loads
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from aggregator.calibration.correction import Prior, prior_told
+from aggregator.calibration.correction import Prior
+from aggregator.calibration.together import together
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import (
-    coverage_of,
-    ledger_file,
-    read_marks,
-    read_summary,
-    read_sums,
-    read_tubers,
-    reading,
-    the_run,
-)
+from aggregator.ledger.line_tickets import tickets_beside
+from aggregator.ledger.load_totals import ReadLoads
+from aggregator.ledger.reader import RunRow, ledger_file, read_marks, read_tubers, reading, the_run
+from aggregator.ledger.totals_by import run_loads
 from aggregator.scoring.align import Alignment, align
 from aggregator.scoring.compare import Comparison, compare
 from aggregator.scoring.truth import TrueTuber, read_truth
@@ -32,7 +26,11 @@ from conveyor.messages import Tuber
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How far a run was from the truth. Errors are counted minus true; None where nothing was matched or passed."""
+    """How far a run was from the truth. Errors are counted minus true; None where nothing was matched or passed.
+
+    Weights are as weighed, before any ticket. Beside them stands what tickets make of the estimate, by what
+    `calibrated_by` says; None and '' where none calibrate.
+    """
 
     true_count: int
     count: int
@@ -61,6 +59,10 @@ class Score:
     missed_ids: tuple[str, ...]
     double_ids: tuple[int, ...]
     false_ids: tuple[int, ...]
+    calibrated_weight_g: float | None = None
+    calibrated_low_g: float | None = None
+    calibrated_high_g: float | None = None
+    calibrated_by: str = ""
 
     @property
     def count_error_percent(self) -> float | None:
@@ -77,11 +79,18 @@ class Score:
         """(weight as estimated for the whole belt - true) / true."""
         return _error_percent(self.estimated_weight_g, self.true_weight_g)
 
+    @property
+    def calibrated_error_percent(self) -> float | None:
+        """(weight as calibrated, for the whole belt - true) / true; None where no ticket calibrates."""
+        return (
+            None if self.calibrated_weight_g is None else _error_percent(self.calibrated_weight_g, self.true_weight_g)
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """For machines."""
         values = {name: getattr(self, name) for name in Score.__dataclass_fields__}
-        percents = ("count_error_percent", "weight_error_percent", "estimated_error_percent")
-        return {**values, **{name: getattr(self, name) for name in percents}}
+        percents = ("count", "weight", "estimated", "calibrated")
+        return {**values, **{f"{name}_error_percent": getattr(self, f"{name}_error_percent") for name in percents}}
 
 
 def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | None = None) -> Score:
@@ -102,17 +111,35 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
         chosen = the_run(view, ledger, run)
         tubers = list(read_tubers(view, chosen.run))
         marks = read_marks(view, chosen)
-        share = coverage_of(chosen, read_sums(view, chosen.run)).share
-        told = read_summary(view, chosen.run)
-    estimated = any(mark.travel_estimated for mark in marks.values())
-    return score_tubers(
+        read = ReadLoads(view)
+        found = read.whole(chosen)
+        prior, calibrated = read.prior(chosen.run), _calibrated(read, chosen)
+    score = score_tubers(
         tubers,
         true_tubers,
         match_mm=match_mm,
-        travel_estimated=estimated,
-        coverage=share,
-        prior=Prior() if told is None else prior_told(loads(told).get("belt") or {}),
+        travel_estimated=any(mark.travel_estimated for mark in marks.values()),
+        coverage=found.coverage,
+        belt_m=found.belt_m,
+        most_m=found.most_m,
+        prior=prior,
     )
+    return replace(score, **calibrated)
+
+
+def _calibrated(ledger: ReadLoads, run: RunRow) -> dict[str, Any]:
+    """What the tickets of a ledger and of the config beside it make of a run, as `Score` names it; {} without any."""
+    loads = run_loads(ledger, run, tickets_beside(ledger)[0])
+    sums = together(loads)
+    if not sums.tickets:
+        return {}
+    by = dict.fromkeys(filter(None, (load.totals.calibrated().told for load in loads)))
+    return {
+        "calibrated_weight_g": sums.estimated_g,
+        "calibrated_low_g": sums.low_g,
+        "calibrated_high_g": sums.high_g,
+        "calibrated_by": "; ".join(by),
+    }
 
 
 def score_tubers(
@@ -122,11 +149,15 @@ def score_tubers(
     match_mm: float,
     travel_estimated: bool,
     coverage: float | None,
+    belt_m: float | None = None,
+    most_m: float | None = None,
     prior: Prior | None = None,
 ) -> Score:
     """The score of a ledger's tubers; places are aligned first where travel was estimated.
 
-    `prior`: what the line states of its resting level; None: nothing.
+    Args:
+        coverage, belt_m, most_m: of the run's belt, as `LoadTotals.estimated` takes them.
+        prior: what the line states of its resting level; None: nothing.
     """
     sums = LoadSums(50.0)
     for tuber in tubers:
@@ -142,7 +173,7 @@ def score_tubers(
         half_lengths_m=np.array([t.length_mm / 2000 for t in truth]),
     )
     low_g, high_g = load.interval_g()
-    whole_g, whole_low_g, whole_high_g = load.estimated(coverage)
+    whole_g, whole_low_g, whole_high_g = load.estimated(coverage, belt_m=belt_m, most_m=most_m)
     return Score(
         true_count=len(truth),
         count=len(tubers),
@@ -167,6 +198,7 @@ def score_tubers(
         missed_ids=tuple(truth[i].name for i in found.missed),
         double_ids=tuple(tubers[i].tuber_id for i in found.doubles),
         false_ids=tuple(tubers[i].tuber_id for i in found.false),
+        calibrated_by="",
     )
 
 

@@ -12,14 +12,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aggregator.ledger.at_rest import order_at_rest
+from aggregator.ledger.totals_by import totals_by
+from aggregator.ledger.writer import Ledger
+from aggregator.report import Reporter
 from aggregator.scoring.align import align
 from aggregator.scoring.classes import true_percents
 from aggregator.scoring.score import Score, score_run, score_tubers
 from aggregator.scoring.truth import TrueTuber, read_truth
+from conveyor.config import LineConfig
 from conveyor.contract import Contract, SizeClass
+from conveyor.counters import CounterSet
 from conveyor.errors import InputError, LedgerError
-from conveyor.messages import Tuber
-from tests.aggregator.belt_story import scatter
+from conveyor.messages import LoadOrder, TrackEntry, Tuber
+from tests.aggregator.belt_story import scatter, tell
+from tests.aggregator.loaded_story import Loads
+from tuberline.cli.score import score as score_command
 
 TUBER = Tuber(1, "r", 0, 0, 0, 170.0, 140.0, 200.0, 70, 60, 50, 3, "pointraft", "m", (), ("a",), ("t",))
 
@@ -146,6 +154,79 @@ def test_a_folder_without_a_ledger_is_named(tmp_path: Path) -> None:
         score_run(tmp_path, truth=path)
     with pytest.raises(InputError, match="--match-mm 0"):
         score_run(tmp_path, truth=path, match_mm=0)
+
+
+def badly_seen(entry: TrackEntry) -> TrackEntry:
+    return (
+        entry
+        if entry.mark is None
+        else replace(entry, mark=replace(entry.mark, looked_at_m=0.4 * entry.mark.travelled_m))
+    )
+
+
+def write_badly_seen(folder: Path, *, loads: bool) -> Path:
+    """A run whose cameras each saw 40 % of the belt, with its summary; returns the truth beside it."""
+    story = tell(5, n=60, cameras=2, length_m=5.0, noise_mm=0.0)
+    story = replace(story, logs={camera: [badly_seen(entry) for entry in log] for camera, log in story.logs.items()})
+    with Ledger(folder / "ledger.db") as ledger:
+        it = Loads(ledger, story)
+        for n in it.commits():
+            if loads and n in (1, 5):
+                name, x_m = {1: ("A", 0.5), 5: ("B", -2.8)}[n]
+                it.order(name, "start", x_m=x_m, fields={"name": name, "variety": {"A": "Agria", "B": "Fontane"}[name]})
+        summary = Reporter(ledger, it.core, config=LineConfig(), counters=CounterSet()).summary_text(it.now_s)
+        ledger.finish(story.run, summary, sights=it.core.cameras.sights)
+    tubers = [
+        {"id": str(n), "place_x_m": t.x_m, "place_y_m": t.y_m, "weight_g": 150} for n, t in enumerate(story.tubers)
+    ]
+    (folder / "truth.json").write_text(json.dumps({"tubers": tubers}))
+    (folder / "summary.json").write_text(summary)
+    return folder / "truth.json"
+
+
+def test_a_run_is_scored_by_the_numbers_that_it_was_told_with(tmp_path: Path) -> None:
+    """The interval of the estimate left out that belt is not loaded evenly: it was narrower than the summary's."""
+    truth_file = write_badly_seen(tmp_path, loads=False)
+    result = score_run(tmp_path, truth=truth_file)
+    told = json.loads((tmp_path / "summary.json").read_text())["totals"]
+    assert result.coverage is not None
+    assert result.coverage < 0.8
+    names = ("weight_g", "low_g", "high_g", "estimated_weight_g", "estimated_low_g", "estimated_high_g", "coverage")
+    assert {name: getattr(result, name) for name in names} == {name: pytest.approx(told[name]) for name in names}
+    whole = totals_by([tmp_path], "load")[0][-1].sums
+    estimated = result.estimated_weight_g, result.estimated_low_g, result.estimated_high_g
+    assert estimated == pytest.approx((whole.estimated_g, whole.low_g, whole.high_g))
+    assert result.as_dict()["calibrated_weight_g"] is None
+    assert result.as_dict()["calibrated_error_percent"] is None
+
+
+def test_the_calibrated_weight_stands_beside_the_raw_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tickets were ignored without a word: the ledger told another weight."""
+    truth_file = write_badly_seen(tmp_path, loads=True)
+    before = score_run(tmp_path, truth=truth_file)
+    score_command(tmp_path, truth=truth_file)
+    assert "no ticket calibrates this run" in capsys.readouterr().out
+    (tmp_path / "line.toml").write_text('[cameras.front]\npath = "r"\n[aggregator]\ntickets = "tickets.json"\n')
+    earlier = {"run": "monday", "model": "m", "ticket_g": 10000.0, "ticket_sd_g": 20.0, "estimated_g": 9000.0,
+               "estimated_sd_g": 90.0, "coverage": 1.0}  # fmt: skip
+    (tmp_path / "tickets.json").write_text(json.dumps({"format": 1, "tickets": [earlier]}))
+    refused = order_at_rest(tmp_path / "ledger.db", LoadOrder("t", "ticket", load="A", kg=6.0))
+    assert "does not calibrate" in refused.text, "too little of its belt was seen"
+    after = score_run(tmp_path, truth=truth_file)
+    assert before == replace(
+        after, calibrated_weight_g=None, calibrated_low_g=None, calibrated_high_g=None, calibrated_by=""
+    )
+    whole = totals_by([tmp_path], "load")[0][-1].sums
+    calibrated = after.calibrated_weight_g, after.calibrated_low_g, after.calibrated_high_g
+    assert calibrated == pytest.approx((whole.estimated_g, whole.low_g, whole.high_g)), "as `ledger totals` has it"
+    assert after.calibrated_weight_g is not None
+    assert after.calibrated_weight_g > 1.04 * after.estimated_weight_g
+    assert after.calibrated_by.startswith("1 load ticket: offset")
+    assert after.calibrated_error_percent == pytest.approx(100 * (after.calibrated_weight_g / after.true_weight_g - 1))
+    score_command(tmp_path, truth=truth_file)
+    said = capsys.readouterr().out
+    for part in ("load as seen, raw", "load as estimated, raw", f"{after.calibrated_weight_g / 1000:.3f} kg"):
+        assert part in said
 
 
 JSON = st.recursive(

@@ -15,15 +15,16 @@ def score_table(score: Score) -> Table:
         ("tubers", f"{score.count} counted, {score.true_count} true ({_signed(score.count_error_percent)} %)"),
         ("of these", f"{score.missed} missed, {score.double_counted} counted twice, {score.false} false"),
         (
-            "load as seen",
+            "load as seen, raw",
             f"{score.weight_g / 1000:.3f} kg, true {score.true_weight_g / 1000:.3f} kg "
             f"({_signed(score.weight_error_percent)} %), 90 %: {score.low_g / 1000:.3f} to {score.high_g / 1000:.3f}",
         ),
         (
-            "load as estimated",
+            "load as estimated, raw",
             f"{score.estimated_weight_g / 1000:.3f} kg ({_signed(score.estimated_error_percent)} %), "
             f"90 %: {score.estimated_low_g / 1000:.3f} to {score.estimated_high_g / 1000:.3f}",
         ),
+        ("calibrated", _calibrated(score)),
         ("belt seen", "unknown" if score.coverage is None else f"{100 * score.coverage:.1f} %"),
         ("per tuber", f"MAE {_number(score.mae_g)} g, RMSE {_number(score.rmse_g)} g, bias {_number(score.bias_g)} g"),
         ("truth inside the 90 % interval", f"{_number(score.interval_hit_percent)} % of tubers"),
@@ -36,6 +37,17 @@ def score_table(score: Score) -> Table:
     for name, text in rows:
         table.add_row(name, text)
     return table
+
+
+def _calibrated(score: Score) -> str:
+    """The estimate by tickets, and by which."""
+    weight_g, low_g, high_g = score.calibrated_weight_g, score.calibrated_low_g, score.calibrated_high_g
+    if weight_g is None or low_g is None or high_g is None:
+        return "no ticket calibrates this run"
+    return (
+        f"{weight_g / 1000:.3f} kg ({_signed(score.calibrated_error_percent)} %), "
+        f"90 %: {low_g / 1000:.3f} to {high_g / 1000:.3f}, by {score.calibrated_by}"
+    )
 
 
 def _signed(value: float | None) -> str:
