@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from conveyor.errors import TuberlineError
 from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
@@ -21,6 +22,14 @@ class Section(BaseModel):
     """Base of all sections: frozen, no unknown keys, every default checked."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _path_that_names_something(cls, value: object, info: ValidationInfo) -> object:
+        """Else it would be the folder of the line's file."""
+        if value == "" and cls.model_fields[info.field_name or ""].annotation in (Path, Path | None):
+            raise ValueError('"" names no file and no folder: give a path, or leave the key out; "." is this folder')
+        return value
 
 
 WITH_PORT = ("tcp", "tls", "udp", "quic", "ws")

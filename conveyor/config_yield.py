@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
 from pydantic import Field, field_validator
 
 from conveyor.config_base import Section, checked_name
 
+BAUD = 9600
 LUMP_FILLED = 0.72
 """Of the volume under the visible surface of a clod or a stone, the part that is lump and not the air under its flanks.
 Median over refused lumps of simulated belts with seeds 61000 and on."""
+
+
+def gnss_source(text: str) -> SplitResult:
+    """The parts of what `[gnss] source` names; `baud` tells a serial port's rate.
+
+    Raises:
+        ValueError: no such kind of source; says which there are.
+    """
+    try:
+        parts = urlsplit(text)
+        known = {
+            "serial": bool(parts.path) and 300 <= baud(parts) <= 4_000_000,
+            "tcp": bool(parts.hostname and parts.port),
+            "gpsd": bool(parts.hostname) and parts.port != 0,
+            "file": bool(parts.path),
+            "simulated": True,
+        }
+        if known.get(parts.scheme, False):
+            return parts
+    except ValueError:  # a port or a rate that is none
+        pass
+    raise ValueError(
+        f"'{text}' is no GNSS receiver; allowed are serial:/dev/ttyACM0?baud={BAUD}, tcp://host:port, "
+        "gpsd://host[:port], file:PATH of recorded NMEA and simulated:?row_m=200"
+    )
+
+
+def baud(port: SplitResult) -> int:
+    """The rate of a serial port. Raises ValueError: it is no whole number."""
+    return int(parse_qs(port.query, keep_blank_values=True).get("baud", [str(BAUD)])[0])
 
 
 class GnssConfig(Section):
@@ -24,6 +57,12 @@ class GnssConfig(Section):
         None, ge=-60, le=600, description="from ground to camera; not given: found from the yields themselves"
     )
     antenna_ahead_m: float = Field(0.0, ge=-20, le=20, description="antenna in front of the share")
+
+    @field_validator("source")
+    @classmethod
+    def _known(cls, source: str) -> str:
+        gnss_source(source)
+        return source
 
     @field_validator("name")
     @classmethod

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import SplitResult
 
 from camera_sim.gnss.simulated import SimulatedReceiver, simulated_drive
 from camera_sim.lines import LineDevice, SerialLines, SocketLines
+from conveyor.config_yield import baud, gnss_source
 from conveyor.errors import ConfigError, InputError
+from conveyor.files import cause
 from conveyor.formats.nmea import NmeaFixes
 
 WHAT = "GNSS receiver"
@@ -25,31 +27,50 @@ def open_receiver(source: str, *, wait: Callable[[float], bool]) -> LineDevice:
         DeviceError: it is not there now.
         InputError: a recorded file that cannot be read.
     """
-    parts = urlsplit(source)
-    if parts.scheme in ("tcp", "gpsd") and parts.hostname:
-        port = parts.port or (GPSD_PORT if parts.scheme == "gpsd" else 0)
-        return SocketLines(parts.hostname, port, what=WHAT, greeting=GPSD_WATCH if parts.scheme == "gpsd" else b"")
-    if parts.scheme == "serial" and parts.path:
-        baud = parse_qs(parts.query).get("baud", ["9600"])[0]
-        return SerialLines(parts.path, int(baud) if baud.isdigit() else 9600, what=WHAT, extra="gnss")
-    if parts.scheme == "file" and parts.path:
+    parts = _parts(source)
+    if parts.scheme in ("tcp", "gpsd"):
+        greeting = GPSD_WATCH if parts.scheme == "gpsd" else b""
+        return SocketLines(parts.hostname or "", parts.port or GPSD_PORT, what=WHAT, greeting=greeting)
+    if parts.scheme == "serial":
+        return SerialLines(parts.path, baud(parts), what=WHAT, extra="gnss")
+    if parts.scheme == "file":
         return _Recorded(Path(parts.path), wait=wait)
-    if parts.scheme == "simulated":
-        return SimulatedReceiver(simulated_drive(parts.query), wait=wait)
-    raise ConfigError(
-        f"gnss.source is '{source}'; allowed are serial:/dev/ttyACM0?baud=9600, tcp://host:port, gpsd://host[:port], "
-        "file:PATH of recorded NMEA and simulated:?row_m=200"
-    )
+    return SimulatedReceiver(simulated_drive(parts.query), wait=wait)
+
+
+def check_receiver(source: str) -> None:
+    """What can be told of a source without opening a device.
+
+    Raises:
+        ConfigError: no such kind of source, or no such drive.
+        InputError: a recorded file that cannot be read.
+    """
+    parts = _parts(source)
+    if parts.scheme == "file":
+        _recorded(Path(parts.path))
+    elif parts.scheme == "simulated":
+        simulated_drive(parts.query)
+
+
+def _parts(source: str) -> SplitResult:
+    try:
+        return gnss_source(source)
+    except ValueError as error:
+        raise ConfigError(f"gnss.source: {error}") from error
+
+
+def _recorded(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"gnss.source {path} cannot be read: {cause(error)}") from error
 
 
 class _Recorded:
     """A file of NMEA lines, as fast as it was recorded."""
 
     def __init__(self, path: Path, *, wait: Callable[[float], bool]) -> None:
-        try:
-            self._lines: Iterator[bytes] = iter(path.read_bytes().splitlines())
-        except OSError as error:
-            raise InputError(f"gnss.source {path} cannot be read: {error.strerror or error}") from error
+        self._lines: Iterator[bytes] = iter(_recorded(path).splitlines())
         self._wait = wait
         self._fixes = NmeaFixes()
         self._began: tuple[int, float] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -105,7 +106,7 @@ def open_source(
 
     kind = recording_kind(path)
     by_topic = kind == "rosbag" and camera is not None and camera.startswith("/")
-    chosen = camera if by_topic and camera else _choose(path, list(camera_names(path)), camera)
+    chosen = camera if by_topic and camera else choose_camera(path, camera_names(path), camera)
     inner = open_unchecked(path, kind, chosen, part=part)
     return PreparedSource(
         inner,
@@ -153,7 +154,12 @@ def _mcap_kind(path: Path) -> Kind:
     return "ros2-export" if exported_cameras(path) else "rosbag"
 
 
-def _choose(path: Path, known: list[str], camera: str | None) -> str:
+def choose_camera(path: Path, known: Sequence[str], camera: str | None) -> str:
+    """Which of the cameras `known` of the recording at `path` is meant: the one of that name, or the only one.
+
+    Raises:
+        InputError: there is none, no such one, or several and none is named.
+    """
     if not known:
         raise InputError(f"{path} holds no frames of any camera")
     if camera is None and len(known) == 1:

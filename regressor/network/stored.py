@@ -49,6 +49,18 @@ def load_weights(path: Path | None = None, *, any_target: bool = False) -> tuple
     return state, sidecar
 
 
+def check_weights(path: Path) -> None:
+    """What can be told of them without torch, which takes two seconds and 200 MB to import.
+
+    Raises:
+        InputError: as `load_weights`; of a .pth only that it cannot be read.
+    """
+    if path.suffix == ".safetensors":
+        load_weights(path)
+    else:
+        _bytes(path)
+
+
 def embeds_height(state: State) -> bool:
     """Whether the network reads the height above the belt."""
     return any(name.startswith(f"{HEIGHT_NAME}.") for name in state)

@@ -15,6 +15,19 @@ QUIET = 3
 """Of onnxruntime's log levels: errors, which are raised here, and nothing else."""
 
 
+def check_there(path: Path) -> None:
+    """Before onnxruntime is imported for it.
+
+    Raises:
+        InputError: the file is missing.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"the segmenter's weights {path} do not exist: give segmenter.weights an .onnx file made by `tuberline "
+            'train-classifier`, or set segmenter.method to "classical"'
+        )
+
+
 class PatchNetwork:
     """A network of `tuberline train-classifier`, read once, on the thread that asks it.
 
@@ -23,11 +36,7 @@ class PatchNetwork:
     """
 
     def __init__(self, path: Path) -> None:
-        if not path.is_file():
-            raise InputError(
-                f"the segmenter's weights {path} do not exist: give segmenter.weights an .onnx file made by `tuberline "
-                'train-classifier`, or set segmenter.method to "classical"'
-            )
+        check_there(path)
         import onnxruntime  # it starts a thread, which a process that forks must not have
 
         self._path = path

@@ -189,3 +189,35 @@ def test_a_segmenter_keeps_its_log_on_disk_where_its_file_names_no_folder(tmp_pa
     assert load_config(line).segmenter.state_dir == tmp_path / "runs" / "north" / "state"
     stated = write(tmp_path, '[segmenter]\nstate_dir = "kept"\n[aggregator]\nout = "runs/north"')
     assert load_config(stated).segmenter.state_dir == tmp_path / "kept"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[gnss]\nsource = "simulate:?row_m=70"', "gnss.source: 'simulate:.row_m=70' is no GNSS receiver; allowed are"),
+        ('[gnss]\nsource = "tcp://10.0.0.9"', "allowed are serial:.*, tcp://host:port"),
+        ('[gnss]\nsource = "gpsd://here:99999"', "gnss.source: .*allowed are"),
+        ('[gnss]\nsource = "serial:/dev/ttyACM0?baud=fast"', "gnss.source: .*allowed are serial:/dev/ttyACM0.baud="),
+        ('[aggregator]\nout = ""', 'aggregator.out: "" names no file and no folder: give a path, or leave the key out'),
+        ('[cameras.front]\npath = ""', "cameras.front.path: .*no file and no folder"),
+        ("[access]\nenabled = true", "config .*line.toml: access.enabled needs an endpoint with certificates"),
+    ],
+)
+def test_what_every_machine_of_the_line_can_tell_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    """`config check` said that it is fine; a receiver gave up with its line, a router with all."""
+    with pytest.raises(ConfigError, match=said):
+        check(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "source",
+    ["serial:/dev/ttyACM0", "serial:/dev/a?baud=115200", "tcp://a:1", "gpsd://a", "gpsd://[::1]:7", "simulated:"],
+)
+def test_receivers_that_there_are_are_taken(source: str) -> None:
+    gnss = parse_config({"gnss": {"source": source}}, where="test").gnss
+    assert gnss is not None
+    assert gnss.source == source
+
+
+def test_the_folder_of_the_file_may_be_named(tmp_path: Path) -> None:
+    assert load_config(write(tmp_path, '[aggregator]\nout = "."')).aggregator.out == tmp_path

@@ -124,6 +124,60 @@ def test_a_line_whose_tickets_or_contract_cannot_be_read_is_refused_before_it_st
         run(file)
 
 
+def test_a_line_without_what_its_file_names_is_refused_before_it_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`config check` called it fine; such a line had no regressor and counted nothing, or lost a camera, its alarms or
+    its positions. On a camera's own computer there need be no weights: it is warned of, not refused.
+    """
+    (tmp_path / "belt" / "left").mkdir(parents=True)
+    (tmp_path / "belt" / "left" / "camera.json").write_text("{}")
+    text = f'''
+[cameras.front]
+path = "{tmp_path}/belt"
+camera = "lefty"
+[cameras.left]
+path = "{tmp_path}/belt"
+[regressor]
+weights = "gone.safetensors"
+[segmenter]
+weights = "gone.onnx"
+[alarms]
+channels_file = "gone.txt"
+[gnss]
+source = "file:{tmp_path}/gone.nmea"
+'''
+    file = tmp_path / "line.toml"
+    file.write_text(text, encoding="utf-8")
+    check(file)
+    told = capsys.readouterr()
+    assert "is fine" in told.out
+    assert [" ".join(line.split()[:4]) for line in told.err.splitlines()] == [
+        f"warning: regressor.weights: weights {tmp_path}/gone.safetensors",
+        "warning: segmenter.weights: the segmenter's",
+        f"warning: cameras.front.camera: {tmp_path}/belt has",
+        f"warning: alarms.channels_file {tmp_path}/gone.txt cannot",
+        f"warning: gnss.source {tmp_path}/gone.nmea cannot",
+    ]
+    assert "has no camera 'lefty'; known: left" in told.err
+    with pytest.raises(ConfigError, match=r"(?s)gone\.safetensors.*gone\.onnx.*lefty.*gone\.txt.*gone\.nmea"):
+        run(file)
+    unused = text.replace("[regressor]", "[regressor]\nprocesses = 0").replace(
+        "[segmenter]", '[segmenter]\nmethod = "classical"'
+    )
+    file.write_text(unused, encoding="utf-8")
+    check(file)
+    assert not {"regressor.weights", "segmenter.weights"} & set(capsys.readouterr().err.replace(":", "").split())
+
+
+def test_access_control_without_certificates_is_refused_before_it_starts(tmp_path: Path) -> None:
+    """Its router ended, and the line after it."""
+    file = line_file(tmp_path, tmp_path / "belt")
+    file.write_text(file.read_text() + "[access]\nenabled = true\n")
+    with pytest.raises(ConfigError, match=r"line\.toml: access\.enabled needs an endpoint with certificates"):
+        run(file)
+
+
 @pytest.mark.parametrize(("processors", "expected"), [(1, 1), (2, 2), (16, 2)])
 def test_two_weigh_a_replay_where_two_processors_are_there(processors: int, expected: int) -> None:
     assert usual_regressors(processors) == expected

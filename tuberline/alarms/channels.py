@@ -90,7 +90,7 @@ def open_channels(config: AlarmsConfig) -> tuple[Channel, ...]:
     """
     urls = [(url, "alarms.channels") for url in config.channels]
     if config.channels_file is not None:
-        urls += [(url, str(config.channels_file)) for url in _lines(config.channels_file)]
+        urls += [(url, str(config.channels_file)) for url in read_channels_file(config.channels_file)]
     if not urls or len(urls) > MOST_CHANNELS:
         raise ConfigError(f"alarms: {len(urls)} channels are given; allowed are 1 to {MOST_CHANNELS}")
     if len({url for url, _ in urls}) < len(urls):
@@ -136,7 +136,12 @@ def tls_context(root_ca: Path | None) -> ssl.SSLContext:
     return context
 
 
-def _lines(path: Path) -> list[str]:
+def read_channels_file(path: Path) -> list[str]:
+    """The addresses in `alarms.channels_file`, one a line.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
     text = read_text(path, what="alarms.channels_file", error=ConfigError)
     if path.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
         log.warning("%s holds secrets and others may read it: chmod 600", path)

@@ -10,7 +10,7 @@ from cyclopts import App
 
 from conveyor.config import LineConfig, dump_toml, load_config
 from conveyor.config_camera import at_one_place, hang_together
-from tuberline.cli.named_files import unreadable_files
+from tuberline.cli.named_files import check_access, unreadable_files
 
 config = App(name="config", help="Check, show or explain a line's configuration.")
 
@@ -19,15 +19,22 @@ config = App(name="config", help="Check, show or explain a line's configuration.
 def check(config: Path) -> None:
     """Say whether a line's TOML file is accepted; every fault is named.
 
-    Recordings, tickets and contracts that cannot be read here are warned of, cameras without a recording, live
-    cameras that hang at one place, and an encoder that no camera hears.
+    Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels of
+    alarms that cannot be read here. So are cameras without a recording or not in theirs, live cameras that hang at one
+    place, and an encoder that no camera hears.
 
     Parameters
     ----------
     config
         The line's TOML file.
+
+    Raises
+    ------
+    ConfigError
+        It is not accepted; or no router would take it, for access control needs TLS.
     """
     line = load_config(config)
+    check_access(line, config)
     cameras = ", ".join(sorted(line.cameras)) or "none"
     sys.stdout.write(f"{config} is fine: line '{line.name}', cameras {cameras}\n")
     for name, camera in sorted(line.cameras.items()):

@@ -14,7 +14,7 @@ from conveyor.config import LineConfig, load_config
 from conveyor.errors import ConfigError, TuberlineError
 from conveyor.observer import observer_when_there
 from conveyor.taken_port import check_port_free
-from tuberline.cli.named_files import unreadable_files
+from tuberline.cli.named_files import check_access, unreadable_files
 from tuberline.processes import line_processes
 from tuberline.supervisor import Supervisor
 
@@ -41,15 +41,17 @@ def run(config: Path, *, run: str | None = None, no_router: bool = False, logs: 
     Raises
     ------
     ConfigError
-        Tickets or a contract that it names cannot be read.
+        A file that it names cannot be used, its recording lacks a camera, or its router would refuse it.
     TakenError
         Another router listens on the line's port; the text says who.
     """
     line = load_config(config)
     if not line.cameras:
         raise TuberlineError(f"config {config} names no camera; add a section [cameras.<name>] with a path or a source")
+    if not no_router:
+        check_access(line, config)
     if faults := unreadable_files(line):
-        raise ConfigError(f"config {config}: {'; '.join(faults)}; without them the line would run and count nothing")
+        raise ConfigError(f"config {config}: {'; '.join(faults)}; the line would go without these, or count nothing")
     run_id = run or datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
     shown = sys.stderr.isatty()
     stop = threading.Event()
