@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import resource
@@ -34,7 +35,7 @@ from tests.deploy.deploy_site import site_config
 from tuberline.cli.address import LineAddress
 from tuberline.cli.doctor import bundle, doctor
 from tuberline.cli.health import health
-from tuberline.doctor import Finding, Level, worst
+from tuberline.doctor import Finding, Level, machine, worst
 from tuberline.doctor.examine import Live, examine, look
 from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
@@ -88,6 +89,31 @@ def test_disk_says_free_space_and_a_read_only_place(tmp_path: Path) -> None:
     readonly = only(check_disk(Path("/proc/self"), what="the ledger"))
     assert readonly.level is Level.FAULT
     assert "/proc/self cannot be written" in readonly.text
+
+
+@pytest.mark.parametrize(
+    ("number", "fix"),
+    [
+        (errno.ENOSPC, "remove old recordings and runs from the disk of"),
+        (errno.EDQUOT, "remove old recordings and runs from the disk of"),
+        (errno.EROFS, "mount the file system of"),
+        (errno.EACCES, "give the user that runs Tuberline the right to write"),
+        (errno.EIO, "the disk reports a fault: check it before you go on"),
+        (errno.ENXIO, "check the disk of"),
+    ],
+)
+def test_what_a_disk_refuses_is_told_with_what_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, fix: str
+) -> None:
+    """On a full disk it said to give a user the right to write."""
+
+    def refuse(folder: Path) -> float:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(machine, "_sync_ms", refuse)
+    found = only(check_disk(tmp_path, what="the ledger"))
+    assert (found.level, found.text) == (Level.FAULT, f"{tmp_path} cannot be written: {os.strerror(number)}")
+    assert found.fix.startswith(fix)
 
 
 def test_processors_and_locked_memory() -> None:

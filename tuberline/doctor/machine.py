@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import shutil
@@ -10,6 +11,7 @@ import time
 from pathlib import Path
 
 from conveyor.config import LineConfig
+from conveyor.files import cause
 from conveyor.processors import usable
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
@@ -29,13 +31,7 @@ def check_disk(folder: Path, *, what: str) -> list[Finding]:
     try:
         sync_ms = _sync_ms(place)
     except OSError as error:
-        return [
-            fault(
-                check,
-                f"{place} cannot be written: {error.strerror or error}",
-                f"give the user that runs Tuberline the right to write {folder}, or name another folder in the config",
-            )
-        ]
+        return [fault(check, f"{place} cannot be written: {error.strerror or error}", _disk_fix(error, folder))]
     text = f"{folder}: {free_gb:.1f} GB free, a file is durable after {sync_ms:.0f} ms"
     if free_gb < NO_DISK_GB:
         return [fault(check, text, "remove old recordings and runs: under 0.5 GB the ledger may not be written")]
@@ -44,6 +40,20 @@ def check_disk(folder: Path, *, what: str) -> list[Finding]:
     if sync_ms > SLOW_SYNC_MS:
         return [warning(check, text, "a worn or slow disk: put the ledger on an SSD")]
     return [ok(check, text)]
+
+
+def _disk_fix(error: OSError, folder: Path) -> str:
+    """What helps where nothing can be written."""
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"give the user that runs Tuberline the right to write {folder}, or name another folder in the config"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return (
+            f"remove old recordings and runs from the disk of {folder}, or name a folder of another one in the config"
+        )
+    if error.errno == errno.EROFS:
+        return f"mount the file system of {folder} for writing, or name another folder in the config"
+    _, _, fix = cause(error).partition("; ")
+    return fix or f"check the disk of {folder}, or name another folder in the config"
 
 
 def _sync_ms(folder: Path) -> float:
