@@ -219,6 +219,13 @@ def _some(found: Counted, part: Part) -> tuple[Tuber, ...]:
             f"run {found.run} counted {len(found.tubers)} tubers, none of them among {part.name or 'all'}: see its "
             "tubers.csv for ids and places"
         )
+    ids = [tuber.tuber_id for tuber in found.tubers]
+    for option, given in (("--first", part.first), ("--last", part.last)):
+        if given is not None and not min(ids) <= given <= max(ids):
+            raise InputError(
+                f"{option} is {given}, run {found.run} counted {len(ids)} tubers, numbered {min(ids)} to {max(ids)}: "
+                "give one of these (tuber_id in its tubers.csv), or leave it out for the end of the run"
+            )
     return tubers
 
 

@@ -87,6 +87,9 @@ def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pyt
         calibrate_bucket(folder, kg=kg, count=40, weighed=some_ids, options=options)
     with pytest.raises(InputError, match="none of them among tubers 900 to the last"):
         calibrate_bucket(folder, kg=kg, weighed=PartOptions(first=900), options=options)
+    for wrong in (PartOptions(first=1, last=610), PartOptions(first=0, last=20)):
+        with pytest.raises(InputError, match=rf"is (610|0), run .* counted {len(tubers)} tubers, numbered 1 to"):
+            calibrate_bucket(folder, kg=kg, weighed=wrong, options=options)
 
 
 def test_a_count_by_hand_that_differs_by_one_scales_the_sum_and_widens_the_ticket(
