@@ -47,9 +47,7 @@ def _disk_fix(error: OSError, folder: Path) -> str:
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"give the user that runs Tuberline the right to write {folder}, or name another folder in the config"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return (
-            f"remove old recordings and runs from the disk of {folder}, or name a folder of another one in the config"
-        )
+        return f"remove old recordings and runs from the disk of {folder}, or name a folder of another in the config"
     if error.errno == errno.EROFS:
         return f"mount the file system of {folder} for writing, or name another folder in the config"
     _, _, fix = cause(error).partition("; ")
