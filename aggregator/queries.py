@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import zenoh
 
@@ -72,11 +73,9 @@ class Queries:
     def _answer_loads(self, query: zenoh.Query) -> Any:
         limit = _whole(query, "limit", default=DEFAULT_LOADS, most=MOST_LOADS)
         with reading(self._ledger) as view:
-            return (
-                told_loads(view, limit=limit)
-                if query.parameters.get("what") == "loads"
-                else last_loads(view, limit=limit)
-            )
+            if query.parameters.get("what") != "loads":
+                return last_loads(view, limit=limit)
+            return told_loads(view, limit=limit, wanted=unquote(query.parameters.get("load") or ""))
 
 
 def _whole(query: zenoh.Query, name: str, *, default: int, most: int) -> int:

@@ -317,7 +317,7 @@ QUERY_LOADS = Topic(
     Delivery.QUERY,
     Priority.DATA_HIGH,
     "",
-    "answers the ledger's last runs as JSON, its last loads with what=loads; parameters: limit, what",
+    "answers the ledger's last runs as JSON, its loads with what=loads; parameters: limit, what, load (number or name)",
 )
 
 QUERY_MODEL = Topic(

@@ -7,7 +7,7 @@ from typing import Any
 
 from aggregator.core.loads import NO_LOAD, Load, LoadBook, LoadEvent, Said
 from conveyor.errors import InputError
-from conveyor.messages.loads import NUMBER, LoadAnswer, LoadOrder
+from conveyor.messages.loads import NUMBER, LoadAnswer, LoadOrder, number_meant
 
 UNDO_WITHIN_S = 60.0
 LAST = "last"
@@ -131,9 +131,7 @@ def find(book: LoadBook, wanted: str, run: str) -> Load:
         InputError: none, several of that name, or a number that another load has as its name; the text lists some.
     """
     there = [load for load in book.loads.values() if not load.undone]
-    digits = wanted.removeprefix(NUMBER)
-    number = int(digits) if digits.isascii() and digits.isdigit() else None
-    numbered = [load for load in there if load.number == number]
+    numbered = [load for load in there if load.number == number_meant(wanted)]
     named = [load for load in there if load.name == wanted]
     if not wanted or wanted == LAST:
         if not wanted and (load := book.open_load(run)) is not None:
@@ -142,7 +140,7 @@ def find(book: LoadBook, wanted: str, run: str) -> Load:
             raise InputError("this ledger has no load yet: start one with `tuberline load start NAME`")
         numbered = [max(there, key=lambda load: load.number)]
     others = [load for load in named if load not in numbered]
-    if wanted and numbered and others and digits == wanted:
+    if wanted and numbered and others and not wanted.startswith(NUMBER):
         raise InputError(_two_meanings(wanted, numbered[0], others[-NAMED_IN_ERRORS:]))
     found = numbered or named
     if len(found) == 1:

@@ -18,13 +18,15 @@ from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
 from conveyor.errors import InputError
 from conveyor.messages.base import plain
+from conveyor.messages.loads import is_meant
 
 
 def told_loads(
-    view: LedgerView, *, limit: int, undone: bool = False, contract: Contract | None = None
+    view: LedgerView, *, limit: int, undone: bool = False, contract: Contract | None = None, wanted: str = ""
 ) -> list[dict[str, Any]]:
     """The newest loads first, calibrated by the tickets of this ledger's loads and of the config beside it.
 
+    `wanted`: a number, 'number:' and a number, or a name; of those alone that it may mean.
     Names and units as in `conveyor.messages.LoadNow`; besides `open`, `ended_unix_s`, `net_g` and `gross_g` (what
     scales said), `said` (all that was said of it), `notes` (texts of persons, oldest first), `refused` (why its ticket
     does not calibrate), `doubts` (what speaks against its tickets) and `jacket_g` (gross less net less foreign matter:
@@ -35,6 +37,8 @@ def told_loads(
     tickets, _ = tickets_beside(ledger)
     contradictions = contradicting_all(tickets)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
+    if wanted:
+        chosen = [load for load in chosen if is_meant(wanted, number=load.number, name=load.name)]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]
     return [
         _told(ledger, load, seen, tickets, contract) | {"doubts": load_doubts(load, contradictions)} for load in newest

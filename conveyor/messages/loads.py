@@ -18,7 +18,18 @@ FIELDS = ("name", "trailer", "field", "variety", "customer", "operator")
 """What a load is described by; an order may give each of them, a later note may correct it."""
 
 NUMBER = "number:"
-"""Before the number of a load, where another one has it as its name."""
+"""Before the number of a load, for one that may be another one's name."""
+
+
+def number_meant(wanted: str) -> int | None:
+    """The number of the load that is asked for, '3' or 'number:3'; None where `wanted` can only be a name."""
+    digits = wanted.removeprefix(NUMBER)
+    return int(digits) if digits.isascii() and digits.isdigit() and len(digits) < 19 else None
+
+
+def is_meant(wanted: str, *, number: int, name: str) -> bool:
+    """Whether the load of this number and name is among those that `wanted` may mean."""
+    return number == number_meant(wanted) or name == wanted
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,7 +159,7 @@ def note(
     text
         The note.
     load
-        Number or name, or number:3 where another load is named 3; default: the open load, or the last one.
+        Number, name, or number:3, the number alone; default: the open load, or the last one.
     name
         What it is called from now on.
     ledger
@@ -189,7 +189,7 @@ def ticket(
     Parameters
     ----------
     load
-        Number or name, or number:3 where another load is named 3; default: the open load, or the last one.
+        Number, name, or number:3, the number alone; default: the open load, or the last one.
     kg
         What was on the trailer, without the trailer.
     gross
@@ -226,7 +226,7 @@ def show(
     Parameters
     ----------
     load
-        Number or name: all that have it; default: all loads.
+        Number, number:3 or name: all that have it, however old; default: all loads.
     ledger
         Folder of a run, or its ledger.db; instead of a running line.
     limit

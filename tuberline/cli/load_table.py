@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from rich.console import Console
 from rich.table import Table
@@ -13,9 +15,13 @@ from rich.text import Text
 from conveyor.errors import InputError
 from conveyor.heights import heights_told
 from conveyor.messages import HeightChange
-from conveyor.messages.loads import NUMBER
+from conveyor.messages.loads import is_meant
 from tuberline.cli.address import LineAddress
 
+MOST_ASKED = 50
+"""Of a running line."""
+NAMED = 8
+"""In an error."""
 DESCRIBED = ("trailer", "field", "variety", "customer", "operator")
 
 
@@ -33,23 +39,34 @@ def told_loads(address: LineAddress, ledger: Path | None, *, wanted: str, limit:
         from aggregator.ledger.reader import ledger_file, reading
 
         with reading(ledger_file(ledger)) as view:
-            loads = of_ledger(view, limit=10**9 if wanted else limit)
-    else:
-        from conveyor import topics
-        from conveyor.observer import Observer
+            return _found(lambda wanted, most: of_ledger(view, limit=most, wanted=wanted), wanted, limit)
+    from conveyor import topics
+    from conveyor.observer import Observer
 
-        link, name = address.link()
-        with Observer(link, line=name) as observer:
-            loads = observer.query(
-                topics.QUERY_LOADS, parameters=f"limit={50 if wanted else min(limit, 50)};what=loads"
-            )
+    link, name = address.link()
+    with Observer(link, line=name) as observer:
+
+        def ask(wanted: str, most: int) -> list[dict[str, Any]]:
+            asked = f"limit={min(most, MOST_ASKED)};what=loads;load={quote(wanted, safe='')}"
+            loads: list[dict[str, Any]] = observer.query(topics.QUERY_LOADS, parameters=asked)
+            return loads
+
+        return _found(ask, wanted, limit)
+
+
+def _found(ask: Callable[[str, int], list[dict[str, Any]]], wanted: str, limit: int) -> list[dict[str, Any]]:
+    """What `ask` tells, given (wanted, at most so many); an aggregator before 0.2 tells of its last ones, all the same.
+
+    Raises:
+        InputError: none is wanted.
+    """
     if not wanted:
-        return loads
-    found = [load for load in loads if wanted in (str(load["number"]), f"{NUMBER}{load['number']}", load["name"])]
-    if not found:
-        known = ", ".join(f"{load['number']} ({load['name']})" for load in loads[:8]) or "none"
-        raise InputError(f"no load {wanted!r} is there; the newest are {known}")
-    return found
+        return ask("", limit)
+    loads = ask(wanted, MOST_ASKED)
+    if found := [load for load in loads if is_meant(wanted, number=load["number"], name=load["name"])]:
+        return found
+    known = ", ".join(f"{load['number']} ({load['name']})" for load in ask("", NAMED)) or "none"
+    raise InputError(f"no load {wanted!r} is there; the newest are {known}")
 
 
 def print_loads(loads: list[dict[str, Any]]) -> None:
