@@ -140,7 +140,7 @@ class Orders:
         return order_place_x_m(aged, self._ledger, self._core, now_s)
 
     def _told(self, event: LoadEvent) -> None:
-        place = "" if event.place_x_m is None else f" at {event.place_x_m:.3f} m"
+        place = f" {event.where}" if event.where else ""
         self._node.log.info("%s of load %d%s by %s", event.kind, event.load, place, event.said_by or "unknown")
 
     def _reply(self, query: zenoh.Query, told: LoadAnswer) -> None:
@@ -164,9 +164,10 @@ def order_place_x_m(order: LoadOrder, ledger: Ledger, core: Aggregation, now_s: 
             return latest_x_m
         return min(place_now_x_m(core.cameras, now_s=now_s, age_s=order.age_s), latest_x_m)
     if order.place_x_m > latest_x_m:
+        taken = "all belt of this run" if latest_x_m == -math.inf else f"belt down to {latest_x_m:.2f} m"
         raise InputError(
-            f"a load cannot change at {order.place_x_m:.2f} m: belt down to {latest_x_m:.2f} m is committed or "
-            "belongs to the load before; places fall as the belt runs"
+            f"a load cannot change at {order.place_x_m:.2f} m: {taken} is committed or belongs to the load before; "
+            "places fall as the belt runs"
         )
     return order.place_x_m
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -115,7 +116,8 @@ def _told(event: LoadEvent, book: LoadBook) -> str:
         now_open = "no load" if open_load is None else open_load.told
         return f"the {_undone_kind(event, book)} of {load.told} is undone: {now_open} is open"
     words = {Said.START: "has begun", Said.RESUME: "goes on", Said.END: "has ended", Said.NOTE: "is noted"}
-    return f"{load.told} {words[event.kind]}"
+    end = f" {event.where}" if event.place_x_m == -math.inf else ""  # other places are told as numbers
+    return f"{load.told} {words[event.kind]}{end}"
 
 
 def _undone_kind(undo: LoadEvent, book: LoadBook) -> Said | str:

@@ -42,8 +42,8 @@ class LoadEvent:
 
     Attributes:
         n: 1, 2, 3, ... in its ledger. run: in which it was said. request: id of the order, unique.
-        load: number of the load it is about. place_x_m: where on the belt it changes, infinite at a run's beginning;
-            None where it changes nothing there.
+        load: number of the load it is about. place_x_m: where on the belt it changes, infinite at a run's beginning,
+            minus infinity where all belt of the run comes before it; None where it changes nothing there.
         said_ns: by the clock of the aggregator's machine. said_by: as the asker said it.
         payload: 'fields', 'note', 'ticket_g', 'sd_g', 'net', 'utc_offset_s', 'stated_offset_mm', 'event', by kind.
     """
@@ -57,6 +57,15 @@ class LoadEvent:
     said_ns: int
     said_by: str
     payload: Mapping[str, Any]
+
+    @property
+    def where(self) -> str:
+        """Where on the belt, in words; '' where it changes nothing there."""
+        if self.place_x_m is None:
+            return ""
+        if math.isinf(self.place_x_m):
+            return "at the beginning of the run" if self.place_x_m > 0 else "at the end of the belt"
+        return f"at {self.place_x_m:.3f} m"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,28 @@
-"""Loads are found by number, however old, in a ledger and of a running line; `number:3` is always load 3."""
+"""What is told of loads: found by number however old, `number:3` is always load 3, and an end after all belt."""
 
 from __future__ import annotations
 
+import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from aggregator.core.load_orders import find
+from aggregator.core.load_orders import answer, decide, find
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
+from aggregator.ledger.load_list import told_loads as loads_of
+from aggregator.ledger.reader import reading
 from aggregator.ledger.writer import Ledger
+from aggregator.orders import order_place_x_m
 from aggregator.queries import Queries
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.errors import InputError
+from conveyor.messages import LoadOrder
 from conveyor.messages.loads import number_meant
 from conveyor.node import Node
-from tests.aggregator.loaded_story import Loads, story
+from tests.aggregator.loaded_story import Loads, S, story
 from tuberline.cli.address import LineAddress
 from tuberline.cli.load_table import told_loads
 
@@ -52,6 +59,35 @@ def test_a_load_is_found_by_its_number_where_no_name_collides_and_however_old_it
                 told_loads(line, ledger_or_line, wanted="number:99", limit=20)
             assert len(told_loads(line, ledger_or_line, wanted="", limit=20)) == 20
         del queries
+
+
+def test_a_load_that_is_ended_after_the_belt_ends_there_in_words(
+    tmp_path: Path,
+) -> None:
+    """The log said 'end of load 1 at -inf m', a refusal 'belt down to -inf m', and the answer nothing."""
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        it = Loads(ledger, story())
+        started = it.order("a", "start", x_m=-0.3, fields={"name": "A"})
+        it.commit_one_by_one()
+        asked = LoadOrder("e", "end", by="me")
+        event = decide(
+            asked,
+            ledger.loads,
+            run="story",
+            now_ns=S,
+            line={},
+            place_x_m=lambda order: order_place_x_m(order, ledger, it.core, it.now_s),
+        )
+        ledger.say(event)
+        told = answer(asked, event, ledger.loads)
+        assert (started.text, told.text) == ("load 1 (A) has begun", "load 1 (A) has ended at the end of the belt")
+        assert (event.where, told.place_x_m) == ("at the end of the belt", None)
+        assert [said.where for said in ledger.loads.events.values()] == ["at -0.300 m", "at the end of the belt"]
+        assert replace(event, place_x_m=math.inf).where == "at the beginning of the run"
+        with pytest.raises(InputError, match=r"cannot change at -5\.00 m: all belt of this run is committed"):
+            order_place_x_m(LoadOrder("z", "start", place_x_m=-5.0), ledger, it.core, it.now_s)
+    with reading(tmp_path / "ledger.db") as view:
+        assert "Infinity" not in json.dumps(loads_of(view, limit=9))
 
 
 @pytest.mark.parametrize(
