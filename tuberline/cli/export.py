@@ -12,7 +12,7 @@ from conveyor.errors import InputError
 
 if TYPE_CHECKING:
     from conveyor.messages import Tuber
-    from tuberline.maps.field import FieldMap
+    from tuberline.maps.field import FieldPlaces
 
 
 def export(
@@ -86,7 +86,8 @@ def export(
     if what != "loads":
         try:
             with ledger_bar("positions"):
-                field = _field(runs, track, {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}, tubers)
+                settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
+                field = _field(runs, track, settings, tubers, mapped=what == "cells" or form in REPORTS)
         except InputError as error:
             if track or form in NEED_PLACES or what == "cells":
                 raise
@@ -97,10 +98,11 @@ def export(
     target = _target(runs, f"{name}.{ENDINGS.get(form, form.value)}", out)
     if form in REPORTS:
         from tuberline.export.report.make import write_report
+        from tuberline.maps.field import FieldMap
 
-        pdf = form is Format.PDF
+        pdf, drawn = form is Format.PDF, field if isinstance(field, FieldMap) else None
         with ledger_bar("report"):
-            loads = write_report(runs, target, pdf=pdf, field=field, no_map=no_map, day=day, contract=contract)
+            loads = write_report(runs, target, pdf=pdf, field=drawn, no_map=no_map, day=day, contract=contract)
         sys.stdout.write(f"report of {loads} load{'s' * (loads != 1)} in {target}\n")
         return
     with ledger_bar(form.value):
@@ -130,15 +132,23 @@ def _target(runs: list[Path], name: str, out: Path | None) -> Path:
 
 
 def _field(
-    runs: list[Path], track: list[Path] | None, how: dict[str, Any], tubers: list[list[Tuber]] | None
-) -> FieldMap | None:
-    """The map of these runs; None where their positions are not known."""
+    runs: list[Path],
+    track: list[Path] | None,
+    how: dict[str, Any],
+    tubers: list[list[Tuber]] | None,
+    *,
+    mapped: bool,
+) -> FieldPlaces | None:
+    """Where these runs were, as a map if `mapped`; None where their positions are not known."""
     from aggregator.ledger.reader import ledger_file
     from conveyor.formats.positions import POSITIONS_FILE
 
     if not track and not all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
-    from tuberline.maps.field import field_map
+    from tuberline.maps.field import field_map, field_places
     from tuberline.maps.settings import settings_of
 
-    return field_map(runs, track or [], settings_of(runs, **how), tubers=tubers)
+    settings = settings_of(runs, **how)
+    if mapped:
+        return field_map(runs, track or [], settings)
+    return field_places(runs, track or [], settings, tubers=tubers)

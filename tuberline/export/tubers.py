@@ -16,7 +16,7 @@ from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
 from tuberline.export.table import Column, Table
-from tuberline.maps.field import FieldMap
+from tuberline.maps.field import FieldPlaces
 
 TUBER_COLUMNS = (
     Column("run", "text", "", "id of the run"),
@@ -61,7 +61,9 @@ def read_all(runs: Sequence[Path]) -> list[list[Tuber]]:
     return found
 
 
-def tubers_table(runs: Sequence[Path], field: FieldMap | None, read: Sequence[Sequence[Tuber]] | None = None) -> Table:
+def tubers_table(
+    runs: Sequence[Path], field: FieldPlaces | None, read: Sequence[Sequence[Tuber]] | None = None
+) -> Table:
     """Every tuber of `runs`; with a place where `field` knows the machines' ways.
 
     `read`: the tubers of each ledger, where they were read already.
@@ -152,7 +154,7 @@ def _tuber(tuber: Tuber) -> tuple[Any, ...]:
     )
 
 
-def _places(field: FieldMap, number: int, tubers: Sequence[Tuber]) -> list[tuple[float | None, float | None]]:
+def _places(field: FieldPlaces, number: int, tubers: Sequence[Tuber]) -> list[tuple[float | None, float | None]]:
     """Latitude and longitude of where each tuber grew; None where the machine's place was not known."""
     share = field.shares[number]
     crossed_s = np.array([tuber.crossed_ns for tuber in tubers]) / 1e9

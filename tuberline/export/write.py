@@ -12,7 +12,7 @@ from conveyor.messages import Tuber
 from tuberline.export.cells import cells_table
 from tuberline.export.table import Table
 from tuberline.export.tubers import about, loads_table, tubers_table
-from tuberline.maps.field import FieldMap
+from tuberline.maps.field import FieldMap, FieldPlaces
 
 
 class Format(StrEnum):
@@ -39,14 +39,14 @@ def export(
     *,
     form: Format,
     what: str,
-    field: FieldMap | None,
+    field: FieldPlaces | None,
     tubers: Sequence[Sequence[Tuber]] | None = None,
 ) -> int:
     """Write `out`, whole or not at all; returns the rows written.
 
     Args:
         what: 'tubers', 'loads' or 'cells'; ISOXML holds the map's seconds, a workbook tubers and loads.
-        field: the map, where positions are known. tubers: those of each run, where they were read already.
+        field: where positions are known; for cells the map. tubers: those of each run, where they were read already.
 
     Raises:
         InputError: the format needs places and none are known, or a package for it is not installed.
@@ -69,8 +69,10 @@ def export(
     return len(table.rows)
 
 
-def _table(runs: Sequence[Path], what: str, field: FieldMap | None, tubers: Sequence[Sequence[Tuber]] | None) -> Table:
-    if what == "cells" and field is not None:
+def _table(
+    runs: Sequence[Path], what: str, field: FieldPlaces | None, tubers: Sequence[Sequence[Tuber]] | None
+) -> Table:
+    if what == "cells" and isinstance(field, FieldMap):
         return cells_table(runs, field)
     return loads_table(runs) if what == "loads" else tubers_table(runs, field, tubers)
 

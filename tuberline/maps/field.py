@@ -83,13 +83,19 @@ class MachineShare:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FieldMap:
-    """The map and what it was made of."""
+class FieldPlaces:
+    """Where each machine was, and what it lifted there: what a map is made of, and all that tubers' places need."""
 
-    cells: YieldMap
     plane: FieldPlane
     shares: tuple[MachineShare, ...]
     settings: Settings
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldMap(FieldPlaces):
+    """The map and what it was made of."""
+
+    cells: YieldMap
 
     def as_dict(self) -> dict[str, Any]:
         """What `tuberline map --json` prints: the cells, and how they came about."""
@@ -134,6 +140,39 @@ def field_map(
     Raises:
         InputError: a run without positions or without tubers, or positions that cannot be used.
     """
+    places, shared = _places_of(runs, tracks, settings, run, tubers)
+    cells = cells_of([share.points for share in places.shares], cell_m=settings.cell_m, shared_percent=shared)
+    if not np.isfinite(cells.t_ha).any():
+        raise InputError(
+            f"no cell of {settings.cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller "
+            "--cell-m"
+        )
+    return FieldMap(places.plane, places.shares, settings, smoothed(cells) if settings.smooth else cells)
+
+
+def field_places(
+    runs: Sequence[Path],
+    tracks: Sequence[Path],
+    settings: Settings,
+    *,
+    tubers: Sequence[Sequence[Tuber]] | None = None,
+) -> FieldPlaces:
+    """Where the tubers of one field grew, also where too little was lifted for a map; arguments as of `field_map`.
+
+    Raises:
+        InputError: a run without positions or without tubers, or positions that cannot be used.
+    """
+    return _places_of(runs, tracks, settings, None, tubers)[0]
+
+
+def _places_of(
+    runs: Sequence[Path],
+    tracks: Sequence[Path],
+    settings: Settings,
+    run: str | None,
+    tubers: Sequence[Sequence[Tuber]] | None,
+) -> tuple[FieldPlaces, float]:
+    """(the places, half of the interval that all have in common, percent)."""
     Machine(settings.width_m, 0.0, settings.overlap_m)
     check_cell(settings.cell_m)
     if not runs:
@@ -163,14 +202,7 @@ def field_map(
         )
         for machine, (points, delay, way, lost_kg), factor in zip(read, found, factors, strict=True)
     )
-    shared = max(machine.shared_percent for machine in read)
-    cells = cells_of([share.points for share in shares], cell_m=settings.cell_m, shared_percent=shared)
-    if not np.isfinite(cells.t_ha).any():
-        raise InputError(
-            f"no cell of {settings.cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller "
-            "--cell-m"
-        )
-    return FieldMap(smoothed(cells) if settings.smooth else cells, plane, shares, settings)
+    return FieldPlaces(plane, shares, settings), max(machine.shared_percent for machine in read)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ import numpy as np
 
 from conveyor import __version__
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records
-from tuberline.maps.field import FieldMap, MachineShare
+from tuberline.maps.field import FieldPlaces, MachineShare
 
 DEVICE, ELEMENT = "DVC-1", "DET-1"
 PER_AREA, PER_TIME, COUNT_PER_TIME, WIDTH = (LoggedValue(ddi, ELEMENT) for ddi in (84, 87, 88, 67))
@@ -32,7 +32,7 @@ _NAMES = {
 }
 
 
-def write_taskdata(field: FieldMap, path: Path, *, about: dict[str, Any]) -> None:
+def write_taskdata(field: FieldPlaces, path: Path, *, about: dict[str, Any]) -> None:
     """A zip with TASKDATA/TASKDATA.XML and its time logs, version 4."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("TASKDATA/TASKDATA.XML", task_xml(field, about))
@@ -41,7 +41,7 @@ def write_taskdata(field: FieldMap, path: Path, *, about: dict[str, Any]) -> Non
             archive.writestr(f"TASKDATA/TLG{n:05d}.BIN", pack_records(log_of(field, share), COLUMNS))
 
 
-def log_of(field: FieldMap, share: MachineShare) -> list[LogRecord]:
+def log_of(field: FieldPlaces, share: MachineShare) -> list[LogRecord]:
     """One record per second whose place is known."""
     points = share.points
     placed = np.isfinite(points.xy_m).all(axis=1)
@@ -58,7 +58,7 @@ def log_of(field: FieldMap, share: MachineShare) -> list[LogRecord]:
     return records
 
 
-def task_xml(field: FieldMap, about: dict[str, Any]) -> bytes:
+def task_xml(field: FieldPlaces, about: dict[str, Any]) -> bytes:
     """TASKDATA.XML."""
     root = ElementTree.Element(
         "ISO11783_TaskData",

@@ -1,0 +1,29 @@
+"""Places of tubers in exports: by the machine's positions alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from conveyor.errors import InputError
+from tests.tuberline.test_tuberline_export import HOW, run
+from tuberline.cli.export import export
+from tuberline.export.isoxml.archive import read_time_logs
+
+__all__ = ["run"]
+
+
+def test_places_of_tubers_need_no_full_cell(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without one they were left out, though the machine's places were known: 'give a smaller --cell-m'."""
+    told = {}
+    for cell_m in (10.0, 1000.0):
+        for form in ("csv", "geojson", "isoxml"):
+            out = tmp_path / f"{cell_m:g}.{form}"
+            export([run], format=form, out=out, cell_m=cell_m, **HOW)  # type: ignore[arg-type]
+            told[cell_m, form] = read_time_logs(out) if form == "isoxml" else out.read_text().partition('"about"')[0]
+        assert "without their places" not in capsys.readouterr().err
+    for form in ("csv", "geojson", "isoxml"):
+        assert told[1000.0, form] == told[10.0, form]
+    with pytest.raises(InputError, match="no cell of 1000 m has a quarter"):
+        export([run], format="csv", what="cells", out=tmp_path / "cells.csv", cell_m=1000.0, **HOW)  # type: ignore[arg-type]
