@@ -29,6 +29,7 @@ _SHOWN = {
     "gnss": ("positions",),
 }
 _LEVELS = {"encoder": (("travel_m", "travel {:.2f} m"), ("belt_mps", "now {:.2f} m/s"))}
+AGGREGATOR = "aggregator/aggregator"
 MOST_ROWS = 200
 LOSS_WORDS = ("dropped", "gap", "lost", "refused", "missed", "stall")
 """A counter whose name holds one of these tells of something that did not arrive or was not used."""
@@ -88,14 +89,22 @@ def line_table(
     alive: set[str],
     pace: Pace | None = None,
     expected: Collection[str] = (),
+    nothing: str = "",
 ) -> Group:
-    """What a person wants to see of a running line. `expected`: nodes that have a row, be they there or not."""
+    """What a person wants to see of a running line.
+
+    Args:
+        expected: nodes that have a row, be they there or not.
+        nothing: what is said of the load where no totals are known; by default that its first tuber is waited for.
+    """
     tables = nodes_tables(nodes, alive=alive, pace=pace, expected=expected if alive else ())
-    return Group(totals_panel(totals), *tables, *_remarks(nodes, alive))
+    return Group(totals_panel(totals, nothing), *tables, *_remarks(totals, nodes, alive))
 
 
-def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
+def _remarks(totals: Totals | None, nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
     """What the table alone does not say."""
+    if totals is not None and not totals.final and alive and AGGREGATOR not in alive:
+        return ["[red]the aggregator is not there[/]: this is the load as it told it last"]
     if not nodes and not alive:
         return [
             "[red]no process of this line is running[/]: start it with `tuberline run LINE.toml`, or correct --line"
@@ -105,10 +114,10 @@ def _remarks(nodes: Mapping[str, Counters], alive: set[str]) -> list[str]:
     return []
 
 
-def totals_panel(totals: Totals | None) -> Panel:
-    """The load so far, in one box."""
+def totals_panel(totals: Totals | None, nothing: str = "") -> Panel:
+    """The load so far, in one box; `nothing` where it is not known."""
     if totals is None:
-        return Panel("waiting for the first tuber ...", title="load")
+        return Panel(nothing or "waiting for the first tuber ...", title="load")
     title = f"load · run {totals.run}" + (" · final" if totals.final else "")
     if totals.state == "nothing seen":
         return Panel(f"[bold red]nothing seen[/]: {totals.reason}", title=title)

@@ -16,7 +16,7 @@ from tuberline.cli.numbers import within
 def status(
     *, address: LineAddress = NO_ADDRESS, json: bool = False, wait_s: Annotated[float, within(0, 3600, "s")] = 1.5
 ) -> None:
-    """Print totals and nodes of a running line.
+    """Print totals and nodes of a running line. Without its aggregator, what its ledger holds, where that is here.
 
     Parameters
     ----------
@@ -25,6 +25,8 @@ def status(
     wait_s
         How long to listen.
     """
+    from tuberline.cli.last_known import last_known, told_without_aggregator
+    from tuberline.cli.live import AGGREGATOR, line_table
     from tuberline.doctor.line import expected_nodes
 
     link, name = address.link()
@@ -32,10 +34,13 @@ def status(
     with Observer(link, line=name) as observer:
         time.sleep(wait_s)
         totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()
+    away = AGGREGATOR not in alive
+    known = last_known(address) if away else None
     if json:
         report = {
             "line": name,
             "totals": asdict(totals) if totals else None,
+            "last_known": known,
             "nodes": {key: {**asdict(value), "alive": key in alive} for key, value in sorted(nodes.items())},
             "missing": sorted(expected - alive),
         }
@@ -43,6 +48,5 @@ def status(
         return
     from rich.console import Console
 
-    from tuberline.cli.live import line_table
-
-    Console().print(line_table(totals, nodes, alive=alive, expected=expected))
+    nothing = told_without_aggregator(known) if away else ""
+    Console().print(line_table(totals, nodes, alive=alive, expected=expected, nothing=nothing))

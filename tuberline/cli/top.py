@@ -20,19 +20,24 @@ def top(*, address: LineAddress = NO_ADDRESS) -> None:
     from rich.console import Console
     from rich.live import Live
 
-    from tuberline.cli.live import Pace, line_table
+    from tuberline.cli.last_known import last_known, told_without_aggregator
+    from tuberline.cli.live import AGGREGATOR, Pace, line_table
     from tuberline.doctor.line import expected_nodes
 
     expected = expected_nodes(address.loaded()) if address.config else set()
     link, name = address.link()
-    pace, console = Pace(), Console()
+    pace, console, nothing = Pace(), Console(), ""
     drawn = Live(console=console, refresh_per_second=4, screen=True) if console.is_terminal else None
     with Observer(link, line=name) as observer, drawn or nullcontext():
         while True:
             observer.wait_totals(0.5)
-            nodes = observer.nodes()
+            totals, nodes, alive = observer.totals(), observer.nodes(), observer.alive()
             pace.update(nodes)
-            table = line_table(observer.totals(), nodes, alive=observer.alive(), pace=pace, expected=expected)
+            if AGGREGATOR in alive:
+                nothing = ""
+            elif totals is None and not nothing:  # no one writes to the ledger: it is read once
+                nothing = told_without_aggregator(last_known(address))
+            table = line_table(totals, nodes, alive=alive, pace=pace, expected=expected, nothing=nothing)
             if drawn:
                 drawn.update(table)
             else:

@@ -1,0 +1,74 @@
+"""What `tuberline status` and `top` say of the load while the aggregator is not there."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from aggregator.ledger.writer import Ledger
+from conveyor.config import LineConfig, LinkConfig, dump_toml
+from conveyor.messages import Counters, Totals
+from conveyor.node import Node
+from tests.aggregator.loaded_story import story
+from tests.aggregator.virtual_line import Aggregator
+from tuberline.cli.address import LineAddress
+from tuberline.cli.live import line_table
+from tuberline.cli.status import status
+
+TOTALS = Totals("r1", 3, 512.5, 480.0, 540.0, 0.75, 600.0, 550.0, 650.0, 1.5, 50.0, (0, 3), {}, final=False)
+
+
+@pytest.mark.graph
+def test_without_its_aggregator_a_line_tells_what_its_ledger_holds(
+    link: LinkConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was headed 'waiting for the first tuber ...', though dozens had been counted."""
+    config = LineConfig.model_validate(
+        {"link": {"router": link.router}, "cameras": {"left": {}}, "aggregator": {"out": str(tmp_path / "out")}}
+    )
+    file = tmp_path / "line.toml"
+    file.write_text(dump_toml(config), encoding="utf-8")
+    address, ledger = LineAddress(config=file), tmp_path / "out" / "ledger.db"
+    with Node("segmenter", "left", config=config, run="story"):
+
+        def told() -> str:
+            status(address=address, wait_s=0.5)
+            said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+            assert "waiting for the first tuber" not in said
+            assert "the aggregator is not there: nothing is added up until it is back" in said
+            return said
+
+        assert "what was counted before is not known here: give --config on the machine that has the ledger" in told()
+        ledger.parent.mkdir()
+        with Ledger(ledger) as opened:
+            at_work = Aggregator(opened, story())
+            at_work.commit_one_by_one()
+            count = len(at_work.tubers())
+        assert f"its ledger tells of run story: {count} tubers, " in told()
+        status(address=address, json=True, wait_s=0.5)
+        found = json.loads(capsys.readouterr().out)
+        assert (found["totals"], found["last_known"]["run"], found["last_known"]["count"]) == (None, "story", count)
+        ledger.write_bytes(b"no ledger" * 1000)
+        assert "is not known here" in told()
+
+
+def test_totals_of_an_aggregator_that_left_are_the_last_ones() -> None:
+    """`top` went on showing them as if it were there."""
+
+    def shown(totals: Totals | None, *there: str) -> str:
+        out = io.StringIO()
+        nodes = {name: Counters(*name.split("/"), "r1", 7, "edge", "1", 3.0, {}, {}) for name in there}
+        Console(file=out, width=100, color_system=None).print(line_table(totals, nodes, alive=set(there)))
+        return out.getvalue()
+
+    said = "the aggregator is not there: this is the load as it told it last"
+    assert said in shown(TOTALS, "segmenter/left")
+    assert said not in shown(TOTALS, "segmenter/left", "aggregator/aggregator")
+    assert said not in shown(replace(TOTALS, final=True), "segmenter/left"), "it has done its work"
+    assert said not in shown(TOTALS), "nobody answers at all"
+    assert "waiting for the first tuber" in shown(None), "of a line that starts"

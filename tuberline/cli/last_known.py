@@ -1,0 +1,33 @@
+"""What is said of a line's load while its aggregator, who tells the totals, is not there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from conveyor.errors import TuberlineError
+from tuberline.cli.address import LineAddress
+
+
+def last_known(address: LineAddress) -> dict[str, Any] | None:
+    """The newest run of the line's ledger (`aggregator.ledger.loads.last_loads`); None where no config is given, or
+    where the ledger is on another machine or cannot be read.
+    """
+    if address.config is None:
+        return None
+    from aggregator.ledger.loads import last_loads
+    from aggregator.ledger.reader import ledger_file, reading
+
+    try:
+        with reading(ledger_file(address.loaded().aggregator.out)) as view:
+            return next(iter(last_loads(view, limit=1)), None)
+    except TuberlineError:  # `tuberline ledger check` says what is wrong with it
+        return None
+
+
+def told_without_aggregator(known: dict[str, Any] | None) -> str:
+    """Two lines for a person; `known` as `last_known` gives it."""
+    told = "[red]the aggregator is not there[/]: nothing is added up until it is back"
+    if known is None:
+        return f"{told}\nwhat was counted before is not known here: give --config on the machine that has the ledger"
+    tubers = f"{known['count']} tuber{'' if known['count'] == 1 else 's'}"
+    return f"{told}\nits ledger tells of run {known['run']}: [bold]{tubers}[/], {known['weight_g'] / 1000:.2f} kg"
