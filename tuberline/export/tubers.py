@@ -42,12 +42,13 @@ PLACE_COLUMNS = (
 LOAD_COLUMNS = (
     Column("load", "text", "", "name of the load; all: their sum"),
     Column("tubers", "whole", "", "counted"),
-    Column("as_weighed_kg", "number", "kg", "not calibrated, made up for belt that was not seen"),
+    Column("as_weighed_kg", "number", "kg", "not calibrated, of what was seen: as_weighed_g of summary.json"),
     Column("weight_kg", "number", "kg", "calibrated, made up for belt that was not seen"),
     Column("low_kg", "number", "kg", "lower end of the weight's 90 % interval"),
     Column("high_kg", "number", "kg", "upper end of the weight's 90 % interval"),
     Column("coverage", "number", "share", "of the belt that was looked at"),
     Column("ticket_kg", "number", "kg", "what a scale said, net"),
+    Column("raw_kg", "number", "kg", "not calibrated, made up for belt that was not seen"),
 )
 
 
@@ -90,12 +91,13 @@ def loads_table(runs: Sequence[Path]) -> Table:
         (
             total.label,
             total.sums.tubers,
-            total.raw_g / 1000,
+            total.sums.as_weighed_g / 1000,
             total.sums.estimated_g / 1000,
             total.sums.low_g / 1000,
             total.sums.high_g / 1000,
             total.sums.coverage,
             total.net_g / 1000 if total.weighed else None,
+            total.raw_g / 1000,
         )
         for total in totals_by(runs, "load")[0]
     ]
