@@ -13,7 +13,7 @@ import zenoh
 
 from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.loads import last_loads
-from aggregator.ledger.reader import read_tubers, reading
+from aggregator.ledger.reader import read_sums, read_tubers, reading
 from conveyor import topics
 from conveyor.errors import InputError, TuberlineError
 from conveyor.messages import Totals
@@ -73,6 +73,8 @@ class Queries:
     def _answer_loads(self, query: zenoh.Query) -> Any:
         limit = _whole(query, "limit", default=DEFAULT_LOADS, most=MOST_LOADS)
         with reading(self._ledger) as view:
+            if query.parameters.get("what") == "models":
+                return read_sums(view, self._run).load.models()
             if query.parameters.get("what") != "loads":
                 return last_loads(view, limit=limit)
             return told_loads(view, limit=limit, wanted=unquote(query.parameters.get("load") or ""))

@@ -317,7 +317,8 @@ QUERY_LOADS = Topic(
     Delivery.QUERY,
     Priority.DATA_HIGH,
     "",
-    "answers the ledger's last runs as JSON, its loads with what=loads; parameters: limit, what, load (number or name)",
+    "answers the ledger's last runs as JSON, its loads with what=loads, the run's tubers by weights with what=models; "
+    "parameters: limit, what, load (number or name)",
 )
 
 QUERY_MODEL = Topic(

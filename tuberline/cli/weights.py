@@ -21,23 +21,31 @@ weights = App(name="weights", help="The weights a running line weighs with: list
 
 @weights.command(name="list")
 def list_(*, address: LineAddress = NO_ADDRESS, json: bool = False) -> None:
-    """Print which weights each regressor weighs with.
+    """Print which weights each regressor weighs with, and what is wrong about that: others than those beside it, or
+    than a running line was given before its regressors started again.
 
     Parameters
     ----------
     json
         For machines.
     """
-    from conveyor.session import open_client
+    from conveyor.observer import Observer
     from regressor.serve.client import all_states
+    from tuberline.doctor.finding import Level
+    from tuberline.doctor.weights import check_running_weights, models_of_run
 
     link, name = address.link()
-    with open_client(link, name="observer") as session:
-        found = all_states(session, name)
+    with Observer(link, line=name) as observer:
+        found = all_states(observer.session, name)
+        wrong = [f for f in check_running_weights(found, models_of_run(observer)) if f.level is not Level.OK]
     if json:
-        _write({"line": name, "regressors": {key: asdict(state) for key, state in found.items()}})
-    else:
-        _print_states(found)
+        states = {key: asdict(state) for key, state in found.items()}
+        _write({"line": name, "regressors": states, "wrong": [finding.text for finding in wrong]})
+        return
+    _print_states(found)
+    if not any(state.refused for state in found.values()):  # which the table's words say already
+        for finding in wrong:
+            sys.stdout.write(f"{finding.text}\n  fix: {finding.fix}\n")
 
 
 @weights.command

@@ -114,25 +114,11 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
 
 
 def _running_weights(observer: Observer) -> list[Finding]:
-    """All regressors of the line weigh with the same weights, and with those of the config."""
+    """All regressors of the line weigh with the same weights, and with those that they were given last."""
     from regressor.serve.link import states
+    from tuberline.doctor.weights import check_running_weights, models_of_run
 
-    found = states(observer.session, observer.line)
-    if not found:
-        return []
-    told = ", ".join(f"{name} {state.model}" for name, state in found.items())
-    refusals = [
-        fault("weights in use", f"{name} refuses {s.refused}", "`tuberline weights list`, then use or rollback")
-        for name, s in found.items()
-        if s.refused
-    ]
-    if refusals:
-        return refusals
-    if len({state.digest for state in found.values()}) > 1:
-        return [fault("weights in use", told, "give all of them the same: `tuberline weights use FILE`")]
-    n = max(state.n for state in found.values())
-    since = f", given to the running line by order {n}" if n else ", as their config says"
-    return [ok("weights in use", told + since)]
+    return check_running_weights(states(observer.session, observer.line), models_of_run(observer))
 
 
 def _weights(config: LineConfig) -> list[Finding]:
