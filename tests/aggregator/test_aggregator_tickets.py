@@ -15,7 +15,7 @@ from aggregator.calibration.correction import LOAD_SDS
 from aggregator.calibration.load import ticket_of
 from aggregator.calibration.part import Part
 from aggregator.calibration.tickets import Ticket, check_ticket, read_tickets, set_aside, with_ticket, write_tickets
-from aggregator.ledger.load_totals import with_own
+from aggregator.ledger.line_tickets import with_own
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError
 from tests.aggregator.belt_story import tell

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT, wait_until
+from tuberline.cli.leaving import Told, told_to_end
 
 SUPERVISES = """
 import sys, time
@@ -102,3 +103,17 @@ def test_what_is_dropped_otherwise_is_told() -> None:
     script = "from tuberline.cli.leaving import leave_when_told as f; f()\nclass A:\n def __del__(self): 1 / 0\nA()"
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=30)
     assert (done.returncode, "ZeroDivisionError" in done.stderr) == (0, True)
+
+
+@pytest.mark.parametrize(("told", "code"), [(KeyboardInterrupt(), 130), (Told(143), 143)])
+def test_a_signal_that_python_wraps_ends_the_command_all_the_same(told: BaseException, code: int) -> None:
+    """While it makes a class Python 3.11 turns what is raised into a RuntimeError: Ctrl-C ended with a traceback."""
+
+    class Named:
+        def __set_name__(self, _owner: type, _name: str) -> None:
+            raise told
+
+    with pytest.raises((RuntimeError, KeyboardInterrupt, Told)) as raised:
+        type("Made", (), {"attribute": Named()})
+    assert told_to_end(raised.value) == code
+    assert told_to_end(RuntimeError("a fault")) is None

@@ -15,7 +15,7 @@ from conveyor.errors import FAULT, PERMANENT, TuberlineError
 from conveyor.files import told
 from conveyor.logs import flush_outputs, say, setup_logs
 from tuberline.cli.commands import LONG_RUNNING, build_app, with_own_words
-from tuberline.cli.leaving import leave_when_told
+from tuberline.cli.leaving import leave_when_told, told_to_end
 
 __all__ = ["build_app", "main"]
 
@@ -72,7 +72,10 @@ def _run() -> int:
             "where torch is, in the image tuberline, or install it there: pip install torch\n"
         )
         return PERMANENT
-    except Exception:
+    except Exception as error:
+        if (code := told_to_end(error)) is not None:
+            logging.getLogger("tuberline").debug("where it happened", exc_info=True)
+            return code
         say(traceback.format_exc())
         return FAULT
     return 0

@@ -25,6 +25,20 @@ def leave_when_told() -> None:
     sys.unraisablehook = _dropped
 
 
+def told_to_end(error: BaseException | None) -> int | None:
+    """The exit code where behind an error stands that the command was told to end; None where it does not.
+
+    Compiled code that is interrupted, numba's for one, makes an error of it, and Python 3.11 while it makes a class.
+    """
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return 128 + signal.SIGINT
+        if isinstance(error, Told):
+            return int(error.code or 0)
+        error = error.__cause__ or error.__context__
+    return None
+
+
 def _leave(number: int, _frame: FrameType | None) -> None:
     raise Told(128 + number)
 

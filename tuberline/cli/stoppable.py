@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from conveyor.logs import flush_outputs
+from tuberline.cli.leaving import told_to_end
 
 STOPPED = 130
 """Exit code after Ctrl-C, as shells give it: 128 + SIGINT."""
@@ -38,9 +39,8 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
         yield stopped
     except KeyboardInterrupt:
         stopped.set()
-    except SystemError as error:
-        # Compiled code that is interrupted, numba's for one, makes this of it.
-        if not _was_interrupt(error):
+    except (SystemError, RuntimeError) as error:
+        if told_to_end(error) is None:
             raise
         stopped.set()
     finally:
@@ -52,15 +52,6 @@ def stoppable(how_far: Callable[[], str]) -> Iterator[threading.Event]:
         sys.stderr.write(f"tuberline: {how_far()}\n")
     else:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _was_interrupt(error: BaseException | None) -> bool:
-    """Somewhere behind this error stands Ctrl-C."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def leave() -> NoReturn:
