@@ -10,9 +10,9 @@ from pathlib import Path
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.evidence import single_weights
 from aggregator.calibration.robust import correction_of
-from aggregator.calibration.small_sample import holding_half_width
 from aggregator.calibration.tickets import Ticket
 from conveyor.errors import InputError
+from conveyor.small_sample import holding_half_width
 
 COLUMN = "weight_g"
 MOST_ROWS = 5000

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aggregator.calibration.small_sample import holding_half_width, holding_rank
+from conveyor.small_sample import holding_half_width, holding_rank
 
 
 @pytest.mark.parametrize("n", [22, 50, 100, 300])
