@@ -23,27 +23,40 @@ from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN, part_of
+from regressor.training.tuber_interval import calibrate_tubers
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import BlendRule
 from regressor.weigh.interval import IntervalRule, calibrate, calibrate_cameras
-from regressor.weigh.viewscale import view_terms
+from regressor.weigh.viewscale import BELT, TYPICAL_SLOPES, view_terms
 from regressor.weigh.volume import TYPICAL_RULE
 
 MIN_TUBERS = 20
 MIN_RECORDINGS = 20
 LEAST_BIAS = 0.01
 DISTANCE_STEP_M, SITE_STEP_M = 0.05, 0.0005
+VARIED_SHARE, VARIED = 0.05, 1.2
+"""Of the views that must know their level better or worse, and by how much, for a slope over that to be fitted."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How far weights are off: `interval` of one view; see `fused_share` and `load_shares` for the others."""
+    """How far weights are off: `interval` of one view; see `fused_share` and `load_shares` for the others.
+
+    `tubers`: how many it was made of. `recordings`: how many were counted as independent; 0: the tubers were.
+    """
 
     interval: IntervalRule
     shared_sd_share: float
     shared_bias_share: float
     shared_level_share_per_mm: float
     shared_other_share: float
+    recordings: int
+    tubers: int
+
+    @property
+    def counted(self) -> dict[str, float]:
+        """Of what the interval was calibrated on, for a sidecar's `metrics`; see `interval_told`."""
+        return {"tubers": float(self.tubers), "recordings": float(self.recordings)}
 
     def sidecar_keys(self) -> dict[str, Any]:
         """As they stand in a sidecar."""
@@ -63,10 +76,14 @@ def calibration(
     *,
     rule: BlendRule,
 ) -> Calibration:
-    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`."""
+    """From (n,) grams of the network and of the volume rule on `data`, blended by `rule`.
+
+    What is independent are the recordings; the tubers, where fewer than `MIN_RECORDINGS` recordings are known.
+    """
     weight_g = rule.weights_g(network_g, volume_g, data.view_features)
     terms = view_terms(weight_g, network_g, volume_g, data.features, data.height_m, data.level_sd_m)
     recordings = len(np.unique(data.recording))
+    belt_slope = None if varied(data.level_sd_m) else TYPICAL_SLOPES[BELT]
     unlike = np.isin(data.preset, list(CAMERAS)) & ~np.isin(data.preset, GOOD)
     if all(len(np.unique(data.recording[kind])) >= MIN_RECORDINGS for kind in (unlike, ~unlike)):
         interval = calibrate_cameras(
@@ -77,10 +94,15 @@ def calibration(
             features=data.features,
             unlike=unlike,
             recording=data.recording,
+            tuber=data.tuber,
+            belt_slope=belt_slope,
+        )
+    elif recordings >= MIN_RECORDINGS:
+        interval = calibrate(
+            weight_g, data.weight_g, terms, independent=recordings, tuber=data.tuber, belt_slope=belt_slope
         )
     else:
-        independent = recordings if recordings >= MIN_RECORDINGS else None
-        interval = calibrate(weight_g, data.weight_g, terms, independent=independent)
+        interval = calibrate_tubers(weight_g, data.weight_g, terms, data.tuber, belt_slope=belt_slope)
     chance = interval.unlike(data.noise_px, data.features)
     low_g, high_g = interval.bounds_g(weight_g, terms, chance)
     own, per_mm, other = load_shares(weight_g, data, chance)
@@ -90,7 +112,15 @@ def calibration(
         shared_bias_share=own,
         shared_level_share_per_mm=per_mm,
         shared_other_share=other,
+        recordings=recordings if recordings >= MIN_RECORDINGS else 0,
+        tubers=len(np.unique(data.tuber)),
     )
+
+
+def varied(level_sd_m: NDArray[np.float64]) -> bool:
+    """Whether (n,) views know their resting level differently well, so that they show what it does to errors."""
+    few, many = np.quantile(level_sd_m, [VARIED_SHARE, 1 - VARIED_SHARE])
+    return bool(many > VARIED * few)
 
 
 def fused_share(
@@ -197,7 +227,8 @@ def recalibrate(
     rule = sidecar.blend_rule
     found = calibration(network_g, volume_g, views, rule=rule)
     weight_g = rule.weights_g(network_g, volume_g, views.view_features)
-    metrics = {**sidecar.metrics, "calibration": scores(weight_g, views.weight_g, views.tuber)}
+    figures = scores(weight_g, views.weight_g, views.tuber)
+    metrics = {**sidecar.metrics, "calibration": figures, "interval": found.counted}
     return save_checkpoint(
         weights, model.state_dict(), sidecar.model_copy(update={**found.sidecar_keys(), "metrics": metrics})
     )

@@ -186,6 +186,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
     share = best_share(predicted, by_volume, validation.weight_g)
     blended = blend(predicted, by_volume, share)
     worlds = tuple(str(name) for name in np.unique(data.preset) if name in CAMERAS)
+    calibrated = calibration(predicted, by_volume, validation, rule=BlendRule(share))
     return Sidecar(
         name=options.name,
         target=training.settings.target,
@@ -201,7 +202,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
         length_mm=_range(data.features[:, 2], 0.0),
         worlds=worlds,
         volume_share=share,
-        **calibration(predicted, by_volume, validation, rule=BlendRule(share)).sidecar_keys(),
+        **calibrated.sidecar_keys(),
         volume_rule=rule.to_json(),
         training={
             "command": options.command,
@@ -218,6 +219,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             "validation": scores(blended, validation.weight_g, validation.tuber),
             "validation_network": scores(predicted, validation.weight_g, validation.tuber),
             "validation_volume": scores(by_volume, validation.weight_g, validation.tuber),
+            "interval": calibrated.counted,
         },
     )
 

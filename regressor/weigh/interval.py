@@ -100,20 +100,25 @@ def calibrate(
     *,
     level: float = LEVEL,
     independent: int | None = None,
+    tuber: NDArray[np.str_] | None = None,
+    belt_slope: float | None = None,
 ) -> IntervalRule:
-    """The rule that covers `level` of the calibration views in each class with at least 40 of them.
+    """The rule that covers `level` of the calibration views in each class with at least 40 tubers.
 
     Args:
         predicted_g, weight_g: (n,) of views of tubers that were not trained on. terms: (n, 6) of `view_terms`.
         independent: how many recordings they are from: views of one share belt, camera and cultivar, so that the
-            promise for a view of a new recording needs the finite-sample correction of their number.
+            promise for a view of a new recording needs the finite-sample correction of their number. Where recordings
+            are not known, tubers are what is independent: `regressor.training.tuber_interval`.
+        tuber: (n,) whose view each is; every view is of another tuber where it is not given.
+        belt_slope: as for `fit_scale`.
     """
-    scale = fit_scale(terms, weight_g - predicted_g)
+    scale = fit_scale(terms, weight_g - predicted_g, belt_slope=belt_slope)
     residual = (weight_g - predicted_g) / scale.scale_g(terms)
     at, below, above = [], [], []
     for begin, end in pairwise(EDGES_G):
         inside = (predicted_g >= begin) & (predicted_g < end)
-        if inside.sum() < MIN_IN_CLASS:
+        if (inside.sum() if tuber is None else len(np.unique(tuber[inside]))) < MIN_IN_CLASS:
             continue
         low, high = _quantiles(residual[inside], level, independent)
         at.append(float(np.median(predicted_g[inside])))
@@ -134,7 +139,9 @@ def calibrate_cameras(
     features: NDArray[np.float64],
     unlike: NDArray[np.bool_],
     recording: NDArray[np.str_],
+    tuber: NDArray[np.str_] | None = None,
     level: float = LEVEL,
+    belt_slope: float | None = None,
 ) -> IntervalRule:
     """The rule that covers `level` of the views of good cameras, and of those of all others.
 
@@ -143,7 +150,8 @@ def calibrate_cameras(
     level that is asked for, though a few of their views get the others' width.
 
     Args:
-        predicted_g, weight_g, terms, level: as for `calibrate`. noise_px, features: as for `unlike.camera_terms`.
+        predicted_g, weight_g, terms, tuber, level, belt_slope: as for `calibrate`.
+        noise_px, features: as for `unlike.camera_terms`.
         unlike: (n,) which views poor cameras took. recording: (n,) of each view.
     """
     camera = fit_camera(noise_px, features, unlike)
@@ -157,6 +165,8 @@ def calibrate_cameras(
                 terms[rows],
                 level=levels[kind],
                 independent=len(np.unique(recording[rows])),
+                tuber=None if tuber is None else tuber[rows],
+                belt_slope=belt_slope,
             )
             for kind, rows in enumerate((~unlike & (chance <= 0.5), unlike & (chance > 0.5)))
         ]

@@ -24,6 +24,11 @@ TYPICAL_G = 150.0
 OWN_ERROR = 0.05
 """Of the weight: about what a view is off by over a belt whose height is known exactly."""
 BELT, MOST_BELT = TERMS.index("belt"), 3.0
+TYPICAL_SLOPES = (0.9, 0.1, 1.2, 0.2, 0.4, 0.84)
+"""Of the shipped weights over a good camera, in the order of `TERMS`: what is expected before much was seen. That of
+the belt is the only one there is where all views of a calibration know their belt equally well: the term follows area
+and volume alone then, and says nothing of belts that are known better or worse. 1 would be the whole of the volume that
+the belt makes uncertain, beside an error of 5 %; a weight moves a little less."""
 RIDGE = 1.0
 ROUNDS = 50
 CLIP_SHARE = 0.005
@@ -95,32 +100,68 @@ class ScaleRule:
         return cls(float(data["intercept"]), slopes, low, high)
 
 
-def fit_scale(terms: NDArray[np.float64], residual_g: NDArray[np.float64]) -> ScaleRule:
-    """The scale that (n, 6) `terms` say of (n,) residuals: gamma likelihood, log link, by Newton steps."""
+def fit_scale(
+    terms: NDArray[np.float64],
+    residual_g: NDArray[np.float64],
+    *,
+    share: NDArray[np.float64] | None = None,
+    prior: tuple[float, ...] = (0.0,) * len(TERMS),
+    ridge: float = RIDGE,
+    belt_slope: float | None = None,
+) -> ScaleRule:
+    """The scale that (n, 6) `terms` say of (n,) residuals: gamma likelihood, log link, by Newton steps.
+
+    A belt that is known worse never makes it smaller: the slope over it is at least 0.
+
+    Args:
+        share: (n,) what each row counts for; 1 where it is not given. prior: the slopes that `ridge` draws towards.
+        belt_slope: the slope over the belt; fitted where it is not given.
+    """
     low, high = np.quantile(terms, [CLIP_SHARE, 1 - CLIP_SHARE], axis=0)
     # The weight itself is not clipped: the largest tubers are few, and their errors are the largest. Nor is the belt:
     # one that is known worse than any calibration saw makes intervals wider still.
     low[:2], high[:2] = terms[:, :2].min(0), terms[:, :2].max(0)
     low[BELT], high[BELT] = 0.0, MOST_BELT
-    clipped = np.clip(terms, low, high)
+    intercept, slopes = _fitted(np.clip(terms, low, high), np.abs(residual_g), share, prior, ridge, belt_slope)
+    if slopes[BELT] < 0:
+        intercept, slopes = _fitted(np.clip(terms, low, high), np.abs(residual_g), share, prior, ridge, 0.0)
+    return ScaleRule(
+        intercept=intercept,
+        slopes=tuple(float(value) for value in slopes),
+        low=tuple(float(value) for value in low),
+        high=tuple(float(value) for value in high),
+    )
+
+
+def _fitted(
+    clipped: NDArray[np.float64],
+    size: NDArray[np.float64],
+    share: NDArray[np.float64] | None,
+    prior: tuple[float, ...],
+    ridge: float,
+    belt_slope: float | None,
+) -> tuple[float, NDArray[np.float64]]:
+    """(intercept, (6,) slopes); that over the belt is `belt_slope` where one is given."""
+    weight = np.ones(len(size)) if share is None else share
     centre, spread = clipped.mean(0), np.maximum(clipped.std(0), 1e-6)
-    design = np.column_stack([np.ones(len(terms)), (clipped - centre) / spread])
-    size = np.abs(residual_g)
-    beta = np.zeros(design.shape[1])
-    beta[0] = np.log(max(float(size.mean()), 1e-3))
-    penalty = RIDGE * np.diag([0.0] + [1.0] * len(TERMS))
+    columns = (clipped - centre) / spread
+    known = np.zeros(len(size))
+    expected = np.array([0.0, *(prior * spread)])
+    if belt_slope is not None:
+        known, columns[:, BELT], expected[1 + BELT] = belt_slope * (clipped[:, BELT] - centre[BELT]), 0.0, 0.0
+    design = np.column_stack([np.ones(len(size)), columns])
+    beta = expected.copy()
+    beta[0] = np.log(max(float(np.average(size, weights=weight)), 1e-3))
+    penalty = ridge * np.diag([0.0] + [1.0] * len(TERMS))
     for _ in range(ROUNDS):
-        ratio = np.minimum(size / np.exp(design @ beta), MAX_RATIO)
-        gradient = design.T @ (ratio - 1) - penalty @ beta
-        step = np.linalg.solve((design * ratio[:, None]).T @ design + penalty, gradient)
+        ratio = np.minimum(size / np.exp(known + design @ beta), MAX_RATIO)
+        gradient = design.T @ (weight * (ratio - 1)) - penalty @ (beta - expected)
+        step = np.linalg.solve((design * (weight * ratio)[:, None]).T @ design + penalty, gradient)
         # A whole Newton step may overshoot far from the optimum; half a unit in ln is plenty.
         beta += np.clip(step, -0.5, 0.5)
         if float(np.abs(step).max()) < 1e-9:
             break
     slopes = beta[1:] / spread
-    return ScaleRule(
-        intercept=float(beta[0] - centre @ slopes),
-        slopes=tuple(float(value) for value in slopes),
-        low=tuple(float(value) for value in low),
-        high=tuple(float(value) for value in high),
-    )
+    if belt_slope is not None:
+        slopes[BELT] = belt_slope
+    return float(beta[0] - centre @ slopes), slopes

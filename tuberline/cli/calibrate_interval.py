@@ -42,16 +42,18 @@ def calibrate_interval(
     import torch
 
     from regressor.training.calibration import recalibrate
+    from regressor.training.tuber_interval import interval_told
     from tuberline.cli.progress import work_bar
 
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
         sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute), on_work=on_work)
-    figures = sidecar.metrics["calibration"]
+    figures, counted = sidecar.metrics["calibration"], sidecar.metrics["interval"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: calibrated on {figures['views']:.0f} views of {figures['tubers']:.0f} "
         f"tubers; views of a tuber share {100 * sidecar.shared_sd_share:.0f} % of an error, tubers of a load "
         f"{100 * sidecar.shared_bias_share:.1f} % of its weight\n"
+        f"{interval_told(int(counted['tubers']), int(counted['recordings']))}\n"
     )
 
 
