@@ -25,7 +25,7 @@ from regressor.weigh.view_features import LEAST_SD_MM, MOST_SD_MM, VIEW_NAMES
 from regressor.weigh.view_features import MOST_PX as MOST_NOISE_PX
 from regressor.weigh.view_features import TYPICAL_PX as TYPICAL_NOISE_PX
 from regressor.weigh.viewscale import OWN_ERROR, TYPICAL_G, ScaleRule
-from regressor.weigh.volume import TYPICAL_RULE, VolumeRule
+from regressor.weigh.volume import TYPICAL_RULE, VolumeRule, limits_of
 
 INPUTS = ("groups", "height_m", "features", "belt_sd_m", "noise_px")
 OUTPUTS = ("weight_g", "low_g", "high_g", "network_g", "volume_g")
@@ -93,6 +93,8 @@ def view_features(features: Tensor, noise_px: Tensor, level_sd_m: Tensor) -> Ten
 def volume_rule(rule: VolumeRule, features: Tensor) -> Tensor:
     """(B,) grams; as `VolumeRule.weights_g`."""
     terms = _terms(features, rule.names)
+    if rule.low:
+        terms = _between(terms, *(limit.tolist() for limit in limits_of(rule)))
     ln_g = rule.intercept + terms @ _row(rule.coefficients)
     if rule.products:
         ln_g = ln_g + _pairs(terms, rule.low, rule.high) @ _row(rule.products)
