@@ -27,7 +27,7 @@ from conveyor.files import whole_output
 from conveyor.formats import ply
 from conveyor.formats.packs import views as packed
 from conveyor.formats.plain import pinhole
-from conveyor.formats.potatotwin import intrinsics, layout, pairs
+from conveyor.formats.potatotwin import intrinsics, layout, pairs, resting
 from conveyor.formats.potatotwin import views as twin
 from conveyor.formats.potatotwin.layout import SPLITS
 from regressor.network import sampling
@@ -42,7 +42,7 @@ from regressor.weigh.view_features import view_features
 KEEP = 384
 GRAMS_PER_ML = (0.05, 20.0)
 """No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
-READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, twin)
+READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, resting, twin)
 PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
 LABELS = (

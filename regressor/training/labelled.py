@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.views import PackedView, count_views, read_views, view_shards
-from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, SPLITS, TRUTH, is_potatotwin, twin_resting
+from conveyor.formats.potatotwin.layout import INTRINSICS, RGBD, SPLITS, TRUTH, is_potatotwin
+from conveyor.formats.potatotwin.resting import twin_resting
 from conveyor.formats.potatotwin.views import TwinView, count_twin, labels_without_views, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel

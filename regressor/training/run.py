@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
+from conveyor.formats.potatotwin.layout import is_potatotwin
+from conveyor.formats.potatotwin.resting import level_of
+from conveyor.resting import RestingLevel
 from regressor.network.checkpoint import read_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
@@ -210,6 +213,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             "data": digest_of(data),
             "tubers": len(np.unique(data.tuber)),
             "refused_views": data.refused,
+            **_resting(options.data),
             "hours": round(progress.seconds / 3600, 3),
             "steps": progress.step,
             "settings": asdict(training.settings),
@@ -222,6 +226,15 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             "interval": calibrated.counted,
         },
     )
+
+
+def _resting(folder: Path) -> dict[str, Any]:
+    """How far below the belt the tubers of a 3DPotatoTwin folder were read; nothing where they lie on it."""
+    level, source = level_of(folder) if is_potatotwin(folder) else (RestingLevel(), "belt")
+    if level == RestingLevel():
+        return {}
+    told = {"offset_mm": round(1000 * level.offset_m, 3), "sd_mm": round(1000 * level.sd_m, 3), "source": source}
+    return {"resting": told}
 
 
 def _range(values: NDArray[np.float64], margin: float) -> Range:

@@ -17,12 +17,15 @@ from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_sc
 from regressor.studies.report import summary
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
-from regressor.training.run import RunOptions, load_sets
+from regressor.training.labelled import read_labelled
+from regressor.training.recipe import TrainSettings
+from regressor.training.run import RunOptions, load_sets, train
 from regressor.training.split import write_splits
 from regressor.weigh.files import FileOptions, prepare_file
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
+from tuberline.cli.resting import tell_trained_resting
 
 
 def test_the_cache_notices_other_splits_and_another_camera(tmp_path: Path) -> None:
@@ -195,6 +198,26 @@ def test_the_test_part_stays_untouched(tmp_path: Path) -> None:
         shutil.copy(SHIPPED.with_name(name), tmp_path / name)
     found = recalibrate(tmp_path / "tuberline-sim.safetensors", tmp_path / "crop", cache=None, max_views=None)
     assert found.metrics["calibration"]["tubers"] == 1
+
+
+def test_weights_know_how_far_below_the_belt_their_tubers_lay(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`evaluate` read the tubers 5.5 mm below their belt and said -0.3 %, `weigh` on it and said -9.7 %."""
+    write_twin(tmp_path / "crop", tubers=24, more={"resting_offset_mm": ["3"] * 24, "resting_sd_mm": ["1"] * 24})
+    write_twin(tmp_path / "other", tubers=4, seed=9)
+    (view, *_) = read_labelled(tmp_path / "crop")
+    assert (view.resting_offset_m, view.resting_sd_m) == (0.003, 0.001)
+    options = RunOptions(tmp_path / "crop", tmp_path / "other", tmp_path / "out", "x", False, 9.0, 9.0, 200, "train")
+    settings = TrainSettings(epochs=1.0, batch=8)
+    sidecar = train(
+        options, settings, on_prepared=lambda *_: None, on_step=lambda _: None, on_validated=lambda *_: None
+    )
+    assert sidecar.training["resting"] == {"offset_mm": 3.0, "sd_mm": 1.0, "source": "stated"}
+    tell_trained_resting(sidecar)
+    assert "--resting-offset-mm 3 --resting-sd-mm 1;" in capsys.readouterr().err
+    tell_trained_resting(load_weights()[1])
+    assert capsys.readouterr().err == ""
 
 
 def test_a_pack_has_no_split(tmp_path: Path) -> None:

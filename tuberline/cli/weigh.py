@@ -14,6 +14,7 @@ from conveyor.errors import InputError
 from conveyor.stated import BELT_SD_MM
 from tuberline.cli.numbers import BeltDistance, RestingOffset, RestingSd, within
 from tuberline.cli.progress import progress_bar
+from tuberline.cli.resting import tell_trained_resting
 from tuberline.cli.stoppable import leave, stoppable
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ def weigh(
     *,
     belt_distance_m: BeltDistance,
     belt_sd_mm: Annotated[float, within(*BELT_SD_MM, "mm")] = 2.0,
-    resting_offset_mm: RestingOffset = 0.0,
+    resting_offset_mm: RestingOffset | None = None,
     resting_sd_mm: RestingSd = 0.0,
     instances: Path | None = None,
     weights: Path | None = None,
@@ -52,7 +53,7 @@ def weigh(
     belt_sd_mm
         How well that distance is known, standard deviation in millimetres: it widens the intervals.
     resting_offset_mm
-        How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags.
+        How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags (0).
     resting_sd_mm
         How well that offset is known, standard deviation in millimetres.
     instances
@@ -82,10 +83,10 @@ def weigh(
             belt_sd_m=belt_sd_mm / 1000,
             depth_scale_m=depth_scale_m,
             intrinsics=intrinsics,
-            resting_offset_m=resting_offset_mm / 1000,
+            resting_offset_m=(resting_offset_mm or 0.0) / 1000,
             resting_sd_m=resting_sd_mm / 1000,
         )
-        _weigh_all(paths, instances, options, weights, done, progress)
+        _weigh_all(paths, instances, options, weights, done, progress, told=resting_offset_mm is not None)
 
     _run(weighed, len(paths), "json" if json else "csv" if csv else "table")
 
@@ -119,8 +120,10 @@ def _weigh_all(
     weights: Path | None,
     done: list[FileResult],
     progress: Progress,
+    *,
+    told: bool,
 ) -> None:
-    """One result after the other, so that what was weighed counts when stopped."""
+    """One result after the other, so that what was weighed counts when stopped. `told`: the resting offset was."""
     from conveyor.threads import use_threads
     from regressor.weigh.files import files_within, once_per_pair, weigh_file
     from regressor.weigh.instances import weigh_instances
@@ -131,6 +134,8 @@ def _weigh_all(
     wanted = paths if instances else once_per_pair(files_within(paths))
     progress.update(task, total=len(wanted))
     weigher = Weigher.load(weights)
+    if not told:
+        tell_trained_resting(weigher.sidecar)
     if instances is not None:
         done.extend(weigh_instances(paths[0], instances, options, weigher))
         return

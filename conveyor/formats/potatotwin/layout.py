@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.errors import InputError
-from conveyor.resting import POTATOTWIN, RestingLevel
 
 BELT_DISTANCES_M = {"2023": 0.345, "2024": 0.460, "2025": 0.465}
 """Camera to belt by growing season, H_cam of the paper."""
@@ -229,16 +228,3 @@ def _separated(columns: Sequence[str]) -> str:
     other = next((mark for mark in (";", "\t") if len(columns) == 1 and mark in columns[0]), None)
     words = {";": "semicolons", "\t": "tabs"}
     return f": its columns are separated by {words[other]}; save it with commas, and points in numbers" if other else ""
-
-
-def twin_resting(folder: Path) -> RestingLevel:
-    """The resting level of a folder in the layout of 3DPotatoTwin: measured for that data set, on the belt elsewhere.
-
-    A simulated folder, and a crop whose table says where its camera hung, are not that data set.
-    """
-    simulated = folder / "1_rgbd" / "0_camera_intrinsics" / "simulated_camera_intrinsic.json"
-    table = folder / "ground_truth.csv"
-    if simulated.is_file() or not table.is_file():
-        return RestingLevel()
-    with table.open(encoding="utf-8-sig") as file:
-        return RestingLevel() if "belt_distance_m" in file.readline() else POTATOTWIN

@@ -25,9 +25,9 @@ from conveyor.formats.potatotwin.layout import (
     image_labels,
     read_truth,
     truth_of,
-    twin_resting,
 )
 from conveyor.formats.potatotwin.pairs import read_images
+from conveyor.formats.potatotwin.resting import level_of
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
 
@@ -69,7 +69,8 @@ class PotatoTwinSource:
     @property
     def description(self) -> CameraDescription:
         """Intrinsics from the data set, belt distance from its table or the season."""
-        level = twin_resting(self._path)
+        level, source = level_of(self._path)
+        stated = source != "belt"
         return CameraDescription(
             name=self._camera,
             origin=f"3DPotatoTwin {self._path}, season {self._camera}",
@@ -79,8 +80,8 @@ class PotatoTwinSource:
             belt_from_camera=None,
             fps=FPS,
             frames=len(self._views),
-            resting_offset_mm=1000 * level.offset_m if level.sd_m else None,
-            resting_sd_mm=1000 * level.sd_m if level.sd_m else None,
+            resting_offset_mm=1000 * level.offset_m if stated else None,
+            resting_sd_mm=1000 * level.sd_m if stated else None,
         )
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
