@@ -98,7 +98,8 @@ class SegmenterConfig(Section):
         0.3, ge=-6, le=6, description="log-odds of tuber against clod, on this belt, under which a track is no tuber"
     )
     belt_sd_mm: BeltSd = Field(
-        2.0, description="how well the belt's height is known (standard deviation): widens intervals"
+        2.0,
+        description="how well the belt's height is known (standard deviation): widens intervals, moves weights",
     )
     belt_follow_mm: float = Field(
         6.0, ge=0, le=15, description="a given belt moves to where it is seen, by this much at most; 0: never"

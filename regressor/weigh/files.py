@@ -21,7 +21,8 @@ from regressor.weigh.weigher import Weighed, Weigher
 class FileOptions:
     """How files are read. `depth_scale_m` None takes what the intrinsics file says (1 mm where it says nothing).
 
-    `resting_offset_m`: how far the tuber's underside lies below the belt; the sd of each widens intervals.
+    `resting_offset_m`: how far the tuber's underside lies below the belt; the sd of each widens intervals
+    and moves weights a little.
     """
 
     belt_distance_m: float

@@ -163,10 +163,11 @@ def weigh(
             straight down on the belt (x right, y down in the image, z away from the camera); or a file of it
             (.ply, .npy, .npz, .xyz, .pcd, .las).
         belt_distance_m: from the camera to the belt along the optical axis, metres: 0.05 to 5.
-        belt_sd_mm: how well that distance is known, standard deviation in millimetres: 0 to 100. It widens the
-            interval and does not move the weight.
+        belt_sd_mm: how well that distance is known, standard deviation in millimetres: 0 to 100. The worse, the wider
+            the interval, and the less the height above the belt counts: up to 2.5 mm that moves the weight, too, most
+            by less than 5 %.
         resting_offset_mm: how far the tuber's underside lies below that belt, millimetres: -20 to 40.
-        resting_sd_mm: how well that is known, standard deviation in millimetres: 0 to 20.
+        resting_sd_mm: how well that is known, standard deviation in millimetres: 0 to 20, as `belt_sd_mm`.
         weights: from `load_weights`; None takes the shipped ones, which are loaded once.
 
     Returns:

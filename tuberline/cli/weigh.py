@@ -51,7 +51,8 @@ def weigh(
     belt_distance_m
         Camera to belt along the optical axis, metres.
     belt_sd_mm
-        How well that distance is known, standard deviation in millimetres: it widens the intervals.
+        How well that distance is known, standard deviation in millimetres: it widens intervals, and up to 2.5 mm it
+        moves weights a little.
     resting_offset_mm
         How far tubers' undersides lie below that distance, millimetres: between rods, on a belt that sags (0).
     resting_sd_mm
