@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.camera_flags import CAMERA_UNLIKE
-from conveyor.errors import InputError
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
 from regressor.studies.alone import Scale
 from regressor.studies.baselines import cross_validated, fit_linear, fit_product, oriented_box_m
 from regressor.studies.metrics import scores
 from regressor.training.labelled import UNKNOWN, LabelledView, Resting, read_labelled
+from regressor.training.plausible import Seen
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 from regressor.weigh.surface import NAMES
 from regressor.weigh.weigher import Weighed
@@ -105,7 +105,7 @@ def evaluate_views(
     """Weigh `labelled` views; `where` they are from. Views whose truth no one knows are refused.
 
     Raises:
-        InputError: nothing to weigh.
+        InputError: nothing to weigh, most views are off their belts, or weights are no grams.
     """
     views: list[LabelledView] = []
     answers: list[Weighed] = []
@@ -113,6 +113,7 @@ def evaluate_views(
     target = weigher.sidecar.target
     features: list[list[float]] = []
     refused: Counter[str] = Counter()
+    seen = Seen(where)
     for done, view in enumerate(labelled, start=1):
         if not 0 < getattr(view, target) < math.inf:
             refused[f"no_{target}"] += 1
@@ -121,7 +122,9 @@ def evaluate_views(
             cloud = view.prepare()
         except RefusedCloud as refusal:
             refused[refusal.reason] += 1
+            seen.refused(view.tuber, view.weight_g, refusal)
             continue
+        seen.usable(view.tuber, view.weight_g, cloud)
         length, width, _ = oriented_box_m(cloud.points)
         views.append(view)
         answer = weigher.weigh(cloud, belt_sd_m=view.belt_sd_m, resting_sd_m=view.resting_sd_m)
@@ -130,8 +133,7 @@ def evaluate_views(
         features.append([*cloud.surface.as_array(), 1e3 * length, 1e3 * width, 1e3 * cloud.height_m])
         if progress is not None:
             progress(done)
-    if not views:
-        raise InputError(f"{where} holds no view that can be weighed; refused: {dict(refused)}")
+    seen.check(refused)
     return _collect(views, answers, np.array(alone_g), np.array(features), dict(refused), weigher)
 
 

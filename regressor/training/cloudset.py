@@ -32,17 +32,15 @@ from conveyor.formats.potatotwin import views as twin
 from conveyor.formats.potatotwin.layout import SPLITS
 from regressor.network import sampling
 from regressor.network.sampling import farthest_points
-from regressor.training import labelled
+from regressor.training import labelled, plausible
 from regressor.training.labelled import NUMBERS, LabelledView, labelled_files, read_labelled, tubers_without_views
+from regressor.training.plausible import Seen
 from regressor.weigh import outline, pixel_grid, prepare, profile, surface
 from regressor.weigh.prepare import PreparedCloud, RefusedCloud
-from regressor.weigh.surface import NAMES
 from regressor.weigh.view_features import view_features
 
 KEEP = 384
-GRAMS_PER_ML = (0.05, 20.0)
-"""No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
-READERS = (labelled, ply, packed, pinhole, intrinsics, layout, pairs, resting, twin)
+READERS = (labelled, plausible, ply, packed, pinhole, intrinsics, layout, pairs, resting, twin)
 PREPARERS = (prepare, sampling, outline, pixel_grid, surface, profile, depth_noise)
 
 LABELS = (
@@ -198,31 +196,10 @@ def _load_pack(
         return stored
     without = tubers_without_views(folder, split=split)
     data = _prepare_all(read_labelled(folder, split=split), folder, keep, asked, progress)
-    _check_unit(data, folder)
     data = replace(data, refused={**data.refused, "tubers_without_views": without}) if without else data
     if file is not None:
         _write_cache(file, data)
     return data
-
-
-def _check_unit(data: CloudSet, folder: Path) -> None:
-    """Refuse weights that no crop can have for its volume: kilograms, or a volume from a wrong depth or belt distance.
-
-    Raises:
-        InputError: the median is out of `GRAMS_PER_ML`.
-    """
-    known = np.isfinite(data.weight_g)
-    if not known.any():
-        return
-    weight_g = float(np.median(data.weight_g[known]))
-    volume_ml = float(np.median(data.features[known, NAMES.index("volume_ml")]))
-    low, high = GRAMS_PER_ML
-    if not low <= weight_g / volume_ml <= high:
-        raise InputError(
-            f"{folder}: a median weight of {weight_g:.3g} stands beside a median visible volume of {volume_ml:.3g} ml; "
-            f"allowed are {low:g} to {high:g} g a ml. Check that weights are grams, that belt distances are metres "
-            "from the camera to the belt, and the depth images' scale"
-        )
 
 
 def joined(sets: list[CloudSet]) -> CloudSet:
@@ -260,20 +237,22 @@ def _prepare_all(
     kept: list[tuple[LabelledView, NDArray[np.float32], PreparedCloud, int]] = []
     network_g: list[float | None] = []
     refused: Counter[str] = Counter()
+    seen = Seen(str(folder))
     for done, view in enumerate(views, start=1):
         try:
             cloud = view.prepare()
         except RefusedCloud as error:
             refused[error.reason] += 1
+            seen.refused(view.tuber, view.weight_g, error)
             continue
+        seen.usable(view.tuber, view.weight_g, cloud)
         # The whole cloud is let go: its first points are what is kept of it.
         points = _first_points(cloud.points, keep)
         kept.append((view, points, replace(cloud, points=cloud.points[:0]), len(cloud.points)))
         network_g.append(asked.network_g(cloud) if asked is not None else None)
         if progress is not None and done % 200 == 0:
             progress(done)
-    if not kept:
-        raise InputError(f"{folder} holds no usable view; refused: {dict(refused)}")
+    seen.check(refused)
     labels = [view for view, *_ in kept]
     return CloudSet(
         points=np.stack([points for _, points, *_ in kept]),

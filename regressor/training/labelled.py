@@ -22,6 +22,7 @@ from conveyor.formats.potatotwin.resting import twin_resting
 from conveyor.formats.potatotwin.views import TwinView, count_twin, labels_without_views, read_twin
 from conveyor.geometry import TYPICAL_BELT_SD_M, straight_down_belt_from_camera
 from conveyor.resting import RestingLevel
+from regressor.training.plausible import check_place
 from regressor.weigh.prepare import PreparedCloud, prepare_cloud, prepare_depth
 
 Resting = Literal["calibrated", "stated"]
@@ -95,8 +96,13 @@ class LabelledView:
         """The cleaned, level, centred cloud.
 
         Raises:
-            RefusedCloud: the view cannot be weighed.
+            RefusedCloud: the view cannot be weighed, or is off its belt.
         """
+        cloud = self._prepared()
+        check_place(self.tuber, cloud)
+        return cloud
+
+    def _prepared(self) -> PreparedCloud:
         if self.cloud is not None:
             return prepare_cloud(
                 self.cloud, belt_distance_m=self.belt_distance_m, resting_offset_m=self.resting_offset_m

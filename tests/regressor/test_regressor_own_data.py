@@ -141,6 +141,43 @@ def test_a_wrong_unit_is_refused(tmp_path: Path, unit: str) -> None:
         load_cloudset(tmp_path)
 
 
+@pytest.mark.parametrize("wrong", ["scale", "belt"])
+def test_views_that_weigh_refuses_are_no_data(wrong: str, tmp_path: Path) -> None:
+    """A depth scale of 10000 on 1 mm images and a belt at 0.82 m instead of 0.42 were trained on and judged by."""
+    write_twin(tmp_path, tubers=3, belt_distance_m=0.82 if wrong == "belt" else 0.42)
+    if wrong == "belt":
+        table = (tmp_path / "ground_truth.csv").read_text(encoding="utf-8")
+        (tmp_path / "ground_truth.csv").write_text(table.replace(",0.82", ",1.22"), encoding="utf-8")
+    else:
+        (camera,) = (tmp_path / "1_rgbd" / "0_camera_intrinsics").iterdir()
+        camera.write_text(camera.read_text(encoding="utf-8").replace("1000", "2000"), encoding="utf-8")
+    words = r": 3 of 3 views float above their belt or lie under it.* is 0\.\d+ m from the camera and its belt "
+    with pytest.raises(InputError, match=words):
+        load_cloudset(tmp_path)
+    with pytest.raises(InputError, match=words):
+        evaluate(tmp_path, Weigher.load())
+
+
+def test_one_wrong_belt_distance_is_counted(tmp_path: Path) -> None:
+    labels = write_twin(tmp_path, tubers=4)
+    table = (tmp_path / "ground_truth.csv").read_text(encoding="utf-8").splitlines()
+    table[1] = table[1].replace(",0.42", ",0.82")
+    (tmp_path / "ground_truth.csv").write_text("\n".join(table), encoding="utf-8")
+    data = load_cloudset(tmp_path)
+    assert (data.tuber.tolist(), data.refused) == (labels[1:], {"off_the_belt": 1})
+    assert evaluate(tmp_path, Weigher.load()).refused == {"off_the_belt": 1}
+
+
+def test_one_weight_in_kilograms_is_refused(tmp_path: Path) -> None:
+    """The median alone was looked at."""
+    write_twin(tmp_path, tubers=4, weights_g=["120", "0.14", "150", "160"])
+    words = r"1 of 4 tubers are too light for what is seen of them: 't001' weighs 0\.14, with a visible volume of"
+    with pytest.raises(InputError, match=words):
+        load_cloudset(tmp_path)
+    with pytest.raises(InputError, match=words):
+        evaluate(tmp_path, Weigher.load())
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -1,0 +1,103 @@
+"""What labelled views cannot be: tubers in the air or under their belt, and weights that are no grams.
+
+`weigh` refuses such a cloud. A training that takes it learns from it, and an evaluation judges by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from conveyor.errors import InputError
+from regressor.weigh.files import distance_fault
+from regressor.weigh.prepare import PreparedCloud, RefusedCloud
+
+GRAMS_PER_ML = (0.05, 20.0)
+"""No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
+OFF_THE_BELT = "off_the_belt"
+MOST_OFF = 0.5
+"""Share of a set's views that may float above or lie under their belts: a wrong distance or unit is all of them."""
+CHECK = (
+    "Check that weights are grams, that belt distances are metres from the camera to the belt, and the depth images' "
+    "scale"
+)
+
+
+class OffTheBelt(RefusedCloud):
+    """A view whose `cloud` floats high above its belt or lies wholly below it."""
+
+    def __init__(self, name: str, cloud: PreparedCloud) -> None:
+        nearest_m = cloud.belt_distance_m + cloud.resting_offset_m - cloud.height_m
+        InputError.__init__(
+            self,
+            f"the nearest point of '{name}' is {nearest_m:.3f} m from the camera and its belt "
+            f"{cloud.belt_distance_m:.3f} m",
+        )
+        self.reason = OFF_THE_BELT
+        self.cloud = cloud
+
+
+def check_place(name: str, cloud: PreparedCloud) -> None:
+    """Refuse a view as `weigh` does.
+
+    Raises:
+        OffTheBelt: its cloud is far from its belt. `name`: of its tuber.
+    """
+    if distance_fault(name, cloud):
+        raise OffTheBelt(name, cloud)
+
+
+class Seen:
+    """What was seen of a set's views, to refuse the set where it cannot be right."""
+
+    def __init__(self, where: str) -> None:
+        """`where`: they are from."""
+        self._where = where
+        self._seen: list[tuple[str, float, float]] = []
+        self._off: list[tuple[str, float, float]] = []
+        self._example = ""
+
+    def usable(self, tuber: str, weight_g: float, cloud: PreparedCloud) -> None:
+        """One more view that can be used; a weight that is not known is NaN."""
+        self._seen.append((tuber, weight_g, cloud.surface.volume_ml))
+
+    def refused(self, tuber: str, weight_g: float, refusal: RefusedCloud) -> None:
+        """One more that cannot."""
+        if isinstance(refusal, OffTheBelt):
+            self._off.append((tuber, weight_g, refusal.cloud.surface.volume_ml))
+            self._example = self._example or str(refusal)
+
+    def check(self, refused: Mapping[str, int]) -> None:
+        """Refuse the set. `refused`: how many views were, by reason.
+
+        Raises:
+            InputError: the median weight is none for the median volume, most views are off their belts, none can be
+                used, or tubers are too light for what is seen of them.
+        """
+        low, high = GRAMS_PER_ML
+        known = [view for view in [*self._seen, *self._off] if np.isfinite(view[1])]
+        if known:
+            weight_g, volume_ml = (float(np.median([view[at] for view in known])) for at in (1, 2))
+            if not low <= weight_g / max(volume_ml, 1e-3) <= high:
+                raise InputError(
+                    f"{self._where}: a median weight of {weight_g:.3g} stands beside a median visible volume of "
+                    f"{volume_ml:.3g} ml; allowed are {low:g} to {high:g} g a ml. {CHECK}"
+                )
+        off, all_views = len(self._off), len(self._off) + len(self._seen)
+        if off > MOST_OFF * all_views:
+            raise InputError(
+                f"{self._where}: {off} of {all_views} views float above their belt or lie under it, where `weigh` "
+                f"refuses them: {self._example}. {CHECK}"
+            )
+        if not self._seen:
+            raise InputError(f"{self._where} holds no view that can be weighed; refused: {dict(refused)}")
+        # What is too heavy may be a view of which most is hidden; nothing makes a view too large.
+        light = {view[0]: view for view in self._seen if view[1] < low * view[2]}
+        if light:
+            name, weight_g, volume_ml = min(light.values())
+            raise InputError(
+                f"{self._where}: {len(light)} of {len({view[0] for view in self._seen})} tubers are too light for what "
+                f"is seen of them: '{name}' weighs {weight_g:g}, with a visible volume of {volume_ml:.3g} ml; at least "
+                f"{low:g} g a ml are allowed. {CHECK}"
+            )
