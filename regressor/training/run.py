@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from conveyor.camera_range import CAMERAS
@@ -95,7 +96,9 @@ def train(
         training.start_from(read_checkpoint(options.start)[0])
     state = options.out / STATE
     if options.resume:
-        training.restore(load_state(state))
+        begun = load_state(state)
+        _check_start(begun, training)
+        training.restore(begun)
     elif state.is_file():
         raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -115,6 +118,23 @@ def train(
         on_step=on_step,
     )
     return read_weights(options.out / WEIGHTS)[1]
+
+
+def _check_start(begun: dict[str, Any], training: Training) -> None:
+    """Refuse to go on from other weights than a training was begun with: they would stand in its sidecar's command.
+
+    Raises:
+        InputError: the state was begun with others, with none, or with some where none are given.
+    """
+    before, now = begun.get("start"), training.start
+    if "start" not in begun or (before is None and now is None):
+        return
+    if before is None or now is None or not all(torch.equal(before[name], now[name].cpu()) for name in before):
+        with_what = "without weights to start from" if before is None else "from other weights"
+        raise InputError(
+            f"this training was begun {with_what}. A training goes on as it was begun: give the --start of its first "
+            "call with --resume, or begin another one with another --out"
+        )
 
 
 def load_sets(

@@ -48,7 +48,7 @@ class Progress:
 
 
 class Training:
-    """One training: model, its moving average, optimiser, draws and log."""
+    """One training: model, its moving average, optimiser, draws and log. `start`: weights that it began with."""
 
     def __init__(self, data: CloudSet, validation: CloudSet, settings: TrainSettings) -> None:
         if len(data) < settings.batch:
@@ -67,7 +67,7 @@ class Training:
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=settings.lr, weight_decay=settings.weight_decay)
         self.progress = Progress()
-        self._start: dict[str, Tensor] | None = None
+        self.start: dict[str, Tensor] | None = None
         self._weights = class_weights(data.weight_g)
 
     @property
@@ -179,7 +179,7 @@ class Training:
         with torch.random.fork_rng(devices=[]):
             model = self._new_network()
         state = self.average if self.settings.average else self.model.state_dict()
-        model.load_state_dict(mean_of(state, self._start, share=self.settings.start_share) if self._start else state)
+        model.load_state_dict(mean_of(state, self.start, share=self.settings.start_share) if self.start else state)
         return model.eval()
 
     def _freeze(self) -> None:
@@ -203,14 +203,15 @@ class Training:
         except RuntimeError as error:
             raise InputError(f"the weights to start from are of another network: {error}") from error
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
-        self._start = {name: value.clone() for name, value in self.model.state_dict().items()}
+        self.start = {name: value.clone() for name, value in self.model.state_dict().items()}
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on."""
         return {
             "settings": asdict(self.settings),
             "data": digest_of(self.data),
-            "start": self._start,
+            "validation": digest_of(self.validation),
+            "start": self.start,
             "model": self.model.state_dict(),
             "average": self.average,
             "optimiser": self.optimiser.state_dict(),
@@ -224,18 +225,19 @@ class Training:
         """Go on from `state()`.
 
         Raises:
-            InputError: it is of a training with other settings, or on other views.
+            InputError: it is of a training with other settings, or on other views, be it those that it is judged by.
         """
         changed = differences(state["settings"], asdict(self.settings))
-        if state.get("data", mine := digest_of(self.data)) != mine:
-            changed.append("other training views")
+        for key, what, views in (("data", "training", self.data), ("validation", "validation", self.validation)):
+            if state.get(key, mine := digest_of(views)) != mine:
+                changed.append(f"other {what} views")
         if changed:
             raise InputError(
                 f"this training was begun otherwise: {'; '.join(changed)}. A training goes on as it was begun: give "
                 "the options of its first call with --resume, or begin another one with another --out"
             )
         if state.get("start") is not None:
-            self._start = {name: value.to(self.device) for name, value in state["start"].items()}
+            self.start = {name: value.to(self.device) for name, value in state["start"].items()}
         self.model.load_state_dict(state["model"])
         self.average = {name: value.to(self.device) for name, value in state["average"].items()}
         self.optimiser.load_state_dict(state["optimiser"])

@@ -12,11 +12,12 @@ import pytest
 import torch
 
 from conveyor.errors import InputError, TuberlineError
-from regressor.network.checkpoint import load_checkpoint, state_of
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint, state_of
 from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
 from regressor.network.reduced import Resolution, reduced_forward
 from regressor.network.sampling import farthest_points
+from regressor.network.sidecar import Sidecar
 from regressor.studies.ablate import RULES, ablate, read_table
 from regressor.studies.evaluate import LINEAR_BOX, evaluate
 from regressor.studies.report import markdown, summary
@@ -33,6 +34,7 @@ from regressor.weigh.volume import fit_volume_rule
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.training_step import check_same_step, readable_in_training
+from tuberline.cli.train import train as train_command
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
 
@@ -144,6 +146,36 @@ def test_a_training_goes_on_as_it_was_begun(data: CloudSet) -> None:
         Training(data, data, other).restore(state)
     with pytest.raises(InputError, match="begun otherwise: other training views"):
         Training(data.subset(np.arange(30)), data, QUICK).restore(state)
+    with pytest.raises(InputError, match="begun otherwise: other validation views"):
+        Training(data, data.subset(np.arange(30)), QUICK).restore(state)
+
+
+def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, tmp_path: Path) -> None:
+    """Another --start was ignored and written down as the command; another --val rewrote the figures."""
+    torch.manual_seed(4)
+    for name in ("a", "b"):
+        save_checkpoint(tmp_path / f"{name}.safetensors", PointRaft().state_dict(), Sidecar(name=name))
+    first = replace(_options(packs, tmp_path / "out"), start=tmp_path / "a.safetensors")
+    told: dict[str, Any] = {
+        "on_prepared": lambda what, done: None,
+        "on_step": lambda training: None,
+        "on_validated": lambda training, metrics: None,
+    }
+    train(first, QUICK, **told)
+    again = replace(first, resume=True)
+    train(again, QUICK, **told)
+    with pytest.raises(InputError, match=r"begun from other weights.* --start of its first call"):
+        train(replace(again, start=tmp_path / "b.safetensors"), QUICK, **told)
+    with pytest.raises(InputError, match="begun from other weights"):
+        train(replace(again, start=None), QUICK, **told)
+    write_pack(tmp_path / "other", tubers=10, views=2, seed=7)
+    with pytest.raises(InputError, match="begun otherwise: other validation views"):
+        train(replace(again, validation=tmp_path / "other"), QUICK, **told)
+
+
+def test_a_share_of_the_start_needs_one() -> None:
+    with pytest.raises(InputError, match=r"--start-share 0.5 is of the network that --start names"):
+        train_command(data=Path("a"), val=Path("b"), out=Path("c"), start_share=0.5)
 
 
 def test_a_resumed_fine_tuning_keeps_a_share_of_what_it_started_from(data: CloudSet) -> None:

@@ -106,8 +106,7 @@ def train(
     from regressor.training.recipe import recipe_named
     from tuberline.cli.training_bar import TrainingBar
 
-    if (recipe == "fine-tune") != (start is not None):
-        raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
+    _check_start(recipe, start, start_share)
     settings = recipe_named(
         recipe,
         epochs=epochs,
@@ -142,6 +141,14 @@ def train(
     with TrainingBar() as bar:
         sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)
     _tell(out / "weights.safetensors", sidecar)
+
+
+def _check_start(recipe: str, start: Path | None, start_share: float | None) -> None:
+    """Refuse options that need each other."""
+    if start_share is not None and start is None:
+        raise InputError(f"--start-share {start_share:g} is of the network that --start names, and none is given")
+    if (recipe == "fine-tune") != (start is not None):
+        raise InputError("--recipe fine-tune and --start WEIGHTS belong together: give both or neither")
 
 
 def _tell(weights: Path, sidecar: Sidecar) -> None:
