@@ -21,6 +21,7 @@ from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
+from regressor.training.begun import digest_of
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import UNKNOWN, part_of
 from regressor.training.tuber_interval import calibrate_tubers
@@ -207,7 +208,7 @@ def recalibrate(
     Of a folder with a splits.csv the part 'val' is read.
 
     Raises:
-        InputError: weights without a sidecar of their own, or views that cannot be used.
+        InputError: weights without a sidecar of their own, views that cannot be used, or those of the training.
     """
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
@@ -222,6 +223,12 @@ def recalibrate(
         progress=preparing(data, on_work, split=split),
     )
     views = views.with_target(sidecar.target)
+    learned = sidecar.training.get("data")
+    if learned is not None and learned in (digest_of(views), digest_of(views.subset(views.clean))):
+        raise InputError(
+            f"{data} is what {weights} were trained on: a network answers the views that it has learned too well, and "
+            "intervals would be too narrow. Give tubers that no training has seen"
+        )
     network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)
     rule = sidecar.blend_rule

@@ -12,9 +12,11 @@ import pytest
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import labels_of_split
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.stored import SHIPPED, load_weights
 from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_scores
 from regressor.studies.report import summary
+from regressor.training.begun import digest_of
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.labelled import read_labelled
@@ -25,7 +27,7 @@ from regressor.weigh.files import FileOptions, prepare_file
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
-from tuberline.cli.resting import tell_trained_resting
+from tuberline.cli.twin_told import tell_trained_resting, tell_twin
 
 
 def test_the_cache_notices_other_splits_and_another_camera(tmp_path: Path) -> None:
@@ -290,3 +292,30 @@ def test_views_without_the_target_are_refused_and_counted(tmp_path: Path) -> Non
     assert result.refused == {"no_volume_ml": 1}
     assert result.weight_g.tolist() == [120.0] * 6
     json.dumps(summary(result), allow_nan=False)
+
+
+def test_what_no_part_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A label that splits.csv lacks, or an image whose depth was lost, left trainings without a word."""
+    labels = write_twin(tmp_path / "crop", tubers=4)
+    tell_twin(tmp_path / "crop")
+    write_parts(tmp_path / "crop", {"train": labels[:2], "val": labels[2:3]})
+    (tmp_path / "crop" / "1_rgbd" / "1_image" / "t000" / "t000_depth_360.png").unlink()
+    assert capsys.readouterr().err == ""
+    tell_twin(tmp_path / "crop", tmp_path / "crop", tmp_path)
+    assert capsys.readouterr().err == (
+        f"{tmp_path / 'crop'}: 1 labels of ground_truth.csv stand in no part of splits.csv ('t003'); 1 colour images "
+        "have no depth image beside them ('t000_rgb_360.png') and are no views\n"
+    )
+
+
+def test_the_views_of_a_training_calibrate_no_interval(tmp_path: Path) -> None:
+    """A network answers them too well: intervals came out half as wide."""
+    write_pack(tmp_path / "pack", tubers=24, views=1, seed=1)
+    model, sidecar = load_checkpoint()
+    learned = {**sidecar.training, "data": digest_of(load_cloudset(tmp_path / "pack"))}
+    path = tmp_path / "w.safetensors"
+    save_checkpoint(path, model.state_dict(), sidecar.model_copy(update={"training": learned}))
+    with pytest.raises(InputError, match=r"pack is what .* were trained on"):
+        recalibrate(path, tmp_path / "pack", cache=None, max_views=None)
+    write_pack(tmp_path / "fresh", tubers=24, views=1, seed=2)
+    assert recalibrate(path, tmp_path / "fresh", cache=None, max_views=None).metrics["interval"]["tubers"] == 24

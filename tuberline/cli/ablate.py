@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from tuberline.cli.numbers import Many, Seed
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 
 def ablate(
@@ -67,7 +67,7 @@ def ablate(
     from tuberline.cli.markdown import print_markdown
     from tuberline.cli.training_bar import TrainingBar
 
-    tell_resting(data, val, test)
+    tell_twin(data, val, test)
     torch.set_num_threads(1)
     given = {"epochs": epochs, "minutes": minutes, "lr": lr, "compute": compute, "device": device, "seed": seed}
     settings = recipe_named("tuberline", shear=None, **given)

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from tuberline.cli.calibrate_interval import wide
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 
 def calibrate_blend(
@@ -47,7 +47,7 @@ def calibrate_blend(
     from regressor.training.stacking import restack
     from tuberline.cli.progress import work_bar
 
-    tell_resting(data, unseen)
+    tell_twin(data, unseen)
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
         sidecar = restack(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tuberline.cli.numbers import Many
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 if TYPE_CHECKING:
     import torch
@@ -46,7 +46,7 @@ def calibrate_interval(
     from regressor.training.tuber_interval import interval_told
     from tuberline.cli.progress import work_bar
 
-    tell_resting(data)
+    tell_twin(data)
     torch.set_num_threads(1)
     with work_bar("reading views") as on_work:
         sidecar = recalibrate(weights, data, cache=cache, max_views=max_views, compute=wide(compute), on_work=on_work)

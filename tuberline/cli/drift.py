@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 
 def drift(
@@ -59,7 +59,7 @@ def drift(
     others = dict(text.partition("=")[::2] for text in also or [])
     if not all(others.values()):
         raise InputError(f"--also {' '.join(also or [])}: every further pack is NAME=FOLDER")
-    tell_resting(data, *map(Path, others.values()))
+    tell_twin(data, *map(Path, others.values()))
     with work_bar("weighing") as on_work:
         measured = run(
             data,

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 
 def evaluate(
@@ -75,7 +75,7 @@ def evaluate(
     use_threads(1)
     if split is None and part_of(data, "test") is not None:
         sys.stderr.write(f"{data} has a splits.csv: all its parts are judged; --split test takes the test part alone\n")
-    tell_resting(data)
+    tell_twin(data)
     known = None if season else min(count_labelled(data, split=split), max_views or sys.maxsize)
     with work_bar("reading views") as on_work:
         result = run(

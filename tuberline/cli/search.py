@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from tuberline.cli.numbers import Many, Seed
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 
 def search(
@@ -67,7 +67,7 @@ def search(
     from regressor.training.run import RunOptions, keep_memory, load_sets
     from tuberline.cli.training_bar import TrainingBar
 
-    tell_resting(data, val)
+    tell_twin(data, val)
     torch.set_num_threads(1)
     keep_memory()
     settings = recipe_named(recipe, shear=None, epochs=epochs, minutes=minutes, compute=compute, seed=seed)

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from conveyor.errors import InputError
 from tuberline.cli.numbers import Many, Seed, within
-from tuberline.cli.resting import tell_resting
+from tuberline.cli.twin_told import tell_twin
 
 if TYPE_CHECKING:
     from regressor.network.sidecar import Sidecar
@@ -136,7 +136,7 @@ def train(
         command=shlex.join(["tuberline", *sys.argv[1:]]),
         start=start,
     )
-    tell_resting(data, val)
+    tell_twin(data, val)
     torch.set_num_threads(threads)
     with TrainingBar() as bar:
         sidecar = run.train(options, settings, on_prepared=bar.prepared, on_step=bar.step, on_validated=bar.validated)

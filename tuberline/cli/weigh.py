@@ -14,8 +14,8 @@ from conveyor.errors import InputError
 from conveyor.stated import BELT_SD_MM
 from tuberline.cli.numbers import BeltDistance, RestingOffset, RestingSd, within
 from tuberline.cli.progress import progress_bar
-from tuberline.cli.resting import tell_trained_resting
 from tuberline.cli.stoppable import leave, stoppable
+from tuberline.cli.twin_told import tell_trained_resting
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -141,11 +141,11 @@ def truth_of(truth: dict[str, TruthRow], label: str) -> TruthRow:
     return truth.get(label) or TruthRow(label, season, BELT_DISTANCES_M.get(season))
 
 
-def labels_of_split(folder: Path, split: str) -> set[str]:
-    """The labels of one split of splits.csv.
+def part_by_label(folder: Path) -> dict[str, str]:
+    """The part of each label of splits.csv.
 
     Raises:
-        InputError: no such file, no such split (names those there are), or a label that stands in two of them.
+        InputError: no such file, or a label that stands in two parts.
     """
     parts: dict[str, str] = {}
     for number, row in enumerate(_rows(folder / SPLITS, "split"), start=2):
@@ -155,6 +155,16 @@ def labels_of_split(folder: Path, split: str) -> set[str]:
                 f"{folder / SPLITS} line {number}: label '{label}' is in '{part}' and in '{parts[label]}' before; a "
                 "tuber belongs to one part, else it is trained on and tested"
             )
+    return parts
+
+
+def labels_of_split(folder: Path, split: str) -> set[str]:
+    """The labels of one split of splits.csv.
+
+    Raises:
+        InputError: as `part_by_label`, or no such split (names those there are).
+    """
+    parts = part_by_label(folder)
     if split not in parts.values():
         known = ", ".join(sorted(set(parts.values()))) or "none: it has no rows"
         raise InputError(f"{folder / SPLITS} has no split '{split}'; known: {known}")

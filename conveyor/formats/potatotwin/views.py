@@ -26,6 +26,7 @@ from conveyor.formats.potatotwin.layout import (
     cloud_files,
     depth_files,
     labels_of_split,
+    part_by_label,
     read_truth,
     weight_said,
 )
@@ -103,6 +104,26 @@ def labels_without_views(folder: Path, *, split: str | None = None) -> list[str]
             "in the folders; a label is written alike in all of them"
         )
     return without
+
+
+def left_out_told(folder: Path) -> str:
+    """For people: what no part of a folder has, and no training or study of a part reads; empty where that is nothing.
+
+    Labels of the table that stand in no part of splits.csv, and colour images whose depth image is missing.
+
+    Raises:
+        InputError: a table that cannot be read.
+    """
+    parts = part_by_label(folder) if (folder / SPLITS).is_file() else None
+    unlisted = [label for label in read_truth(folder) if parts is not None and label not in parts]
+    colour = sorted((folder / RGBD / IMAGES).glob("*/*_rgb_*.png"))
+    alone = [path.name for path in colour if not path.with_name(path.name.replace("_rgb_", "_depth_")).is_file()]
+    told = []
+    if unlisted:
+        told.append(f"{len(unlisted)} labels of {TRUTH} stand in no part of {SPLITS} ({_some(unlisted)})")
+    if alone:
+        told.append(f"{len(alone)} colour images have no depth image beside them ({_some(alone)}) and are no views")
+    return f"{folder}: {'; '.join(told)}" if told else ""
 
 
 def _some(names: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""What commands say of the resting level of what they read and weigh by."""
+"""What commands say of a 3DPotatoTwin folder before they read it, and of weights that learned from one."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ if TYPE_CHECKING:
     from regressor.network.sidecar import Sidecar
 
 
-def tell_resting(*folders: Path) -> None:
-    """One line on stderr for each of `folders` whose tubers are read as lying elsewhere than on their belt.
+def tell_twin(*folders: Path) -> None:
+    """Lines on stderr for each of `folders`: its resting level, where that is not the belt, and what is left out of it.
 
     Raises:
-        InputError: a folder's table states a level that is none.
+        InputError: a folder's table states a level that is none, or cannot be read.
     """
+    from conveyor.formats.potatotwin.layout import is_potatotwin
     from conveyor.formats.potatotwin.resting import resting_told
+    from conveyor.formats.potatotwin.views import left_out_told
 
-    for told in dict.fromkeys(map(resting_told, folders)):
-        if told:
-            sys.stderr.write(f"{told}\n")
+    for folder in dict.fromkeys(folder for folder in folders if is_potatotwin(folder)):
+        for told in (resting_told(folder), left_out_told(folder)):
+            if told:
+                sys.stderr.write(f"{told}\n")
 
 
 def tell_trained_resting(sidecar: Sidecar) -> None:
