@@ -71,6 +71,17 @@ def whole_output(target: Path) -> Iterator[Path]:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
+def remove_partials(folder: Path, names: str) -> int:
+    """Remove what `whole_output` left of targets in `folder` whose process was killed; how many there were.
+
+    `names`: of the targets, as `fnmatch` has them. Only where no other process writes to those targets.
+    """
+    left = [path for path in folder.glob(f".{names}.partial-*") if path.is_dir()]
+    for path in left:
+        shutil.rmtree(path, ignore_errors=True)
+    return len(left)
+
+
 def cause(error: OSError) -> str:
     """Why the operating system refused, and how to fix it."""
     fix = _FIXES.get(error.errno or 0, "")

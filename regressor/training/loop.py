@@ -115,5 +115,8 @@ def load_state(path: Path) -> dict[str, Any]:
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a wide, undocumented set for broken files
-        raise InputError(f"training state {path} cannot be read: {error}; start without --resume") from error
+        raise InputError(
+            f"training state {path} cannot be read: {error}. What it held is lost: begin "
+            "another training with another --out, or take that file away to begin again in its folder"
+        ) from error
     return state

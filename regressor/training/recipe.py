@@ -18,6 +18,8 @@ from regressor.training.cloudset import KEEP, Target
 from regressor.weigh.prepare import MAX_HEIGHT_M
 
 OURS = Augmentation()
+DECAY = 0.97
+"""Of the paper's learning rate, an epoch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class TrainSettings:
     Attributes:
         epochs: passes over the training set; minutes: stop by the clock instead (epochs is then ignored).
         final_lr: learning rate at the end, as a share of `lr`; it falls exponentially (`schedule` 'exponential', the
-            paper's 0.97 per epoch over 50 epochs) or along a cosine.
+            paper's 0.97 per epoch; over 50 of them where it trains by the clock) or along a cosine.
         natural_share: last share of the training that draws clouds as they come instead of balanced by weight class.
         warm_share, wide_share: share of the training at 32 neighbours and 32 centroids, and from there on with all
             neighbours but 32 centroids; the rest runs at full resolution.
@@ -92,7 +94,7 @@ class TrainSettings:
         """The paper's recipe, with augmentation fresh in every epoch."""
         return cls(
             schedule="exponential",
-            final_lr=0.97**50,
+            final_lr=DECAY**50,
             dropout=DROPOUT,
             natural_share=0.0,
             warm_share=0.0,
@@ -150,4 +152,6 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
             raise InputError(f"--{option} is {value:g}; it must be above 0")
     recipes = {"tuberline": TrainSettings, "paper": TrainSettings.paper, "fine-tune": TrainSettings.fine_tuning}
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
+    if name == "paper" and given.get("epochs") is not None:
+        settings = replace(settings, final_lr=float(DECAY**settings.epochs))
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
+from conveyor.files import remove_partials
 from conveyor.formats.potatotwin.layout import is_potatotwin
 from conveyor.formats.potatotwin.resting import level_of
 from conveyor.resting import RestingLevel
@@ -102,6 +103,9 @@ def train(
     elif state.is_file():
         raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     options.out.mkdir(parents=True, exist_ok=True)
+    for name in (WEIGHTS, LATEST, STATE):
+        remove_partials(options.out, name)
+    remove_partials(options.out / "cache", "clouds-*")
 
     def write(model: Network, predicted: NDArray[np.float64], best: bool) -> None:
         sidecar = make_sidecar(training, predicted, rule, options)

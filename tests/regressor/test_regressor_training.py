@@ -25,7 +25,7 @@ from regressor.training.augment import Augmentation, augmented_batch
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
 from regressor.training.loop import load_state, save_state
-from regressor.training.recipe import TrainSettings
+from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.run import RunOptions, clean_views, load_sets, train
 from regressor.training.stacking import restack
 from regressor.training.train import Training, class_weights, predict
@@ -171,6 +171,34 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
     write_pack(tmp_path / "other", tubers=10, views=2, seed=7)
     with pytest.raises(InputError, match="begun otherwise: other validation views"):
         train(replace(again, validation=tmp_path / "other"), QUICK, **told)
+
+
+def test_a_state_that_cannot_be_read_says_how_to_go_on(packs: Path, tmp_path: Path) -> None:
+    """It said to start without --resume, and without it that --resume goes on."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "state.pt").write_bytes(b"half a state")
+    told: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
+    with pytest.raises(InputError, match=r"cannot be read.*another --out, or take that file away to begin again"):
+        train(replace(_options(packs, tmp_path / "out"), resume=True), QUICK, **told)
+
+
+def test_what_a_killed_training_left_goes_at_the_next_start(packs: Path, tmp_path: Path) -> None:
+    killed = tmp_path / "out" / ".state.pt.partial-abcd"
+    killed.mkdir(parents=True)
+    (killed / "state.pt").write_bytes(b"half")
+    (tmp_path / "out" / ".notes.partial-x").mkdir()
+    told: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
+    train(_options(packs, tmp_path / "out"), QUICK, **told)
+    assert not killed.exists()
+    assert (tmp_path / "out" / ".notes.partial-x").exists()
+
+
+@pytest.mark.parametrize("epochs", [None, 10.0, 50.0])
+def test_the_paper_s_rate_falls_by_its_own_step_an_epoch(epochs: float | None) -> None:
+    """With 10 epochs it fell by 14 % an epoch: all that 50 lose."""
+    settings = recipe_named("paper", shear=None, epochs=epochs)
+    assert settings.learning_rate(1 / settings.epochs) == pytest.approx(0.97 * settings.lr)
+    assert recipe_named("paper", shear=None) == TrainSettings.paper()
 
 
 def test_a_share_of_the_start_needs_one() -> None:
