@@ -28,6 +28,8 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
         return None
     if load.undone or not load.spans:
         raise InputError(f"{load.told} holds no belt: its start was undone")
+    if found.open:
+        raise InputError(f"{load.told} is still open: a ticket is held against all of it, once it has ended")
     sums, coverage = found.sums, found.coverage or 0.0
     totals = LoadTotals(sums)
     whole = totals.whole(coverage, belt_m=found.belt_m)

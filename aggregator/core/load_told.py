@@ -32,6 +32,7 @@ class LoadCounted:
         most_m: the belt that can have passed at most, where it is not known how far it moved; else None.
         stated_offset_mm: resting offset that it was weighed with, in the mean where the line's file changed on the way;
             None where no load was started.
+        open: its line runs, and what passes now belongs to it.
     """
 
     sums: LoadSums
@@ -40,6 +41,7 @@ class LoadCounted:
     unseen_m: Mapping[str, float]
     most_m: float | None = None
     stated_offset_mm: float | None = None
+    open: bool = False
 
     def known_before(self, prior: Prior) -> Prior:
         """`prior` of the run, with the offset that this load was weighed with."""

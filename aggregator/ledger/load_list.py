@@ -54,7 +54,6 @@ def _told(
         load_ticket(load, found, cultivar=ledger.stated.cultivar)
     except InputError as error:
         refused.append(str(error))
-    is_open = any(ledger.loads.open_load(run) is load and not ledger.runs[run].finished for run, _ in load.spans)
     net, gross = load.ticket(net=True), load.ticket(net=False)
     now = load_now(
         load,
@@ -72,7 +71,7 @@ def _told(
         "run": load.run,
         "began_unix_s": load.began_ns / 1e9,
         "ended_unix_s": None if load.ended_ns is None else load.ended_ns / 1e9,
-        "open": is_open,
+        "open": found.open,
         "undone": load.undone,
         "net_g": None if net is None else net.ticket_g,
         "gross_g": None if gross is None else gross.ticket_g,

@@ -70,7 +70,12 @@ def count_load(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> LoadCounte
     runs = dict.fromkeys(run for run, _ in load.spans)
     parts = [part for run in runs for part in parts_of(ledger, run, load.number, seen[run])]
     found = counted(parts or [(LoadSums(50.0), Coverage(None, 0.0, {}, {}))])
-    return replace(found, stated_offset_mm=_stated_mm(ledger, load))
+    return replace(found, stated_offset_mm=_stated_mm(ledger, load), open=is_open(ledger, load, seen))
+
+
+def is_open(ledger: Sums, load: Load, seen: Mapping[str, Seen]) -> bool:
+    """Whether a line that runs counts to `load` now. Where its run ended or was stopped, it ended there."""
+    return any(ledger.loads.open_load(run) is load and not seen[run].moment.over for run, _ in load.spans)
 
 
 def _stated_mm(ledger: Sums, load: Load) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 from conveyor.messages import CameraInfo, Totals
 from conveyor.messages.loads import LoadNow
 from viewer.page.alarms import Alarm, Level, alarms, layers
-from viewer.page.state import STALE_S, LineState, NodeState, ToldLoad
+from viewer.page.state import STALE_S, WEIGHTS, LineState, NodeState, ToldLoad
 
 FORGET_GONE_S = 600.0
 MAX_NODES = 64
@@ -74,7 +74,8 @@ def _told(load: ToldLoad, state: LineState) -> dict[str, Any]:
     found, now = asdict(load), None if state.totals is None else state.totals.load
     if now is None or not load.open or now.number != load.number:
         return found
-    return {**found, **{name: getattr(now, name) for name in ("count", "weight_g", "low_g", "high_g", "coverage")}}
+    weights = {name: getattr(now, f"estimated_{name}") for name in WEIGHTS}
+    return {**found, **weights, "count": now.count, "coverage": now.coverage}
 
 
 def _now(load: LoadNow) -> dict[str, Any]:

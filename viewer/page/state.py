@@ -89,10 +89,14 @@ class Rate:
     kg_per_min: tuple[float | None, ...]
 
 
+WEIGHTS = ("weight_g", "low_g", "high_g")
+
+
 @dataclass(frozen=True, slots=True)
 class ToldLoad:
-    """One load that was started, as the aggregator tells it; `net_g` and `gross_g` are what scales said, `notes` what
-    persons did (`by`, `text`)."""
+    """One load that was started, as the aggregator tells it: `weight_g` and its interval are estimated for all of its
+    belt, as a scale would say it. `net_g` and `gross_g` are what scales said, `notes` what persons did (`by`, `text`).
+    """
 
     number: int
     name: str
@@ -114,7 +118,10 @@ class ToldLoad:
     def of(cls, told: Mapping[str, Any]) -> ToldLoad:
         """What the page shows of it; raises KeyError where an aggregator tells something else."""
         notes = tuple({"by": str(note["by"]), "text": str(note["text"])} for note in told.get("notes", ()))
-        return cls(**{each.name: told[each.name] for each in fields(cls) if each.name != "notes"}, notes=notes)
+        found = {each.name: told[each.name] for each in fields(cls) if each.name != "notes"}
+        if found["weight_g"] is not None:
+            found |= {name: told[f"estimated_{name}"] for name in WEIGHTS}
+        return cls(**found, notes=notes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,6 +154,8 @@ class LineWatch:
             if self._totals is not None and open_load(totals) != open_load(self._totals):
                 self._changed_s = now_s
                 self.ask_soon()
+            elif self._totals is not None and totals.calibrated_by != self._totals.calibrated_by:
+                self.ask_soon()  # a ticket came: the loads weigh something else
             if self._totals is not None and totals.run != self._totals.run:
                 self._maps.begin(self.line)
             self._totals, self._totals_s = totals, now_s
