@@ -15,15 +15,18 @@ from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.line_tickets import line_tickets
-from aggregator.ledger.load_totals import ReadLoads, count_load
+from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
 from aggregator.ledger.ticket_doubts import ledger_doubts
+from conveyor.config import REPLAY_NAME
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 
 BY = ("load", "field", "variety", "day", "season")
 NOT_TOLD = "(not told)"
 ALL = "all"
+DAYS_FROM_NS = 946_684_800_000_000_000
+"""The year 2000: times before it are a camera's own, of no day."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,8 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
-            found.append((run.started_ns, Labelled(_run_labels(run, label), one, None, None, rest.unseen_m, name)))
+            labels = _run_labels(label, _harvested_ns(run, seen[name]))
+            found.append((run.started_ns, Labelled(labels, one, None, None, rest.unseen_m, name)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
 
@@ -178,8 +182,16 @@ def _labels(load: Load) -> dict[str, str]:
     return {"load": name, **described, "day": day, "season": day[:4]}
 
 
-def _run_labels(run: RunRow, label: str) -> dict[str, str]:
-    day = time.strftime("%Y-%m-%d", time.localtime(run.started_ns / 1e9))
+def _harvested_ns(run: RunRow, seen: Seen) -> int:
+    """When a run's belt passed: as the line was started; of a replay, as its cameras stamped the first frames, where
+    they did so with the time of the day.
+    """
+    stamped = [sight.first_ns for sight in seen.sights.values() if sight.first_ns is not None]
+    return min(stamped) if run.line == REPLAY_NAME and stamped and min(stamped) >= DAYS_FROM_NS else run.started_ns
+
+
+def _run_labels(label: str, began_ns: int) -> dict[str, str]:
+    day = time.strftime("%Y-%m-%d", time.localtime(began_ns / 1e9))
     return {"load": label, "field": NOT_TOLD, "variety": NOT_TOLD, "day": day, "season": day[:4]}
 
 

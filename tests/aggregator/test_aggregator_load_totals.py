@@ -23,9 +23,11 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.check import check_file
 from aggregator.ledger.load_list import told_loads
-from aggregator.ledger.reader import reading
-from aggregator.ledger.totals_by import ALL, NOT_TOLD, totals_by
+from aggregator.ledger.load_totals import Seen
+from aggregator.ledger.reader import RunRow, reading
+from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, totals_by
 from aggregator.ledger.writer import Ledger
+from conveyor.config import REPLAY_NAME
 from conveyor.errors import InputError
 from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
@@ -270,3 +272,20 @@ def test_an_order_that_no_line_would_take_is_refused_at_rest(tmp_path: Path, ord
     with pytest.raises(InputError):
         order_at_rest(path, order)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("line", "first_ns", "day"),
+    [
+        (REPLAY_NAME, 1_792_929_600 * 10**9, "2026-10-25"),
+        (REPLAY_NAME, 10_500_000_000, "2026-11-27"),
+        (REPLAY_NAME, None, "2026-11-27"),
+        ("north", 1_792_929_600 * 10**9, "2026-11-27"),
+    ],
+    ids=["as its frames are stamped", "stamped from zero", "nothing seen", "a line's own clock"],
+)
+def test_a_replay_is_of_the_day_that_was_recorded(line: str, first_ns: int | None, day: str) -> None:
+    """A load of October that was replayed in November was a harvest of November, in totals, reports and exports."""
+    run = RunRow("r", line, ("a",), "", "0", 1_795_780_800 * 10**9, True)
+    seen = Seen({"a": CameraSight(first_ns=first_ns)}, Moment(over=True))
+    assert _run_labels("r", _harvested_ns(run, seen))["day"] == day
