@@ -234,6 +234,17 @@ def test_processes_that_are_gone_hang_or_start() -> None:
     assert [camera["state"] for camera in snapshot(state)["cameras"]] == ["gone", "starting"]
 
 
+def test_a_receiver_that_is_gone_loses_positions() -> None:
+    """The page stayed green: "Good. No alarms."; the map lacked what was driven meanwhile."""
+    gone = node("gnss/gnss", alive=False, gone_s=12.0)
+    (alarm,) = alarms(with_node(good_state(), "gnss/gnss", gone))
+    assert (alarm.key, alarm.level) == ("gnss-gnss-gone", "warning")
+    assert "GNSS receiver is gone, for 12 s: positions are lost" in alarm.text
+    assert gone.report is not None
+    ended = replace(gone, report=replace(gone.report, status="ended"))
+    assert alarms(with_node(good_state(), "gnss/gnss", ended)) == ()
+
+
 def test_nobody_weighs() -> None:
     state = with_node(with_node(good_state(), "regressor/r1", None), "regressor/r2", None)
     waiting = segmenter("left", gauges={"views_outstanding": 41.0})

@@ -55,6 +55,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_aggregator(state),
         *_cameras(state),
         *_regressors(state),
+        *_receivers(state),
         *_stalled(state),
         *_sight(state),
         *_coverage(state),
@@ -121,6 +122,13 @@ def _refuses(node: NodeState) -> bool:
     return lasts_s >= REFUSED_S and refused_per_s > MANY_REFUSED * (
         refused_per_s + node.per_s.get("views_weighed", 0.0)
     )
+
+
+def _receivers(state: LineState) -> Iterator[Alarm]:
+    """Positions that are not heard are lost: the map lacks them for good."""
+    for name, node in state.role("gnss").items():
+        if node.left and node.state != "ended" and not state.final:
+            yield Alarm(f"gnss-{name}-gone", "warning", "alarm.gnss_gone", "todo.gnss_gone", {"for": node.away_s})
 
 
 def _stalled(state: LineState) -> Iterator[Alarm]:
