@@ -1,9 +1,12 @@
-"""The table of loads in a terminal of 80 columns."""
+"""The tables of loads and of what they come to in a terminal of 80 columns."""
 
 from __future__ import annotations
 
 import pytest
 
+from aggregator.calibration.together import Together
+from aggregator.ledger.totals_by import ALL, Total
+from tuberline.cli.ledger_totals import print_totals
 from tuberline.cli.load_table import print_loads
 
 SAID = {"trailer": "", "customer": "", "operator": "", "field": "North 4", "variety": "Agria", "undone": False}
@@ -22,3 +25,37 @@ def test_an_interval_has_two_ends_and_a_trailer_of_tons_its_ticket(
     told = capsys.readouterr().out
     for part in ("9.04 ", "3.43 to 27.10", "40.3 %", "104200 ", "95000 to 112000", "103100.0"):
         assert part in told, told
+
+
+def total(label: str, *, kg: float, loads: int = 1, weighed: int = 0) -> Total:
+    grams = 1000 * kg
+    sums = Together(
+        tubers=round(5.5 * kg), as_weighed_g=grams, weight_g=grams, estimated_g=grams, low_g=0.95 * grams,
+        high_g=1.12 * grams, coverage=1.0, belt_m=100.0, parts_percent={"camera": 4.0}, tickets=weighed,
+    )  # fmt: skip
+    return Total(label, loads, weighed, grams, grams, sums)
+
+
+def test_no_label_and_no_figure_of_totals_is_cut(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All days of a month read '2026-11…', and the interval of all lost its upper end."""
+    monkeypatch.setenv("COLUMNS", "80")
+    days = [f"2026-11-{day}" for day in (26, 27)]
+    whole = total(ALL, kg=104_200, loads=1200, weighed=1100)
+    print_totals([*(total(day, kg=8100, weighed=1) for day in days), whole], [], "day")
+    told = capsys.readouterr().out
+    figures = ("104200.00", "104200 ", "98990 to 116704", "573100", "100.0 %", "(1100 of 1200)", "8100.0 ")
+    for part in (*days, "7695 to 9072", *figures):
+        assert part in told, told
+    assert "…" not in told
+
+    run = "20261127T063215-north, without a load"
+    print_totals([total("1 Anhänger 7", kg=8100, weighed=1), total(run, kg=20.1), whole], [], "load")
+    told = capsys.readouterr().out
+    width = told.splitlines()[1].index(" loads")
+    labels = [line[:width].strip() for line in told.splitlines()]
+    assert "1 Anhänger 7" in labels, told
+    assert run.replace(" ", "") in "".join(labels).replace(" ", ""), told
+    assert "…" not in told
+    assert max(map(len, told.splitlines())) <= 80

@@ -55,27 +55,35 @@ def totals(
         sys.stdout.write(json_module.dumps(values, indent=2) + "\n")
         return
     refused = [f"a ticket does not calibrate: {words}" for words in found.refused]
-    _print(sums, [*refused, *found.doubts], by)
+    print_totals(sums, [*refused, *found.doubts], by)
 
 
-def _print(found: list[Total], remarks: list[str], by: str) -> None:
+def print_totals(found: list[Total], remarks: list[str], by: str) -> None:
+    """One row a label, in 80 columns; below them what the interval of all is made of, and `remarks`."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from tuberline.cli.load_table import weight_told
+
     console = Console()
-    table = Table(by, "loads", "tubers", "raw kg", "kg (90 %)", "seen", "on scales kg", box=None)
-    for column in table.columns[1:]:
+    heads = (by, "loads", "tubers", "raw kg", "kg\n(90 %)", "seen", "on scales\nkg")
+    table = Table(*heads, box=None, pad_edge=False, collapse_padding=True)
+    # Nothing is cut, what is too wide goes on below: two days that are cut look alike.
+    for column in table.columns:
+        column.overflow = "fold"
+    for column in table.columns[1:4]:
         column.no_wrap = True
+    table.columns[0].min_width, table.columns[5].min_width = len("2026-11-27"), len("100.0 %")
     for total in found:
         sums = total.sums
-        scales = f"{total.net_g / 1000:.1f} ({total.weighed} of {total.loads})" if total.weighed else "-"
+        scales = f"{total.net_g / 1000:.1f}\n({total.weighed} of {total.loads})" if total.weighed else "-"
         table.add_row(
             Text(total.label),
             str(total.loads),
             str(sums.tubers),
             f"{total.raw_g / 1000:.2f}",
-            f"{sums.estimated_g / 1000:.2f} ({sums.low_g / 1000:.2f} to {sums.high_g / 1000:.2f})",
+            weight_told(sums.estimated_g, sums.low_g, sums.high_g),
             "-" if sums.coverage is None else f"{100 * sums.coverage:.1f} %",
             scales,
         )

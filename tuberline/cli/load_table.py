@@ -87,7 +87,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
             _clock(load["began_unix_s"], "%m-%d %H:%M"),
             _ended(load),
             str(load["count"]),
-            _weight(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"]),
+            weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"]),
             "-" if load["coverage"] is None else f"{100 * load['coverage']:.1f} %",
             "" if load["net_g"] is None else f"{load['net_g'] / 1000:.1f}",
         )
@@ -113,7 +113,7 @@ def print_load(load: dict[str, Any]) -> None:
         console.print(Text(heights_told(HeightChange(**change))))
 
 
-def _weight(middle_g: float, low_g: float, high_g: float) -> str:
+def weight_told(middle_g: float, low_g: float, high_g: float) -> str:
     """Kilograms with four figures or so, the interval below; it is not the same to both sides."""
     digits = 2 if middle_g < 1e5 else 1 if middle_g < 1e6 else 0
     low, middle, high = (f"{grams / 1000:.{digits}f}" for grams in (low_g, middle_g, high_g))
