@@ -19,8 +19,8 @@ MOST_EXTERNAL = 1000
 class Archive:
     """One TASKDATA. Use as a context manager."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path | str) -> None:
+        self._path = Path(path)
         self._zip: zipfile.ZipFile | None = None
         self._files: dict[str, str] = {}
 
@@ -92,7 +92,7 @@ class Archive:
         return data
 
 
-def read_time_logs(path: Path) -> dict[str, list[LogRecord]]:
+def read_time_logs(path: Path | str) -> dict[str, list[LogRecord]]:
     """All time logs of a TASKDATA zip or folder, of any terminal, by their names.
 
     Raises:
