@@ -263,6 +263,21 @@ def test_a_regressor_that_left_is_noted_for_a_minute_and_forgotten_after_ten() -
     assert [shown["name"] for shown in snapshot(long_gone)["regressors"]] == ["r1"]
 
 
+@pytest.mark.parametrize("status", ["ended", "ok"])
+def test_of_regressors_that_all_left_nobody_took_over(status: str) -> None:
+    """'No regressor is running' stood above 'the others took over its work'."""
+    state = good_state()
+    for name in ("regressor/r1", "regressor/r2"):
+        left = replace(state.nodes[name], alive=False, gone_s=0.0)
+        assert left.report is not None
+        state = with_node(state, name, replace(left, report=replace(left.report, status=status)))
+    assert [alarm.key for alarm in alarms(state)] == ["no-regressor"]
+    only = with_node(state, "regressor/r2", None)
+    assert [alarm.key for alarm in alarms(only)] == ["no-regressor"]
+    back = with_node(state, "regressor/r2", good_state().nodes["regressor/r2"])
+    assert [alarm.key for alarm in alarms(back)] == ["regressor-r1-left"]
+
+
 def test_a_thousand_names_end_somewhere() -> None:
     state = good_state()
     for n in range(1000):

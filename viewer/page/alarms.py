@@ -102,11 +102,12 @@ def _regressors(state: LineState) -> Iterator[Alarm]:
     nodes = state.role("regressor")
     segmenters = state.role("segmenter").values()
     waiting = sum(int(node.level("views_outstanding") or 0) for node in segmenters if node.alive)
-    if not any(node.alive for node in nodes.values()) and segmenters and not state.final:
+    running = any(node.alive for node in nodes.values())
+    if not running and segmenters and not state.final:
         level: Level = "trouble" if waiting or nodes else "note"
         yield Alarm("no-regressor", level, "alarm.no_regressor", "todo.no_regressor", {"n": waiting})
     for name, node in nodes.items():
-        if node.left and node.away_s < LEFT_NOTED_S and not state.final:
+        if running and node.left and node.away_s < LEFT_NOTED_S and not state.final:
             values: dict[str, Value] = {"name": name, "for": node.away_s}
             yield Alarm(f"regressor-{name}-left", "note", "alarm.regressor_left", "todo.regressor_left", values)
         if _refuses(node):
