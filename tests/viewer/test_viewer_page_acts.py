@@ -224,3 +224,25 @@ def test_what_may_be_done_keeps_its_id_until_the_line_has_answered(
         until_shown(browser, "The line says: load 1 (trailer 7) has begun")
     with reading(line[0].aggregator.out / "ledger.db") as view:
         assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]
+
+
+def test_a_token_that_no_header_holds_is_a_wrong_one(
+    browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
+) -> None:
+    """A phone makes a dash of a minus: "the page's server did not answer", press again; and it was never asked."""
+    with acting_page(line[1], tmp_path) as url:
+        look(browser, url, "Start load")
+        press(browser, "start")
+        confirm(browser, name="trailer 7", operator="Anna", token=TOKEN.replace("-", "\u2013"))
+        until_shown(browser, "This token is wrong")
+        assert "did not answer" not in text(browser)
+        js(browser, LOSE_AN_ANSWER)
+        confirm(browser, token=TOKEN)
+        until_shown(browser, "press again, it is carried out once")
+        confirm(browser, token="\u201cquoted\u201d")
+        until_shown(browser, "This token is wrong")
+        confirm(browser, token=TOKEN)
+        until(lambda: closed(browser), what="the load is started")
+        until_shown(browser, "The line says: load 1 (trailer 7) has begun")
+    with reading(line[0].aggregator.out / "ledger.db") as view:
+        assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]
