@@ -25,6 +25,12 @@ STICKS_OUT = """[...document.querySelectorAll('.line *, .bar *')].filter((e) => 
         || (e.clientWidth && e.scrollWidth > e.clientWidth + 1))
     .map((e) => e.outerHTML.slice(0, 80))"""
 """Elements that are wider than the screen, or hold more than they show."""
+ENDS = {
+    "en": "The open load ends there.",
+    "de": "Die offene Ladung endet dort.",
+    "nl": "De open lading eindigt daar.",
+    "ja": "受入中の積荷はそこで終わります。",
+}
 SIZES = {"phone": (390, 844), "panel": (1280, 800)}
 
 
@@ -233,6 +239,27 @@ def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -
         assert js(browser, "document.querySelector('[data-act=start]').disabled")
 
 
+@pytest.mark.parametrize("language", ENDS)
+def test_a_start_ends_a_load_only_where_one_is_open(browser: Browser, language: str) -> None:
+    """It said so of the first load of a day, too."""
+    board = Board(["north"])
+    opened = loaded_state()
+    assert opened.totals is not None
+    ended = replace(opened, totals=replace(opened.totals, load=None))  # the list does not know it yet
+    states = [(good_state(), False), (ended, False), (opened, True), (replace(opened, totals=None), True)]
+    with PageServer(board, host="127.0.0.1", port=0) as page:
+        for n, (state, ends) in enumerate(states):
+            board.put(seen := {**snapshot(state), "looks_only": ""})
+            browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/?lang={language}&n={n}")
+            until(lambda n=n: js(browser, "location.search").endswith(f"n={n}"), what="the page")
+            until_told(browser, board, seen, "north")
+            js(browser, "document.querySelector('[data-act=start]').click()")
+            assert js(browser, "document.getElementById('order').open")
+            what = js(browser, "document.querySelector('#order .what').textContent")
+            assert what.strip()
+            assert what.endswith(ENDS[language]) == ends, (n, what)
+
+
 def test_a_line_that_was_switched_off_takes_no_orders(browser: Browser) -> None:
     """Its run is complete, which is no trouble; but a load that was started there got no answer."""
     board = Board(["north"])
@@ -264,7 +291,7 @@ def test_day_and_night_by_the_keyboard(browser: Browser) -> None:
         ground = "getComputedStyle(document.body).backgroundColor"
         for wanted in ("rgb(255, 255, 255)", "rgb(10, 12, 8)"):
             press_key(browser, "ArrowDown", 40)
-            until(lambda wanted=wanted: js(browser, ground) == wanted, what=wanted)  # type: ignore[misc]
+            until(lambda wanted=wanted: js(browser, ground) == wanted, what=wanted)
 
 
 def luminance(colour: str) -> float:

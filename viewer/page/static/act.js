@@ -13,13 +13,15 @@ export function ask(line, action, found, done) {
   form.reset();
   translate(dialog);
   dialog.querySelector("h2").textContent = t(`ask.${action}`);
-  dialog.querySelector(".what").textContent = t(`ask.${action}.what`);
+  const told = found.told ?? [];
+  const open = found.now || (!found.load && told.some((load) => load.open)); // the list is older than the figures
+  const ends = action === "start" && open;
+  dialog.querySelector(".what").textContent = [t(`ask.${action}.what`), ends ? t("ask.start.ends") : ""].filter(Boolean).join(" ");
   dialog.querySelector(".yes").textContent = t(`ask.${action}.yes`);
   dialog.querySelector(".unit").textContent = t("ask.kg", { unit: chosen().unit });
   for (const part of dialog.querySelectorAll("[data-for]")) part.hidden = !part.dataset.for.split(" ").includes(action);
   inputs.kg.required = action === "ticket";
   inputs.note.required = action === "note";
-  const told = found.told ?? [];
   if (action === "start" && told.length) [inputs.field.value, inputs.variety.value] = [told[0].field, told[0].variety];
   if (action === "ticket" || action === "note") choose(told, action);
   inputs.operator.value = kept(localStorage, "operator");
