@@ -13,7 +13,16 @@ from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
 from aggregator.core.loads import SAME_OFFSET_MM
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import coverage_of, ledger_file, moment_of, read_sums, read_tubers, reading, the_run
+from aggregator.ledger.reader import (
+    coverage_of,
+    ledger_file,
+    moment_of,
+    read_sums,
+    read_tubers,
+    reading,
+    run_being_written,
+    the_run,
+)
 from aggregator.ledger.stated import belt_of_run, stated_beside
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
@@ -59,7 +68,7 @@ def counted(path: Path, *, run: str | None) -> Counted:
         sums = read_sums(view, chosen.run)
         tubers = tuple(read_tubers(view, chosen.run))
         belt = belt_of_run(view, chosen.run, stated_beside(ledger))
-        seen = coverage_of(chosen, sums, moment_of(view, chosen))
+        seen = coverage_of(chosen, sums, moment_of(chosen, run_being_written(view)))
     load = LoadTotals(sums.load)
     coverage = seen.share or 0.0
     estimated_g, _, _ = load.estimated(coverage, belt_m=seen.belt_m)

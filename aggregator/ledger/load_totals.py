@@ -26,6 +26,7 @@ from aggregator.ledger.reader import (
     read_runs,
     read_sums,
     reading,
+    run_being_written,
 )
 from aggregator.ledger.stated import Stated, belt_of_run, stated_beside
 from aggregator.ledger.verified import LedgerView
@@ -154,16 +155,16 @@ class ReadLoads:
     @cached_property
     def seen(self) -> dict[str, Seen]:
         """What the cameras of each run looked at: it is over, but for the one that a line is writing."""
-        found = {}
+        found, written = {}, run_being_written(self._view)
         for name, run in self.runs.items():
             sights = read_sums(self._view, name).sights
-            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, moment_of(self._view, run))
+            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, moment_of(run, written))
         return found
 
     def whole(self, run: RunRow) -> LoadCounted:
         """A run in which no load was started: it is one load by itself."""
         sums = read_sums(self._view, run.run)
-        return counted([(sums.load, coverage_of(run, sums, moment_of(self._view, run)))])
+        return counted([(sums.load, coverage_of(run, sums, self.seen[run.run].moment))])
 
     def without_load(self, run: str, seen: Seen) -> LoadCounted | None:
         """What passed in `run` while no load was open; None where a load was open all the time."""

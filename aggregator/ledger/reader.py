@@ -226,14 +226,17 @@ def read_sums(view: LedgerView, run: str) -> RunSums:
     return RunSums.from_text(found[2])
 
 
-def moment_of(view: LedgerView, run: RunRow) -> Moment:
-    """How who reads a ledger asks what of `run` was seen: it is over, but for the run that a line is writing: belt that
-    its log has not come to yet is not belt that was missed.
+def run_being_written(view: LedgerView) -> str | None:
+    """The run that a line is writing now; None where none is."""
+    newest = view.row(BATCH, "ORDER BY seq DESC") if is_being_written(view.path) else None
+    return None if newest is None else str(newest[1])
+
+
+def moment_of(run: RunRow, written: str | None) -> Moment:
+    """How who reads a ledger asks what of `run` was seen: it is over, but for the run that is `written` just now: belt
+    that its log has not come to yet is not belt that was missed.
     """
-    if run.finished or not is_being_written(view.path):
-        return Moment(over=True)
-    newest = view.row(BATCH, "ORDER BY seq DESC")
-    return Moment(over=newest is not None and newest[1] != run.run)
+    return Moment(over=run.finished or run.run != written)
 
 
 def coverage_of(run: RunRow, sums: RunSums, moment: Moment | None = None) -> Coverage:

@@ -12,7 +12,6 @@ import os
 import struct
 import time
 import zlib
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -59,12 +58,14 @@ class Receipt:
             self._fd = -1
 
     def _lock(self) -> None:
-        for _ in range(ASKED_MOST):  # who asks whether it is being written has it for a moment
-            with suppress(BlockingIOError):
+        for left in reversed(range(ASKED_MOST)):  # who asks whether it is being written has it for a moment
+            try:
                 fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return
-            time.sleep(ASKED_AGAIN_S)
-        fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if not left:
+                    raise
+                time.sleep(ASKED_AGAIN_S)
 
     def write(self, seq: int) -> None:
         """Make durable that batches 1..seq may be acknowledged."""

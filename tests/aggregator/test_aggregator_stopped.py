@@ -14,7 +14,7 @@ import pytest
 from aggregator.core.coverage import Moment, at_rest, coverage
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_totals import ReadLoads
-from aggregator.ledger.reader import coverage_of, moment_of, read_runs, read_sums, reading
+from aggregator.ledger.reader import coverage_of, moment_of, read_runs, read_sums, reading, run_being_written
 from aggregator.ledger.receipt import is_being_written
 from aggregator.ledger.writer import Ledger
 from conveyor import topics
@@ -81,13 +81,13 @@ def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_pa
         assert is_being_written(path)
         with reading(path) as view:
             (run,) = read_runs(view)
-            assert not moment_of(view, run).over
-            running = coverage_of(run, read_sums(view, run.run), moment_of(view, run))
+            assert not moment_of(run, run_being_written(view)).over
+            running = coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view)))
             assert ReadLoads(view).whole(run).coverage == running.share == 1.0
     assert not is_being_written(path)
     with reading(path) as view:
-        assert moment_of(view, run).over
-        assert (coverage_of(run, read_sums(view, run.run), moment_of(view, run)).share or 0.0) < 0.9
+        assert moment_of(run, run_being_written(view)).over
+        assert (coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view))).share or 0.0) < 0.9
 
 
 def test_who_asks_whether_a_ledger_is_written_keeps_no_writer_out(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_a_stopped_line_has_one_coverage(line: tuple[LineConfig, Path], process:
     assert summary["unseen_m"]["after_last_frame"] > 0.1
     with reading(config.aggregator.out / "ledger.db") as view:
         (run,) = read_runs(view)
-        read = coverage_of(run, read_sums(view, run.run), moment_of(view, run))
+        read = coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view)))
         whole = ReadLoads(view).whole(run)
     assert read.share == pytest.approx(summary["coverage"], abs=1e-6)
     assert read.belt_m == pytest.approx(summary["belt_m"], abs=1e-6)
