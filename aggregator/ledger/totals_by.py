@@ -143,12 +143,12 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
     for load in ledger.loads.loads.values():
         if load.spans and not load.undone:
             counted = count_load(ledger, load, seen)
-            one = _one(counted, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar)
+            one = _of_load(ledger, load, counted, tickets)
             net = load.ticket(net=True)
             net_g = net.ticket_g if net else None
             found.append((load.began_ns, Labelled(_labels(load), one, net_g, load, counted.unseen_m, load.run)))
     for name, run in ledger.runs.items():
-        rest = ledger.without_load(name, seen[name]) if name in ledger.loads.spans else ledger.whole(run)
+        rest = _rest(ledger, run)
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
@@ -164,10 +164,20 @@ def run_loads(ledger: ReadLoads, run: RunRow, tickets: Sequence[Ticket]) -> list
         spans = tuple(span for span in load.spans if span[0] == run.run)
         if spans and not load.undone:
             here = count_load(ledger, replace(load, spans=spans), seen)
-            ones.append(_one(here, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar))
-    rest = ledger.without_load(run.run, seen[run.run]) if run.run in ledger.loads.spans else ledger.whole(run)
+            ones.append(_of_load(ledger, load, here, tickets))
+    rest = _rest(ledger, run)
     rests = [] if rest is None else [_one(rest, tickets, ledger.prior(run.run), ledger.stated.cultivar)]
     return [*ones, *rests]
+
+
+def _of_load(ledger: ReadLoads, load: Load, found: LoadCounted, tickets: Sequence[Ticket]) -> OneLoad:
+    return _one(found, tickets, ledger.prior(load.run), load.variety or ledger.stated.cultivar)
+
+
+def _rest(ledger: ReadLoads, run: RunRow) -> LoadCounted | None:
+    """What passed in a run while no load was open; all of it where none was ever started."""
+    name = run.run
+    return ledger.without_load(name, ledger.seen[name]) if name in ledger.loads.spans else ledger.whole(run)
 
 
 def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:
