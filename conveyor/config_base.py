@@ -32,6 +32,21 @@ class Section(BaseModel):
         return value
 
 
+LEAST_BAUD, MOST_BAUD = 300, 4_000_000
+
+
+def serial_rate(given: str | None, *, usual: int) -> int:
+    """The rate of a serial port as its address gives it, baud; `usual` where it does not.
+
+    Raises:
+        ValueError: it is no whole number that a port may have.
+    """
+    rate = usual if given is None else int(given)
+    if not LEAST_BAUD <= rate <= MOST_BAUD:
+        raise ValueError(rate)
+    return rate
+
+
 WITH_PORT = ("tcp", "tls", "udp", "quic", "ws")
 """Protocols whose addresses are HOST:PORT."""
 

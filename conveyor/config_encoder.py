@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 from pydantic import Field, field_validator
 
-from conveyor.config_base import Section, checked_name
+from conveyor.config_base import Section, checked_name, serial_rate
 
 BAUD = 115_200
 SPEED_MPS = 0.4
 COARSEST_M = 0.01
 """Tubers are found again within 22 mm of where they are expected: coarser pulses would lay them elsewhere each time."""
-Number = TypeVar("Number", int, float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +60,7 @@ def encoder_source(text: str) -> EncoderSource:
         parts = urlsplit(text)
         query = {key: values[0] for key, values in parse_qs(parts.query, keep_blank_values=True).items()}
         if parts.scheme == "serial" and parts.path and query.keys() <= {"baud"}:
-            return SerialPort(parts.path, _within(int(query.get("baud", BAUD)), 300, 4_000_000))
+            return SerialPort(parts.path, serial_rate(query.get("baud"), usual=BAUD))
         if parts.scheme == "tcp" and parts.hostname and parts.port and not query:
             return TcpServer(parts.hostname, parts.port)
         if parts.scheme == "counter" and parts.path and not query:
@@ -77,7 +75,7 @@ def encoder_source(text: str) -> EncoderSource:
     )
 
 
-def _within(value: Number, least: float, most: float) -> Number:
+def _within(value: float, least: float, most: float) -> float:
     if not (math.isfinite(value) and least <= value <= most):
         raise ValueError(value)
     return value

@@ -6,7 +6,7 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from pydantic import Field, field_validator
 
-from conveyor.config_base import Section, checked_name
+from conveyor.config_base import Section, checked_name, serial_rate
 
 BAUD = 9600
 LUMP_FILLED = 0.72
@@ -23,7 +23,7 @@ def gnss_source(text: str) -> SplitResult:
     try:
         parts = urlsplit(text)
         known = {
-            "serial": bool(parts.path) and 300 <= baud(parts) <= 4_000_000,
+            "serial": bool(parts.path) and baud(parts) > 0,
             "tcp": bool(parts.hostname and parts.port),
             "gpsd": bool(parts.hostname) and parts.port != 0,
             "file": bool(parts.path),
@@ -40,8 +40,8 @@ def gnss_source(text: str) -> SplitResult:
 
 
 def baud(port: SplitResult) -> int:
-    """The rate of a serial port. Raises ValueError: it is no whole number."""
-    return int(parse_qs(port.query, keep_blank_values=True).get("baud", [str(BAUD)])[0])
+    """The rate of a serial port; raises ValueError as `serial_rate` does."""
+    return serial_rate(parse_qs(port.query, keep_blank_values=True).get("baud", [None])[0], usual=BAUD)
 
 
 class GnssConfig(Section):
