@@ -12,6 +12,7 @@ from typing import Any, Self
 
 from conveyor.messages import CameraInfo, Mark
 from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.ranges import FASTEST_MPS
 
 PIECES = 256
 """Stretches of one looked-at share that are told apart per camera; beyond it the shortest neighbours become one."""
@@ -29,8 +30,6 @@ SAMPLES = 96
 FIRST_SPEED_NS, LAST_SPEED_NS = 5_000_000_000, 2_000_000_000
 """Over so much of the marks the belt's first and last speed are taken. Without an encoder, and with few frames on a
 busy machine, the first second of a belt is known to a quarter."""
-FASTEST_MPS = 3.0
-"""Metres per second. Belt of which no speed was ever seen ran no faster: ten times a harvester's belt."""
 
 WHOLE = 1e-6
 """Metres: less than this is rounding."""

@@ -13,10 +13,11 @@ from aggregator.core.load_state import load_state
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import counted
 from aggregator.core.reasons import LoadState, NothingSeen, Unseen
-from aggregator.core.sight import FASTEST_MPS, PIECES, CameraSight
+from aggregator.core.sight import PIECES, CameraSight
 from aggregator.core.totals import LoadTotals
 from conveyor.messages import Mark, Tuber
 from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.ranges import FASTEST_MPS
 from conveyor.statistics import NORMAL_90
 from tests.aggregator.looking_story import FPS, START_NS, Outage, look, positions_m, share_of, some_outages
 

@@ -15,7 +15,7 @@ from conveyor.errors import InputError
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics
 from conveyor.pose import pose_fault
-from conveyor.ranges import INT64_MAX, MAX_COUNT
+from conveyor.ranges import FASTEST_MPS, INT64_MAX, MAX_COUNT
 from conveyor.text_files import read_json
 
 COLUMNS = ["seq", "captured_ns", "travel_m"]
@@ -60,8 +60,8 @@ class FrameRow:
 SET_BACK_M, SET_BACK_STEPS, SET_BACK_LEAST_M = 0.25, 3.0, 0.03
 """Between two frames no belt runs back that far, nor so many of its usual steps (and that far): its counter was set
 back."""
-FASTEST_MPS, JUMP_STEPS = 3.0, 5.0
-"""No belt is faster, ten times a harvester's: travel that is, by more than so many usual steps, jumped."""
+JUMP_STEPS = 5.0
+"""Travel that is faster than a belt, by more than so many usual steps, jumped."""
 MOST_JUMPS = 0.1
 """Of all steps. Where more of them jump, travel is no metres: that is another fault, told elsewhere."""
 
