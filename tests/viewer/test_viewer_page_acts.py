@@ -206,6 +206,15 @@ IMPATIENT_PROXY = """{ const whole = window.fetch; window.fetch = async (...aske
     return new Response("<h1>504 Gateway Time-out</h1>", {status: 504, headers: {"Content-Type": "text/html"}}); }; }"""
 
 
+def starts_once(browser: Browser, out: Path) -> None:
+    """With the right token the load that was asked for is started, and that one alone."""
+    confirm(browser, token=TOKEN)
+    until(lambda: closed(browser), what="the load is started")
+    until_shown(browser, "The line says: load 1 (trailer 7) has begun")
+    with reading(out / "ledger.db") as view:
+        assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]
+
+
 @pytest.mark.parametrize("lost", [LOSE_AN_ANSWER, IMPATIENT_PROXY], ids=["no answer", "a proxy's answer"])
 def test_what_may_be_done_keeps_its_id_until_the_line_has_answered(
     lost: str, browser: Browser, line: tuple[LineConfig, Path], process: Process, tmp_path: Path
@@ -219,11 +228,7 @@ def test_what_may_be_done_keeps_its_id_until_the_line_has_answered(
         until_shown(browser, "press again, it is carried out once")
         confirm(browser, token="not-the-right-one")
         until_shown(browser, "This token is wrong")
-        confirm(browser, token=TOKEN)
-        until(lambda: closed(browser), what="the load is started")
-        until_shown(browser, "The line says: load 1 (trailer 7) has begun")
-    with reading(line[0].aggregator.out / "ledger.db") as view:
-        assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]
+        starts_once(browser, line[0].aggregator.out)
 
 
 def test_a_token_that_no_header_holds_is_a_wrong_one(
@@ -241,8 +246,4 @@ def test_a_token_that_no_header_holds_is_a_wrong_one(
         until_shown(browser, "press again, it is carried out once")
         confirm(browser, token="\u201cquoted\u201d")
         until_shown(browser, "This token is wrong")
-        confirm(browser, token=TOKEN)
-        until(lambda: closed(browser), what="the load is started")
-        until_shown(browser, "The line says: load 1 (trailer 7) has begun")
-    with reading(line[0].aggregator.out / "ledger.db") as view:
-        assert [load["name"] for load in told_loads(view, limit=9)] == ["trailer 7"]
+        starts_once(browser, line[0].aggregator.out)
