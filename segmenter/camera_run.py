@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Picture, Track, Travel, View, Weight
-from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.messages.tracks import CARRIED, UNFOLLOWED
 from conveyor.processors import Busy
 from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
 from segmenter.balance import FrameBalance
@@ -247,9 +247,9 @@ class CameraRun:
         logged = {**tracks, "counted": tracks["counted"] - waiting, "open": tracks["open"] + waiting}
         if foreign:
             logged["foreign"] = tracks["foreign"] - foreign
-        unfollowed = {UNFOLLOWED: ms} if (ms := self.core.unfollowed_ms) else {}
+        unseen = {UNFOLLOWED: self.core.unfollowed_ms, CARRIED: self.core.carried_ms}
         return {
-            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0, **unfollowed},
+            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0, **_but_zeros(unseen)},
             "views": _sum(self.dispatcher.balance(), self._base_views),
             "tracks": _sum(logged, self._base_tracks),
         }
@@ -349,6 +349,10 @@ class CameraRun:
             views=counts["views"],
             tracks=counts["tracks"],
         )
+
+
+def _but_zeros(sheet: dict[str, int]) -> dict[str, int]:
+    return {name: n for name, n in sheet.items() if n}
 
 
 def _tracks_left(sheet: dict[str, int], tracks: list[Track]) -> dict[str, int]:

@@ -179,6 +179,11 @@ class Segmenter:
         """How long load passed of which it is not known how far it moved, milliseconds."""
         return self._running.follower.unfollowed_ms if self._running else self._waiting.unfollowed_ms
 
+    @property
+    def carried_ms(self) -> int:
+        """How long no load was seen to move, where no encoder tells travel, milliseconds."""
+        return self._running.follower.carried_ms if self._running else self._waiting.carried_ms
+
     def track_counts(self) -> dict[str, int]:
         """opened = counted + discarded by reason + open; 'foreign' of the discarded are kept."""
         opened = self._running.tracker.opened if self._running else 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import Frame, Mark, Track
-from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.messages.tracks import CARRIED, UNFOLLOWED
 
 SEEN_AGAIN_M = 0.005
 """Twice as far as the places differ that two processes find for one tuber."""
@@ -19,8 +19,9 @@ class Resume:
 
     `travel_m` is what it saw last, at `captured_ns`; what had crossed since `complete` it took with it. `speed_mps` is
     the belt's last speed, for where no encoder says how far it went since; None: not known. `unfollowed_ms` is how long
-    load passed of which it did not know how far it moved (`TravelEstimator.unfollowed_ms`). `by_encoder`: an encoder
-    told it where the belt was. `logged_x_m` is the place of the last tuber it logged; None: there was none.
+    load passed of which it did not know how far it moved, `carried_ms` how long it saw no load move
+    (`TravelEstimator`). `by_encoder`: an encoder told it where the belt was. `logged_x_m` is the place of the last
+    tuber it logged; None: there was none.
     """
 
     complete_ns: int
@@ -31,6 +32,7 @@ class Resume:
     captured_ns: int = 0
     speed_mps: float | None = None
     unfollowed_ms: int = 0
+    carried_ms: int = 0
     by_encoder: bool = False
     logged_x_m: float | None = None
 
@@ -68,14 +70,17 @@ class Resume:
         """
         if self.logged_x_m is not None and self.logged_x_m < self.complete_place_x_m:
             return replace(self, complete_place_x_m=self.logged_x_m).brought_to(captured_ns)
-        if self.speed_mps is None:
-            gap_ms = round(1000 * self._gap_s(captured_ns))
-            return replace(self, unfollowed_ms=self.unfollowed_ms + gap_ms)
-        missed_m = self.missed_m(captured_ns)
-        if missed_m <= 0:
+        gap_ms = round(1000 * self._gap_s(captured_ns))
+        if gap_ms == 0:
             return self
+        carried_ms, missed_m = self.carried_ms + gap_ms, self.missed_m(captured_ns)
+        if self.speed_mps is None:
+            return replace(self, unfollowed_ms=self.unfollowed_ms + gap_ms, carried_ms=carried_ms)
+        if missed_m <= 0:
+            return replace(self, carried_ms=carried_ms)
         return replace(
             self,
+            carried_ms=carried_ms,
             complete_ns=self.complete_ns + captured_ns - self.captured_ns,
             complete_place_x_m=self.complete_place_x_m - missed_m,
             travel_m=self.travel_m + missed_m,
@@ -97,4 +102,5 @@ def resume_after(mark: Mark, logged: Sequence[Track], speed_mps: float | None) -
         captured_ns=mark.captured_ns,
         speed_mps=speed_mps,
         unfollowed_ms=mark.frames.get(UNFOLLOWED, 0),
+        carried_ms=mark.frames.get(CARRIED, 0),
     )

@@ -39,6 +39,11 @@ class WaitingSegmenter:
         """How long load passed under it of which it did not know how far it moved."""
         return self.resume.unfollowed_ms if self.resume else 0
 
+    @property
+    def carried_ms(self) -> int:
+        """How long it saw no load move."""
+        return self.resume.carried_ms if self.resume else 0
+
     def complete_travel_m(self) -> float:
         """Travel up to which the earlier process logged everything."""
         return -self.resume.complete_place_x_m if self.resume else float("-inf")

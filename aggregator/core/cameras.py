@@ -10,9 +10,10 @@ from aggregator.core.camera_clocks import CameraClocks
 from aggregator.core.coverage import Moment
 from aggregator.core.reasons import CameraWord
 from aggregator.core.sight import CameraSight
-from aggregator.core.travel import TravelCurve, common_travel_m, head_start_m
+from aggregator.core.travel import LineTravel, TravelCurve, TravelKnown
 from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import CameraInfo, Mark, TrackEntry, Travel
+from conveyor.messages.tracks import CARRIED
 
 STARTUP_GRACE_S = 60.0
 """A camera never heard of is waited for at least this long: processes of one line do not start at once."""
@@ -111,8 +112,8 @@ class CameraState:
 
 
 class Cameras:
-    """All cameras of a line. Without an encoder the first by name is the reference of travel; where it tells it to some
-    of them, the first of those is.
+    """All cameras of a line. Without an encoder the first by name is the reference of travel, and while it sees no load
+    move another one; where an encoder tells travel to some of them, the first of those is.
     """
 
     def __init__(self, names: tuple[str, ...], *, stall_s: float, now_s: float) -> None:
@@ -120,7 +121,7 @@ class Cameras:
         self.states = {name: CameraState(now_s) for name in self.names}
         self.stall_s = self._stall_s = stall_s
         self._began_s: float | None = now_s
-        self._head_start_m: float | None = None
+        self._line = LineTravel({name: state.curve for name, state in self.states.items()})
         self._encoder_m: float | None = None
         self._encoder_first_m: float | None = None
         self._clocks = CameraClocks()
@@ -200,9 +201,10 @@ class Cameras:
         """When the load began, by the clock of `now_s`: before this process joined its line, or with an earlier one."""
         self._began_s = began_s
 
-    def resumed(self, *, head_start_m: float | None) -> None:
+    def resumed(self, travel: TravelKnown) -> None:
         """The run was begun by an earlier process: when, our clock does not know."""
-        self._began_s, self._head_start_m = None, head_start_m
+        self._began_s = None
+        self._line.restored(travel)
 
     @property
     def running(self) -> set[str]:
@@ -226,9 +228,9 @@ class Cameras:
         return ESTIMATED_SLACK_M if self.estimated else PLACE_SLACK_M
 
     @property
-    def head_start_m(self) -> float | None:
-        """How far the belt moved before the reference camera's first sample; None while that is not known."""
-        return self._head_start_m
+    def travel(self) -> TravelKnown:
+        """What is known of the line's travel where it is estimated."""
+        return self._line.known
 
     def away(self, now_s: float) -> set[str]:
         """Cameras that are silent, or whose segmenter is gone."""
@@ -272,7 +274,7 @@ class Cameras:
         state.marks.append(mark)
         state.mark = mark
         state.sight.marked(mark)
-        state.curve.add(mark.captured_ns, mark.travel_m)
+        state.curve.add(mark.captured_ns, mark.travel_m, mark.frames.get(CARRIED, 0))
 
     def ended(self, camera: str) -> None:
         """The camera's final mark came, and nothing else of it could be read."""
@@ -288,15 +290,15 @@ class Cameras:
             state.sight.loads_change = True
 
     def restored(
-        self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float]], sight: CameraSight
+        self, camera: str, *, marks: Sequence[Mark], curve: Sequence[tuple[int, float, int]], sight: CameraSight
     ) -> None:
-        """A camera as the ledger knows it; `curve` are samples (capture time, travel), oldest first."""
+        """A camera as the ledger knows it; `curve` are samples (as `TravelCurve.add` takes them), oldest first."""
         state = self.states[camera]
         state.marks, state.mark = list(marks), marks[-1] if marks else None
         state.sight = sight
         state.curve.ahead_ns = sight.ahead_ns
-        for captured_ns, travel_m in curve:
-            state.curve.add(captured_ns, travel_m)
+        for captured_ns, travel_m, carried_ms in curve:
+            state.curve.add(captured_ns, travel_m, carried_ms)
 
     def ran_until(self, day_ns: int, now_s: float) -> None:
         """The belt under live cameras, which stamp frames with the time of the day, ran on until then. `now_s` is the
@@ -309,22 +311,22 @@ class Cameras:
                     state.marked_s = (now_s - since_s, state.mark.captured_ns)
 
     def place_x_m(
-        self, camera: str, own_place_x_m: float, *, t_ns: int, own_travel_m: float, estimated: bool
+        self,
+        camera: str,
+        own_place_x_m: float,
+        *,
+        t_ns: int,
+        own_travel_m: float,
+        estimated: bool,
+        wait: bool = True,
     ) -> float | None:
-        """A place of `camera`'s in terms of the line's travel, metres; None while that is not known."""
+        """A place of `camera`'s by the line's travel, metres; None while not known, without `wait` as far as it is."""
         if not estimated:
             return own_place_x_m
         if not self._laid:
             return None
-        curves = {name: state.curve for name, state in self.states.items()}
-        told = self._told
-        reference = told or self.names[0]
-        if self._head_start_m is None:
-            self._head_start_m = 0.0 if told else head_start_m(curves, reference=reference)
-        if self._head_start_m is None:
-            return None
-        travel_m = common_travel_m(curves, reference=reference, camera=camera, t_ns=t_ns, own_travel_m=own_travel_m)
-        return None if travel_m is None else own_place_x_m + own_travel_m - travel_m - self._head_start_m
+        travel_m = self._line.travel_m(camera, t_ns=t_ns, own_travel_m=own_travel_m, told=self._told, wait=wait)
+        return None if travel_m is None else own_place_x_m + own_travel_m - travel_m
 
     def beyond_m(self, camera: str, place_x_m: float) -> float:
         """Belt at the end of `camera`'s log from a place of the line's on, metres; 0 where that is not known."""
@@ -354,11 +356,23 @@ class Cameras:
         stalled = {name for name, state in self.states.items() if state.stalled(now_s, stall_s=self._stall_s)}
         for name, state in self.states.items():
             state.curve.closed = state.final or name in stalled
+        if self._laid and self._told is None:
+            self._line.follow()
+            self._lay()
         complete = {name: self._complete_x_m(name) for name in self.names}
         expected = [complete[name] for name in self.names if name not in stalled]
         if not complete:
             return math.inf
         return max(expected) if expected and wait else min(complete.values())
+
+    def _lay(self) -> None:
+        """Tell what each camera looked at in terms of the line's travel, once that is not the first camera's own."""
+        for name, state in self.states.items() if self._line.turns else ():
+            for t_ns, _ in state.sight.curve[len(state.sight.line_m) :]:
+                line_m = self._line.travel_m(name, t_ns=t_ns, own_travel_m=state.curve.at(t_ns))
+                if line_m is None:
+                    break
+                state.sight.line_m.append(line_m)
 
     def _complete_x_m(self, camera: str) -> float:
         """Where `camera` is complete, by its newest mark whose moment the line's travel reaches.

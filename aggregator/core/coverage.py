@@ -75,14 +75,18 @@ class Coverage:
 
 @dataclass(slots=True)
 class _Placed:
-    """A camera's belt on the line's axis: `begin` to `end` is what it could know of, `offset` is where s = 0 lies, and
-    up to `seen` its log tells what it looked at."""
+    """A camera's belt on the line's axis: `begin` to `end` is what it could know of, and up to `seen` its log tells
+    what it looked at. `offset` is where s = 0 lies, or, where the line's travel is not its own, where that is 0."""
 
     sight: CameraSight
     offset: float
-    begin: float
-    end: float
-    seen: float
+    begin: float = 0.0
+    end: float = 0.0
+    seen: float = 0.0
+
+    def at(self, s: float) -> float:
+        """Where on the axis the camera's belt at `s` lies."""
+        return self.offset + (self.sight.laid_m(s) if self.sight.line_m else s)
 
 
 ALL = (-math.inf, math.inf)
@@ -128,8 +132,8 @@ def coverage(
 
 
 def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str, _Placed]:
-    """Cameras that looked, on one axis: by their encoder, or by the time at which they began. What one looked at that
-    does not know how far its belt moved lies nowhere on it.
+    """Cameras that looked, on one axis: by their encoder, by the line's travel where it is not their own, or by the
+    time at which they began. What one looked at that does not know how far its belt moved lies nowhere on it.
     """
     looked = {name: own for name, own in sights.items() if own.first_ns is not None and own.most_m is None}
     if not looked:
@@ -140,7 +144,9 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
     placed = {}
     for name, sight in looked.items():
         offset = sight.first_travel_m
-        if sight.estimated:
+        if sight.line_m:
+            offset = -_zero_m(sights)
+        elif sight.estimated:
             since_ns = (sight.began_ns or 0) - (reference.began_ns or 0)
             then_ns = (reference.first_ns or 0) + since_ns
             same_clock = since_ns <= OTHER_CLOCK_NS
@@ -152,7 +158,8 @@ def _side_by_side(sights: Mapping[str, CameraSight], moment: Moment) -> dict[str
         seen = length if sight.final or not moment.over else min(length, max(0.0, sight.s_at(sight.complete_ns)))
         if moment.over:
             seen = max(0.0, seen - moment.waiting_m.get(name, 0.0))
-        placed[name] = _Placed(sight, offset, offset - sight.missed_before_m(), offset + end, offset + seen)
+        own = placed[name] = _Placed(sight, offset)
+        own.begin, own.end, own.seen = own.at(0.0) - sight.missed_before_m(), own.at(end), own.at(seen)
     return placed
 
 
@@ -176,15 +183,20 @@ def belt_window(sights: Mapping[str, CameraSight], from_x_m: float, to_x_m: floa
     """
     rows = [sight.row_x_m for sight in sights.values() if sight.row_x_m is not None]
     row_x_m = sum(rows) / len(rows) if rows else 0.0
-    reference = sights[min(sights)] if sights else CameraSight()
-    zero_m = reference.first_travel_m if reference.estimated else 0.0
+    zero_m = _zero_m(sights)
     return row_x_m - from_x_m - zero_m, row_x_m - to_x_m - zero_m
+
+
+def _zero_m(sights: Mapping[str, CameraSight]) -> float:
+    """The line's travel where the axis of `coverage` begins."""
+    reference = sights[min(sights)] if sights else CameraSight()
+    return reference.first_travel_m if reference.estimated else 0.0
 
 
 def all_reach(sights: Mapping[str, CameraSight], travel_m: float) -> bool:
     """Every camera's log has come to that travel (in the terms of `coverage`): what it looked at before is known."""
     placed = _side_by_side(sights, Moment(over=False))
-    return len(placed) == len(sights) and all(own.offset + own.sight.length_m >= travel_m for own in placed.values())
+    return len(placed) == len(sights) and all(own.at(own.sight.length_m) >= travel_m for own in placed.values())
 
 
 def _within(
@@ -211,14 +223,15 @@ def _own(own: _Placed, low: float, high: float, moment: Moment, *, away: bool) -
     late, early = before > slack, after > slack and (moment.over or away)
     pieces: list[tuple[Stretch, Unseen | None]] = [
         (Stretch(low, own.begin, 0.0 if late else 1.0), Unseen.BEFORE),
-        (Stretch(own.begin, own.offset, 0.0), Unseen.BEFORE),
+        (Stretch(own.begin, own.at(0.0), 0.0), Unseen.BEFORE),
     ]
-    at = own.offset
+    s, at = 0.0, own.at(0.0)
     for length, looked in own.sight.pieces:
-        end = min(at + length, own.seen)
+        s += length
+        end = min(own.at(s), own.seen)
         if end > at:
             pieces.append((Stretch(at, end, 1.0 if length - looked < WHOLE else looked / length), Unseen.BETWEEN))
-        at += length
+        at = max(at, end)
     return [
         *pieces,
         (Stretch(own.seen, own.end, 0.0), Unseen.AFTER),

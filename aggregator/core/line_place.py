@@ -56,7 +56,9 @@ def _place_x_m(cameras: Cameras, name: str, *, now_s: float, age_s: float) -> fl
     t_ns = _camera_ns(state, now_s - age_s, limit_s=cameras.stall_s)
     travel_m = _travel_m(state, mark, t_ns)
     own_x_m = (sight.row_x_m or 0.0) - travel_m
-    return cameras.place_x_m(name, own_x_m, t_ns=t_ns, own_travel_m=travel_m, estimated=mark.travel_estimated)
+    return cameras.place_x_m(
+        name, own_x_m, t_ns=t_ns, own_travel_m=travel_m, estimated=mark.travel_estimated, wait=False
+    )
 
 
 def _camera_ns(state: CameraState, at_s: float, *, limit_s: float) -> int:

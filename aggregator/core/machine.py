@@ -22,6 +22,7 @@ from aggregator.core.matching import one_to_one
 from aggregator.core.merge import Gate, Group, PlacedTrack, blocks, merge, rejoined
 from aggregator.core.reasons import Role
 from aggregator.core.sight import CameraSight
+from aggregator.core.travel import NOT_KNOWN, TravelKnown
 from aggregator.core.tubers import make_tuber
 from conveyor.messages import Mark, Track, TrackEntry, Tuber
 
@@ -67,7 +68,7 @@ class Batch:
     """Everything that one transaction makes durable.
 
     `watermark_x_m`: tubers at this place and further along are committed. `settled`: of each camera's log, up to which
-    entry every track has gone somewhere. `sights`, `head_start_m`: what is known of the belt by now.
+    entry every track has gone somewhere. `sights`, `travel`: what is known of the belt.
     """
 
     entries: tuple[Applied, ...]
@@ -77,7 +78,7 @@ class Batch:
     bodies: tuple[ForeignBody, ...] = ()
     settled: Mapping[str, int] = field(default_factory=dict)
     sights: Mapping[str, CameraSight] = field(default_factory=dict)
-    head_start_m: float | None = None
+    travel: TravelKnown = NOT_KNOWN
 
     @property
     def empty(self) -> bool:
@@ -94,13 +95,13 @@ class Restored:
     applied: dict[str, int] = field(default_factory=dict)
     marks: dict[str, list[Mark]] = field(default_factory=dict)
     """The last marks of each camera, oldest first."""
-    curves: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    curves: dict[str, list[tuple[int, float, int]]] = field(default_factory=dict)
     sights: dict[str, CameraSight] = field(default_factory=dict)
     pending: list[PendingTrack] = field(default_factory=list)
     tubers: int = 0
     bodies: int = 0
     watermark_x_m: float = math.inf
-    head_start_m: float | None = None
+    travel: TravelKnown = NOT_KNOWN
 
 
 class Aggregation:
@@ -145,7 +146,7 @@ class Aggregation:
         self._bodies = state.bodies
         self._watermark_x_m = state.watermark_x_m
         if state.begun:
-            self.cameras.resumed(head_start_m=state.head_start_m)
+            self.cameras.resumed(state.travel)
             for name in self.cameras.names:
                 self.cameras.restored(
                     name,
@@ -268,7 +269,7 @@ class Aggregation:
             tuple(bodies),
             settled=self._settled(),
             sights=self.cameras.sights,
-            head_start_m=self.cameras.head_start_m,
+            travel=self.cameras.travel,
         )
         self._entries, self._observations = [], []
         for log in self._logs.values():
@@ -294,7 +295,6 @@ class Aggregation:
         placed: list[PlacedTrack] = []
         suspects: list[PlacedTrack] = []
         unplaced, self._unplaced = self._unplaced, []
-        hurry_m = self._hurry_m
         for pending in unplaced:
             track = pending.track
             x_m = self.cameras.place_x_m(
@@ -307,10 +307,10 @@ class Aggregation:
             if x_m is None:
                 self._unplaced.append(pending)
             else:
-                is_late = x_m >= pending.late_from_x_m
-                seen = PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=is_late)
+                from_x_m = pending.late_from_x_m
+                seen = PlacedTrack(pending.camera, pending.n, track, x_m, track.y_m, late=x_m >= from_x_m)
                 placed.append(seen)
-                if x_m >= pending.late_from_x_m - hurry_m:
+                if x_m >= from_x_m - self._hurry_m:
                     suspects.append(seen)
         duplicates = self._late_duplicates(sorted(suspects, key=lambda track: track.order))
         for seen in placed:

@@ -73,6 +73,9 @@ class CameraSight:
     estimated: bool = False
     pieces: list[tuple[float, float]] = field(default_factory=list)
     curve: list[tuple[int, float]] = field(default_factory=list)
+    line_m: list[float] = field(default_factory=list)
+    """The line's travel at the first of these samples, where it is not the camera's own: it saw no load move for a
+    while, and another camera did."""
     complete_ns: int = 0
     last_travel_m: float = 0.0
     final: bool = False
@@ -177,10 +180,24 @@ class CameraSight:
     def _sample(self, t_ns: int, s: float) -> None:
         while self.curve and (self.curve[-1][0] >= t_ns or self.curve[-1][1] > s):
             self.curve.pop()
+        del self.line_m[len(self.curve) :]
         self.curve.append((t_ns, s))
         if len(self.curve) > SAMPLES:
             half = SAMPLES // 2
             self.curve = self.curve[:half:2] + self.curve[half:]
+            self.line_m = self.line_m[:half:2] + self.line_m[half:]
+
+    def laid_m(self, s: float) -> float:
+        """The line's travel when the camera's belt had come to `s`, where `line_m` tells it; beyond that with `s`."""
+        known = self.curve[: len(self.line_m)]
+        if s <= known[0][1]:  # where it began, though belt may have moved before it saw it do so
+            return self.line_m[0] + s - known[0][1]
+        right = bisect_right(known, s, key=lambda sample: sample[1])
+        if right == len(known):
+            return self.line_m[-1] + s - known[-1][1]
+        (_, sa), (_, sb) = known[right - 1], known[right]
+        la, lb = self.line_m[right - 1], self.line_m[right]
+        return la + (lb - la) * (s - sa) / (sb - sa)
 
     def s_at(self, t_ns: int) -> float:
         """Belt at a capture time, metres; beyond the marks at the first or the last speed."""
@@ -267,8 +284,8 @@ class CameraSight:
 
     def plain(self) -> dict[str, Any]:
         """As JSON keeps it."""
-        left_out = {"published"} if self.ahead_ns else {"published", "ahead_ns"}  # so that a version before reads it
-        values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}
+        not_needed = {name for name in ("ahead_ns", "line_m") if not getattr(self, name)}  # a version before reads it
+        values = {name: getattr(self, name) for name in self.__slots__ if name not in {"published", *not_needed}}
         return {**values, "published": {name: getattr(self.published, name) for name in Published.__slots__}}
 
     @classmethod

@@ -159,7 +159,7 @@ def _sums(own: Rows, old: RunSums | None) -> RunSums:
     rows = [(table, [found[:-1] for found in own[table.name]]) for table in WRITTEN_ONCE]
     sums = recounted(rows, histogram_step_g=old.load.histogram_step_g if old else DEFAULT_STEP_G)
     sums.sights = old.sights if old else rebuild.sights(own)
-    sums.head_start_m = old.head_start_m if old else None
+    sums.head_start_m, sums.turns = (old.head_start_m, old.turns) if old else (None, [])
     return sums
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 
 from aggregator.core.machine import PendingTrack, Restored
+from aggregator.core.travel import UNKNOWN, TravelKnown
 from aggregator.ledger.reader import (
     RunRow,
     decoded,
@@ -19,12 +20,16 @@ from aggregator.ledger.reader import (
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.messages import Mark
+from conveyor.messages.tracks import CARRIED
 
 MARKS = 20
 """Marks of a camera that may not have been used for the watermark yet: its travel waits for the reference camera's."""
 
 SAMPLES = 5000
 """Samples of travel from a run's beginning, and from its end: 5000 s of each."""
+
+CARRIED_OF = 512
+"""Newest marks of a camera that are asked for how long travel was carried on: half a minute of a live one's."""
 
 
 def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
@@ -35,7 +40,7 @@ def restore(view: LedgerView, run: RunRow, sums: RunSums) -> Restored:
         tubers=sums.last_tuber_id,
         bodies=sums.last_body_id,
         watermark_x_m=batch[2] if batch else math.inf,
-        head_start_m=sums.head_start_m,
+        travel=TravelKnown(sums.head_start_m, tuple(sums.turns)),
         sights=dict(sums.sights),
     )
     told = all(_told(view, run.run, camera) for camera in run.cameras)
@@ -67,12 +72,23 @@ def _told(view: LedgerView, run: str, camera: str) -> bool:
     return bool(last and not last[0][5])
 
 
-def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float]]:
-    """(capture time, travel) of marks: the first and the newest."""
+def _curve(view: LedgerView, run: str, camera: str) -> list[tuple[int, float, int]]:
+    """(capture time, travel, for how long it was carried on) of marks: the first and the newest. For how long is asked
+    of the newest alone: what came of it before is in the turns.
+    """
     newest = read_coverage(view, run, camera, limit=SAMPLES, newest=True)
     first = []
     if len(newest) == SAMPLES:
         first = [
             found for found in read_coverage(view, run, camera, limit=SAMPLES, newest=False) if found[2] < newest[0][2]
         ]
-    return [(found[3], found[4]) for found in (*first, *newest)]
+    asked = {found[2] for found in newest[-CARRIED_OF:]}
+    return [
+        (found[3], found[4], _carried_ms(view, run, camera, found[2]) if found[2] in asked else UNKNOWN)
+        for found in (*first, *newest)
+    ]
+
+
+def _carried_ms(view: LedgerView, run: str, camera: str, n: int) -> int:
+    mark = read_mark(view, run, camera, n)
+    return mark.frames.get(CARRIED, 0) if mark else UNKNOWN

@@ -33,7 +33,7 @@ class RunSums:
         set_aside: entries that could not be read, by camera.
         settled: by camera, up to which entry every track has gone somewhere.
         counted: tubers that tracks were counted for; last_tuber_id: the highest.
-        head_start_m: belt before the reference camera's first sample, where travel is estimated and it is known.
+        head_start_m, turns: of travel that is estimated (`aggregator.core.travel.TravelKnown`).
         load: sums over the tubers; sights: what each camera looked at.
     """
 
@@ -48,6 +48,7 @@ class RunSums:
     last_tuber_id: int = 0
     last_body_id: int = 0
     head_start_m: float | None = None
+    turns: list[tuple[int, float]] = field(default_factory=list)
     sights: dict[str, CameraSight] = field(default_factory=dict)
 
     def add_rows(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
@@ -99,7 +100,8 @@ class RunSums:
         for seen in batch.observations:
             self.add_observation(seen.camera, seen.role.value)
         self.counted += _counted(batch.observations)
-        self.settled, self.head_start_m = dict(batch.settled), batch.head_start_m
+        self.settled = dict(batch.settled)
+        self.head_start_m, self.turns = batch.travel.head_start_m, list(batch.travel.turns)
         self.sights = dict(batch.sights)
 
     @property
@@ -109,7 +111,10 @@ class RunSums:
 
     def text(self) -> str:
         """As the ledger keeps it."""
-        values = {name: getattr(self, name) for name in self.__slots__ if name not in ("load", "sights")}
+        left_out = (
+            ("load", "sights") if self.turns else ("load", "sights", "turns")
+        )  # so that a version before reads it
+        values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}
         values["load"] = self.load.plain()
         values["sights"] = {camera: sight.plain() for camera, sight in self.sights.items()}
         return json.dumps(values, sort_keys=True, separators=(",", ":"))
@@ -120,7 +125,8 @@ class RunSums:
         values = json.loads(text)
         sights = {camera: CameraSight.from_plain(plain) for camera, plain in values.pop("sights").items()}
         rows = {table.name: [0, 0] for table in WRITTEN_ONCE} | values.pop("rows")  # of version 2: none of loads
-        return cls(load=LoadSums.from_plain(values.pop("load")), sights=sights, rows=rows, **values)
+        turns = [(t_ns, ahead_m) for t_ns, ahead_m in values.pop("turns", ())]
+        return cls(load=LoadSums.from_plain(values.pop("load")), sights=sights, rows=rows, turns=turns, **values)
 
 
 def _counted(observations: Sequence[Observation]) -> int:

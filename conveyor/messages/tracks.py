@@ -33,6 +33,10 @@ from conveyor.ranges import (
 UNFOLLOWED = "unfollowed_ms"
 """In a mark's sheet of frames: how long load passed without an encoder of which it is not known how far it moved."""
 
+CARRIED = "carried_ms"
+"""In a mark's sheet of frames: for how long, without an encoder, no load was seen to move, so that travel was carried
+on by the belt's last speed, or was told later, when a speed was known."""
+
 Kind = Literal["tuber", "lump", "haulm"]
 EntryNumber = Annotated[int, Range(1, MAX_COUNT, "entries")]
 
@@ -112,7 +116,8 @@ class Mark:
         final: the camera ended; nothing follows.
         looked_at_m, travelled_m: belt length that passed the centre row, and how much of it was really looked at.
         frames: published (as far as known), received, processed, gaps, and drops by reason ('dropped_<reason>'):
-            received = processed + drops, published = received + gaps. Also `UNFOLLOWED`, where there is such.
+            received = processed + drops, published = received + gaps. Also `UNFOLLOWED` and `CARRIED`,
+            where there is such.
         views: sent, weighed, and 'lost_<reason>': sent = weighed + lost + outstanding.
         tracks: opened, counted, open, and 'discarded_<reason>': opened = counted + discarded + open; 'foreign' of the
             discarded are in the log as what they are.

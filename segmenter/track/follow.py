@@ -59,6 +59,7 @@ class BeltFollower:
         self._earlier: list[EarlierMove] = []
         if resume is not None:
             self._estimator.start_at(resume.travel_m, unfollowed_ms=resume.unfollowed_ms)
+            self._estimator.carried_ms = resume.carried_ms
 
     @property
     def estimated(self) -> bool:
@@ -69,6 +70,11 @@ class BeltFollower:
     def unfollowed_ms(self) -> int:
         """As the estimator has it; 0 with an encoder."""
         return self._estimator.unfollowed_ms
+
+    @property
+    def carried_ms(self) -> int:
+        """As the estimator has it; 0 with an encoder."""
+        return self._estimator.carried_ms if self.estimated else 0
 
     def step(self, frame: Frame, heights: HeightMap, instances: Instances, tracker: Tracker) -> BeltMotion:
         """Travel at this frame, and the matches of tracks and instances."""
@@ -122,5 +128,5 @@ class BeltFollower:
         # The raster tells travel to about a millimetre; the tubers that are tracked tell the rest.
         pairs = tracker.match(instances, self.travel_m)
         residual_m = tracker.residual_m(pairs, instances, self.travel_m)
-        self.travel_m = self._estimator.correct(residual_m or 0.0)
+        self.travel_m = self._estimator.correct(residual_m)
         return pairs

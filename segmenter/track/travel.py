@@ -58,7 +58,13 @@ class EarlierMove:
 
 
 class TravelEstimator:
-    """Travel since the first frame, metres, from one height map after the other."""
+    """Travel since the first frame, metres, from one height map after the other.
+
+    Attributes:
+        travel_m: at the newest frame.
+        carried_ms: for how long no load was seen to move, so that travel was carried on by the last speed, or, before
+            one was known, told later: milliseconds since the run began.
+    """
 
     def __init__(self, belt: BeltGeometry) -> None:
         k = belt.intrinsics
@@ -73,7 +79,9 @@ class TravelEstimator:
         self._speeds: deque[float] = deque(maxlen=SPEEDS_KEPT)
         self._blind: Counter[tuple[int, bool]] = Counter()
         self._looked_back = False
+        self._unseen_ms = 0
         self.travel_m = 0.0
+        self.carried_ms = 0
 
     @property
     def speed_mps(self) -> float:
@@ -105,6 +113,7 @@ class TravelEstimator:
             told_ns, _, told_heights = self._told
             self._last, self._told = (told_ns, *self._seen(told_heights)), None
         occupied, spectrum = self._seen(heights)
+        self._unseen_ms = 0
         if self._last is not None:
             elapsed_s = (captured_ns - self._last[0]) * 1e-9
             plausible = 0 < elapsed_s < STANDS_AFTER_S
@@ -113,6 +122,8 @@ class TravelEstimator:
             least = self._least_match(expected_m, elapsed_s)
             shift_m = self._shift(occupied, spectrum, expected_m, reach_m, least)
             self.travel_m += expected_m if shift_m is None else shift_m
+            if shift_m is None:
+                self._unseen_ms = round(1000 * max(0.0, elapsed_s))
             if shift_m is not None and plausible and elapsed_s < SPEED_WITHIN_S:
                 self._speeds.append(shift_m / elapsed_s)
             elif shift_m is None and plausible and not self._speeds:
@@ -127,13 +138,17 @@ class TravelEstimator:
             return []
         self._looked_back = True
         moves = [EarlierMove(self.speed_mps * ms / 1000, n, bare=bare) for (ms, bare), n in self._blind.items()]
+        self.carried_ms += sum(ms * n for (ms, _), n in self._blind.items())
         self._blind.clear()
         self.travel_m += sum(move.all_m for move in moves)
         return moves
 
-    def correct(self, residual_m: float) -> float:
-        """Move the newest travel by what the tracked tubers say; returns it."""
-        self.travel_m += residual_m
+    def correct(self, residual_m: float | None) -> float:
+        """Move the newest travel by what the tracked tubers say, None: nothing; returns it."""
+        if residual_m is None:
+            self.carried_ms += self._unseen_ms
+        else:
+            self.travel_m += residual_m
         return self.travel_m
 
     def _seen(self, heights: HeightMap) -> tuple[NDArray[np.float32], NDArray[np.complex64]]:

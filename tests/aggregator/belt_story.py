@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from conveyor.messages import Mark, Track, TrackEntry, WeighedView
+from conveyor.messages.tracks import CARRIED
 
 SPEED_MPS = 0.3
 FPS = 30.0
@@ -16,8 +17,24 @@ CLOCK_S = 10.0
 
 
 @dataclass(frozen=True)
+class Stop:
+    """The belt stands from `at_s` on, `for_s` long."""
+
+    at_s: float
+    for_s: float
+
+    def stood_s(self, at_s: float) -> float:
+        """For how long it has stood by then."""
+        return float(np.clip(at_s - self.at_s, 0.0, self.for_s))
+
+
+NEVER = Stop(0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Camera:
-    """A camera: the lane it sees (belt y, metres), where its centre row lies, its travel's zero and drift."""
+    """A camera: the lane it sees (belt y, metres), where its centre row lies, its travel's zero and drift; `misses`: it
+    sees bare belt while that stands, and takes it to run on."""
 
     name: str
     low_y_m: float
@@ -25,6 +42,7 @@ class Camera:
     x_m: float
     zero_m: float = 0.0
     drift: float = 0.0
+    misses: Stop | None = None
 
 
 @dataclass(frozen=True)
@@ -53,10 +71,12 @@ class Story:
 
     def in_run(self, run: str) -> Story:
         """The same story under another run id."""
-        return replace(self, run=run, logs={n: [_moved(e, self.run, run) for e in log] for n, log in self.logs.items()})
+        return replace(
+            self, run=run, logs={n: [_renamed(e, self.run, run) for e in log] for n, log in self.logs.items()}
+        )
 
 
-def _moved(entry: TrackEntry, old: str, new: str) -> TrackEntry:
+def _renamed(entry: TrackEntry, old: str, new: str) -> TrackEntry:
     track = entry.track
     if track is None:
         return replace(entry, run=new)
@@ -88,6 +108,7 @@ def tell(
     told_to: Collection[str] = (),
     split: float = 0.05,
     spread_m: float = 0.1,
+    stop: Stop = NEVER,
 ) -> Story:
     """A belt with up to `n` tubers under 1 to 3 cameras whose lanes overlap.
 
@@ -98,6 +119,7 @@ def tell(
         told_to: names of cameras that have one all the same.
         split: share of tracks told in two halves that never met in a frame.
         spread_m: cameras hang so far up and down the belt from its middle, at most.
+        stop: the belt stands for a while, and the first camera sees none of the load then.
     """
     rng = np.random.default_rng(seed)
     tubers = scatter(rng, n, apart_m=apart_m, length_m=length_m)
@@ -110,11 +132,14 @@ def tell(
             x_m=float(rng.uniform(-spread_m, spread_m)),
             zero_m=float(rng.uniform(-0.5, 0.5)) if estimates[i] else 0.0,
             drift=float(rng.uniform(-0.01, 0.01)) if estimates[i] else 0.0,
+            misses=stop if i == 0 and estimates[i] else None,
         )
         for i, lane in enumerate(lanes)
     )
+    if stop.for_s:
+        tubers = [t for t in tubers if t.y_m > looking[0].high_y_m or abs(_runs_s(looking[0], t) - stop.at_s) > 1.0]
     logs = {
-        c.name: _log(rng, run, c, tubers, noise_mm / 1000, length_m, without, split)
+        c.name: _log(rng, run, c, tubers, noise_mm / 1000, length_m, without, split, stop)
         for c, without in zip(looking, estimates, strict=True)
     }
     return Story(run, tuple(tubers), looking, logs)
@@ -129,23 +154,27 @@ def _log(
     length_m: float,
     estimated: bool,
     split: float,
+    stop: Stop,
 ) -> list[TrackEntry]:
     """Tracks and marks in an order the segmenter may write them: a track some time after its crossing, marks honest."""
     facts: list[tuple[float, Track | Mark]] = []
     for tuber in tubers:
         if not camera.low_y_m <= tuber.y_m <= camera.high_y_m:
             continue
-        crossed_s = (camera.x_m - tuber.x_m) / SPEED_MPS
+        runs_s = _runs_s(camera, tuber)
+        crossed_s = runs_s + (stop.for_s if runs_s > stop.at_s else 0.0)
         parts = 2 if rng.random() < split else 1
         for part in range(parts):
             dx, dy = np.clip(rng.normal(0, noise_m, 2), -3 * noise_m, 3 * noise_m)
-            track = _track(run, camera, tuber, crossed_s, float(dx), float(dy), estimated, part, parts, rng)
+            track = _track(run, camera, tuber, crossed_s, float(dx), float(dy), estimated, part, parts, rng, stop)
             facts.append((crossed_s + rng.uniform(0.2, 1.0), track))
-    end_s = (length_m + 0.3) / SPEED_MPS + 1.2
-    facts += [(float(at_s), _mark(camera, float(at_s), estimated, final=False)) for at_s in np.arange(0.5, end_s, 0.5)]
+    end_s = (length_m + 0.3) / SPEED_MPS + 1.2 + stop.for_s
+    facts += [
+        (float(at_s), _mark(camera, float(at_s), estimated, stop, final=False)) for at_s in np.arange(0.5, end_s, 0.5)
+    ]
     facts.sort(key=lambda fact: fact[0])
     facts.append(
-        (end_s, _mark(camera, end_s, estimated, final=True, tracks=sum(isinstance(f, Track) for _, f in facts)))
+        (end_s, _mark(camera, end_s, estimated, stop, final=True, tracks=sum(isinstance(f, Track) for _, f in facts)))
     )
     return [
         TrackEntry(
@@ -159,8 +188,18 @@ def _log(
     ]
 
 
-def _travel(camera: Camera, at_s: float) -> float:
-    return camera.zero_m + (1 + camera.drift) * SPEED_MPS * at_s
+def _runs_s(camera: Camera, tuber: Tuber) -> float:
+    """For how long the belt has run when the tuber crosses."""
+    return (camera.x_m - tuber.x_m) / SPEED_MPS
+
+
+def _moved(camera: Camera, at_s: float, stop: Stop) -> float:
+    """How far the belt has moved, as the camera has it but for its drift."""
+    return SPEED_MPS * (at_s - (0.0 if camera.misses else stop.stood_s(at_s)))
+
+
+def _travel(camera: Camera, at_s: float, stop: Stop) -> float:
+    return camera.zero_m + (1 + camera.drift) * _moved(camera, at_s, stop)
 
 
 def _track(
@@ -174,6 +213,7 @@ def _track(
     part: int,
     parts: int,
     rng: np.random.Generator,
+    stop: Stop,
 ) -> Track:
     first = round((CLOCK_S + crossed_s) * FPS) - 14
     first_seq, last_seq = [(first, first + 28), (first, first + 13), (first + 14, first + 28)][part + (parts > 1)]
@@ -196,7 +236,7 @@ def _track(
         crossed_ns=round((CLOCK_S + crossed_s) * 1e9),
         crossed_x_m=camera.x_m + dx_m,
         y_m=tuber.y_m + dy_m,
-        travel_m=_travel(camera, crossed_s),
+        travel_m=_travel(camera, crossed_s, stop),
         travel_estimated=estimated,
         frames=last_seq - first_seq + 1,
         first_seq=first_seq,
@@ -212,20 +252,22 @@ def _track(
     )
 
 
-def _mark(camera: Camera, at_s: float, estimated: bool, *, final: bool, tracks: int = 0) -> Mark:
+def _mark(camera: Camera, at_s: float, estimated: bool, stop: Stop, *, final: bool, tracks: int = 0) -> Mark:
     """Tracks come up to 1 s after their crossing: what crossed before that is in the log."""
     complete_s = at_s - 1.05
     frames = round(at_s * FPS)
+    carried_ms = round(1000 * camera.misses.stood_s(at_s)) if camera.misses else 0
+    carried = {CARRIED: carried_ms} if carried_ms else {}
     return Mark(
         captured_ns=round((CLOCK_S + at_s) * 1e9),
-        travel_m=_travel(camera, at_s),
+        travel_m=_travel(camera, at_s, stop),
         travel_estimated=estimated,
         complete_ns=round((CLOCK_S + (at_s if final else complete_s)) * 1e9),
-        complete_place_x_m=camera.x_m - _travel(camera, complete_s) + 0.012,
+        complete_place_x_m=camera.x_m - _travel(camera, complete_s, stop) + 0.012,
         final=final,
-        looked_at_m=SPEED_MPS * at_s,
-        travelled_m=SPEED_MPS * at_s,
-        frames={"published": frames, "received": frames, "processed": frames, "gaps": 0},
+        looked_at_m=_moved(camera, at_s, stop),
+        travelled_m=_moved(camera, at_s, stop),
+        frames={"published": frames, "received": frames, "processed": frames, "gaps": 0} | carried,
         views={"sent": 3 * tracks, "weighed": 3 * tracks, "outstanding": 0},
         tracks={"opened": tracks, "counted": tracks, "open": 0},
     )

@@ -71,7 +71,7 @@ class RememberedCore:
     """A `Segmenter` whose answers were written down."""
 
     estimated = False
-    unfollowed_ms = 0
+    unfollowed_ms = carried_ms = 0
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory

@@ -43,7 +43,7 @@ class MadeUpBelt:
     """What a segmenting core says of a belt on which `per_s` tubers a second close; the same in every history."""
 
     estimated = False
-    unfollowed_ms = 0
+    unfollowed_ms = carried_ms = 0
 
     def __init__(self, per_s: float) -> None:
         self.per_s = per_s

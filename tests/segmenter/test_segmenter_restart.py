@@ -12,7 +12,7 @@ from test_segmenter_camera_run import RUN_FPS, SETTINGS, STEP_M, entries, finish
 
 from conveyor.camera_clock import STANDS_AFTER_S
 from conveyor.messages import Frame, Mark, Track
-from conveyor.messages.tracks import UNFOLLOWED
+from conveyor.messages.tracks import CARRIED, UNFOLLOWED
 from segmenter.camera_run import CameraRun
 from segmenter.resume import Resume
 
@@ -48,6 +48,8 @@ def test_belt_that_ran_on_without_an_encoder_lowers_the_coverage(
     tracks, mark = restarted(frames, tmp_path / "front.db", killed_after=killed_after, back_at=back_at)
     assert mark.travel_estimated
     assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.03)
+    gap_ms = 1000 * (back_at - killed_after) / RUN_FPS
+    assert gap_ms <= mark.frames[CARRIED] <= gap_ms + 300, "no load was seen to move, but for the belt's bare beginning"
     share = mark.looked_at_m / mark.travelled_m
     assert share < 1.0
     assert len(tracks) <= len(BODIES)
@@ -66,6 +68,7 @@ def test_belt_that_passes_before_any_speed_is_known_is_told_once_there_is_one(
     assert mark.travelled_m == pytest.approx((FRAMES - 1) * STEP_M, rel=0.05)
     assert mark.looked_at_m / mark.travelled_m == pytest.approx(len(tracks) / len(BODIES), abs=0.12)
     assert UNFOLLOWED not in mark.frames
+    assert mark.frames[CARRIED] >= 1000 * (60 - killed_after) / RUN_FPS
 
 
 def test_a_belt_of_which_no_two_frames_share_any_says_so(tmp_path: Path) -> None:
@@ -83,6 +86,7 @@ def test_a_belt_of_which_no_two_frames_share_any_says_so(tmp_path: Path) -> None
     assert mark is not None
     assert mark.travelled_m == 0.0
     assert mark.frames[UNFOLLOWED] == 1000 * apart[-1].seq // RUN_FPS
+    assert mark.frames[CARRIED] == mark.frames[UNFOLLOWED]
 
 
 @pytest.mark.parametrize("missing", [12, 55, 90])
