@@ -125,7 +125,9 @@ def test_an_encoder_tells_the_cameras_of_today(tmp_path: Path, capsys: pytest.Ca
     file = tmp_path / "line.toml"
     file.write_text(dump_toml(parse_config({"cameras": {"b": cameras["b"]}, "encoder": encoder}, where="test")))
     check(file)
-    assert "warning: encoder: no camera of this line is live" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "warning: encoder: no camera of this line is live" in told.err
+    assert told.out.startswith(f"{file} is accepted, with 2 warnings: line ")
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
@@ -171,14 +173,18 @@ def test_the_command_exits_2_with_one_clear_text(tmp_path: Path) -> None:
 
 
 def test_a_recording_that_is_not_here_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It may be on another computer of the line; `run` was the first to say so."""
-    check(write(tmp_path, '[cameras.front]\npath = "gone.mcap"\n[cameras.rear]\npath = "."\n[cameras.side]'))
+    """It may be on another computer of the line; `run` was the first to say so. The file was called fine beside it."""
+    file = write(tmp_path, '[cameras.front]\npath = "gone.mcap"\n[cameras.rear]\npath = "."\n[cameras.side]')
+    check(file)
     told = capsys.readouterr()
-    assert "is fine: line 'line', cameras front, rear, side" in told.out
+    assert told.out == f"{file} is accepted, with 2 warnings: line 'line', cameras front, rear, side\n"
     assert told.err == (
         f"warning: cameras.front.path: {tmp_path / 'gone.mcap'} is not on this computer\n"
         "warning: cameras.side has no path: a camera that replays a recording cannot start\n"
     )
+    for here, verdict in (("", "is accepted, with 1 warning"), ('path = "."', "is fine")):
+        check(write(tmp_path, f"[cameras.side]\n{here}"))
+        assert capsys.readouterr().out == f"{file} {verdict}: line 'line', cameras side\n"
 
 
 def test_a_segmenter_keeps_its_log_on_disk_where_its_file_names_no_folder(tmp_path: Path) -> None:

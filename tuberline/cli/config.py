@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from cyclopts import App
@@ -21,7 +22,8 @@ def check(config: Path) -> None:
 
     Warned of is what may lie on another computer of the line: recordings, weights, tickets, contracts and channels of
     alarms that cannot be read here. So are cameras without a recording or not in theirs, live cameras that hang at one
-    place, and an encoder that no camera hears.
+    place, and an encoder that no camera hears. The last line says how many warnings there are; they do not change the
+    exit code.
 
     Parameters
     ----------
@@ -35,19 +37,26 @@ def check(config: Path) -> None:
     """
     line = load_config(config)
     check_access(line, config)
+    warnings = list(_warnings(line))
+    for warning in warnings:
+        sys.stderr.write(f"warning: {warning}\n")
     cameras = ", ".join(sorted(line.cameras)) or "none"
-    sys.stdout.write(f"{config} is fine: line '{line.name}', cameras {cameras}\n")
+    count = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}"
+    verdict = f"is accepted, with {count}" if warnings else "is fine"
+    sys.stdout.write(f"{config} {verdict}: line '{line.name}', cameras {cameras}\n")
+
+
+def _warnings(line: LineConfig) -> Iterator[str]:
     for name, camera in sorted(line.cameras.items()):
         if camera.path is not None and not camera.path.exists():
-            sys.stderr.write(f"warning: cameras.{name}.path: {camera.path} is not on this computer\n")
+            yield f"cameras.{name}.path: {camera.path} is not on this computer"
         if camera.path is None and camera.source == "recording":
-            sys.stderr.write(f"warning: cameras.{name} has no path: a camera that replays a recording cannot start\n")
+            yield f"cameras.{name} has no path: a camera that replays a recording cannot start"
     if together := at_one_place(line.cameras):
-        sys.stderr.write(f"warning: {hang_together(together)}\n")
+        yield hang_together(together)
     if line.encoder is not None and not line.hears_encoder:
-        sys.stderr.write("warning: encoder: no camera of this line is live, and recordings bring their own travel\n")
-    for fault in unreadable_files(line):
-        sys.stderr.write(f"warning: {fault}\n")
+        yield "encoder: no camera of this line is live, and recordings bring their own travel"
+    yield from unreadable_files(line)
 
 
 @config.command
