@@ -27,6 +27,7 @@ from tuberline.cli.load_table import print_load, print_loads
 from tuberline.cli.ticket_options import TicketOptions
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.wrong import what_went_wrong
+from viewer.page.state import ToldLoad
 
 APART = re.compile(r"load of run story, load (\d) says [\d.]+ kg, expected are [\d.]+ kg, ([\d.]+) standard deviations")
 
@@ -89,6 +90,7 @@ def test_contradicting_tickets_are_told_wherever_they_are_met(
         (doubt,) = load["doubts"]
         number = str(load["number"])
         assert apart(doubt) == {number: said[number]}
+        assert ToldLoad.of(load).doubts == (doubt,), "the page's list was silent"
     capsys.readouterr()
     print_loads(loads)
     assert apart(joined(capsys)) == said

@@ -13,6 +13,10 @@ from conveyor.messages.loads import LoadNow
 from viewer.page.state import Flow, LineState, NodeState, PastLoad, ToldLoad
 
 LENS = Intrinsics(848, 480, 430.0, 430.0, 423.5, 239.5)
+DOUBT = (
+    "contradicts all else that is known: load 1 says 207.100 kg, expected are 181.250 kg, 4.1 standard deviations "
+    "apart; it counts for little"
+)
 HISTOGRAM = (310, 2105, 3420, 2890, 1660, 720, 300, 120, 44, 15, 4, 2)
 
 
@@ -113,7 +117,7 @@ def good_state(line: str = "north", **changes: Any) -> LineState:
 
 
 def loaded_state(line: str = "north", **changes: Any) -> LineState:
-    """The same line with its third load open: a contract's classes, clods among the tubers, a ticket."""
+    """The same line with its third load open: a contract's classes, clods among the tubers, a ticket in doubt."""
     edges = ((0.0, 28.0), (28.0, 55.0), (55.0, None))
     classes = tuple(
         ClassTotal(name, low, high, 400, 380, 420, 80e3, 76e3, 84e3, share, share - 1.5, share + 1.5, state)
@@ -139,7 +143,7 @@ def loaded_state(line: str = "north", **changes: Any) -> LineState:
     told = tuple(
         ToldLoad(
             n, f"trailer {n + 4}", "North 4", "Agria", 1790000000.0 + 3600 * n, n == 3, 1200, 206.4e3, 199e3, 214e3,
-            0.993, 207.1e3 if n == 1 else None, None, (),
+            0.993, 207.1e3 if n == 1 else None, None, (), doubts=(DOUBT,) if n == 1 else (),
         )
         for n in (3, 2, 1)
     )  # fmt: skip

@@ -14,7 +14,7 @@ import pytest
 
 import viewer.page.app as app_module
 from tests.deploy.remote_browser import Browser, chromium
-from tests.viewer.page_states import good_state, huge_state, loaded_state, segmenter, totals, with_node
+from tests.viewer.page_states import DOUBT, good_state, huge_state, loaded_state, segmenter, totals, with_node
 from viewer.page.board import Board
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
@@ -224,7 +224,7 @@ def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -
             "Classes of the contract: packer 2026",
             "✕ broken",
             "The whole run: 1 993 kg (90 % sure: 1 894 to 2 093 kg), 11 590 tubers",
-            "207.1 kg",
+            f"207.1 kg: {DOUBT}",
             "Undo …",
             "No alarms.",
         )

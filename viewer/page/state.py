@@ -95,7 +95,8 @@ WEIGHTS = ("weight_g", "low_g", "high_g")
 @dataclass(frozen=True, slots=True)
 class ToldLoad:
     """One load that was started, as the aggregator tells it: `weight_g` and its interval are estimated for all of its
-    belt, as a scale would say it. `net_g` and `gross_g` are what scales said, `notes` what persons did (`by`, `text`).
+    belt, as a scale would say it. `net_g` and `gross_g` are what scales said, `refused` why that does not calibrate,
+    `doubts` what speaks against it; `notes` what persons did (`by`, `text`).
     """
 
     number: int
@@ -113,15 +114,17 @@ class ToldLoad:
     gross_g: float | None
     refused: tuple[str, ...]
     notes: tuple[Mapping[str, str], ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> ToldLoad:
         """What the page shows of it; raises KeyError where an aggregator tells something else."""
         notes = tuple({"by": str(note["by"]), "text": str(note["text"])} for note in told.get("notes", ()))
-        found = {each.name: told[each.name] for each in fields(cls) if each.name != "notes"}
+        doubts = tuple(map(str, told.get("doubts", ())))  # a line of an earlier version tells none
+        found = {each.name: told[each.name] for each in fields(cls) if each.name not in ("notes", "doubts")}
         if found["weight_g"] is not None:
             found |= {name: told[f"estimated_{name}"] for name in WEIGHTS}
-        return cls(**found, notes=notes)
+        return cls(**found, notes=notes, doubts=doubts)
 
 
 @dataclass(frozen=True, slots=True)

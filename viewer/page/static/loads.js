@@ -73,11 +73,12 @@ export class Loads {
   row(each) {
     const scale = loadUnit(each.weight_g);
     const scales = [each.net_g === null ? "" : scaled(each.net_g), each.gross_g === null ? "" : t("gross", { weight: scaled(each.gross_g) })].filter(Boolean).join(", ");
+    const against = [...each.refused, ...(each.doubts ?? [])].join("; ");
     return [
       [each.number, each.name && `· ${each.name}`, each.open && t("open_load")].filter(Boolean).join(" "), when(each.began_unix_s), weight(each.weight_g),
       each.low_g === null ? "–" : t("range", { low: load(each.low_g, scale), high: load(each.high_g, scale) }),
       number(each.count), percent(each.coverage),
-      (scales && each.refused.length ? `${scales}: ${each.refused.join("; ")}` : scales) || "–", each.field || "–", each.variety || "–",
+      (scales && against ? `${scales}: ${against}` : scales) || "–", each.field || "–", each.variety || "–",
       (each.notes ?? []).map(({ text, by }) => (by ? `${text} (${by.replace(/^page: /, "")})` : text)).join("; ") || "–",
     ];
   }
