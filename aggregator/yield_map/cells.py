@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from aggregator.yield_map.no_map import NoMapError, WhyNoMap
 from aggregator.yield_map.points import Points
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
@@ -67,7 +68,10 @@ def cells_of(machines: Sequence[Points], *, cell_m: float, shared_percent: float
     parts = [_squares(points) for points in machines]
     centres = np.concatenate([part[0] for part in parts])
     if not len(centres):
-        raise InputError(f"none of {sum(len(p.time_s) for p in machines)} yield points can be used: there is no map")
+        raise NoMapError(
+            f"none of {sum(len(p.time_s) for p in machines)} yield points can be used: there is no map",
+            why=WhyNoMap.NO_GROUND,
+        )
     values = np.concatenate([part[1] for part in parts])
     origin = np.floor(centres.min(axis=0) / cell_m) * cell_m
     index = np.floor((centres - origin) / cell_m).astype(np.int64)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aggregator.yield_map.no_map import NoMapError, WhyNoMap
 from conveyor.errors import InputError
 
 MOST_SPEED_M_S = 12.0
@@ -120,7 +121,10 @@ def plane_of(track: Track) -> FieldPlane:
     """
     fixed = track.quality > 0
     if not fixed.any():
-        raise InputError(f"the track has {len(track)} positions and no fix among them: nothing can be placed on a map")
+        raise NoMapError(
+            f"the track has {len(track)} positions and no fix among them: nothing can be placed on a map",
+            why=WhyNoMap.NO_FIX,
+        )
     return FieldPlane(float(np.median(track.lat_deg[fixed])), float(np.median(track.lon_deg[fixed])))
 
 
@@ -145,7 +149,10 @@ def believed(track: Track, plane: FieldPlane) -> Path:
             faults[fault] += 1
     if len(kept) < 2:
         told = ", ".join(f"{n} {name}" for name, n in faults.items())
-        raise InputError(f"the track has {len(kept)} usable of {len(track)} positions ({told}); a map needs two")
+        raise NoMapError(
+            f"the track has {len(kept)} usable of {len(track)} positions ({told}); a map needs two",
+            why=WhyNoMap.NO_FIX,
+        )
     return _path(time_s[kept], xy_m[kept], dict(faults))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,9 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aggregator.ledger.writer import Ledger
+from aggregator.yield_map.no_map import NoMapError
 from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor import topics
+from conveyor.config import parse_config
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.formats.positions import POSITIONS_FILE, PositionsWriter, read_positions
 from conveyor.messages import Position
@@ -24,7 +28,7 @@ from tests.viewer.page_states import loaded_state
 from tests.viewer.test_viewer_page_browser import js, text, until
 from tests.viewer.test_viewer_page_server import ask
 from tuberline.maps.field import Settings, field_map
-from tuberline.maps.live import features, live_map, newest_run
+from tuberline.maps.live import LiveMap, features, live_map, newest_run
 from viewer.page.board import Board
 from viewer.page.maps import FieldMaps
 from viewer.page.server import PageServer
@@ -57,10 +61,8 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield running
 
 
-def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
-    assert live_map(tmp_path, SETTINGS, newest_run(tmp_path)) is None
+def test_the_live_map_is_the_map_of_its_run(run: Path) -> None:
     found = live_map(run, SETTINGS, newest_run(run))
-    assert found is not None
     assert found.cells.mean_t_ha == field_map([run], [], SETTINGS).cells.mean_t_ha
     cells, about = features(found)
     assert len(cells) == int(np.isfinite(found.cells.t_ha).sum())
@@ -68,9 +70,44 @@ def test_the_live_map_is_the_map_of_its_run(run: Path, tmp_path: Path) -> None:
     lons, lats = np.array([cell["geometry"]["coordinates"][0] for cell in cells]).reshape(-1, 2).T
     east_m = (lons.max() - lons.min()) * np.cos(np.radians(lats.mean())) * 111_320
     assert east_m <= WORLD.size_m[0] + 3 * found.cells.cell_m, "degrees, longitude first"
-    assert live_map(run, replace(SETTINGS, delay_s=None), newest_run(run)) is not None, (
-        "not found yet: then it is assumed"
-    )
+    live_map(run, replace(SETTINGS, delay_s=None), newest_run(run))  # not found yet: then it is assumed
+
+
+def why_none(folder: Path) -> str:
+    with pytest.raises(NoMapError) as caught:
+        live_map(folder, SETTINGS, newest_run(folder))
+    return caught.value.why
+
+
+def test_why_there_is_no_map_is_told_by_what_is_missing(run: Path, tmp_path: Path) -> None:
+    """The page showed the machine's way, or nothing, whatever was missing."""
+    told: list[tuple[str, str]] = []
+    config = parse_config({"aggregator": {"out": str(tmp_path)}, "gnss": {"source": "file:x"}}, where="test")
+    keeping = LiveMap(config, lambda *_: None, lambda *why: told.append(why))
+    keeping.start()
+    until(lambda: told, what="why there is no map")
+    keeping.stop()
+    assert told == [("no_ledger", f"{tmp_path} holds no ledger with a run")]
+    with Ledger(tmp_path / "ledger.db") as ledger:
+        ledger.open_run("empty", line="line", cameras=("left",), version="1", started_ns=0)
+    assert why_none(tmp_path) == "no_positions"
+    shutil.copy(run / POSITIONS_FILE, tmp_path)
+    assert why_none(tmp_path) == "no_tubers"
+    day = read_positions(run / POSITIONS_FILE)
+    for why, changed in (
+        ("no_fix", {"quality": 0}),
+        ("no_ground", {"lat_deg": day[0].lat_deg, "lon_deg": day[0].lon_deg}),
+        ("other_times", {"time_ns": 86_400_000_000_000}),
+    ):
+        folder = tmp_path / why
+        folder.mkdir()
+        shutil.copy(run / "ledger.db", folder)
+        with PositionsWriter(folder / POSITIONS_FILE) as file:
+            for n, place in enumerate(day[:300]):
+                moved = replace(place, **changed)
+                time_ns = place.time_ns + changed.get("time_ns", 0)
+                file.write((time_ns, n, moved.lat_deg, moved.lon_deg, moved.quality, 0.8, 12))
+        assert why_none(folder) == why
 
 
 @pytest.mark.graph
@@ -82,7 +119,6 @@ def test_a_viewer_draws_the_field_while_the_machine_drives(run: Path, tmp_path: 
         live_map(run, SETTINGS, newest_run(run)),
         read_positions(run / POSITIONS_FILE),
     )
-    assert found is not None
     more = (
         f'[aggregator]\nout = "{run}"\n[gnss]\nsource = "file:x.nmea"\nwidth_m = 3.0\noverlap_m = 0.1\n'
         f"delay_s = {WORLD.delay_s}\n"
@@ -144,7 +180,6 @@ def test_a_wild_place_is_not_drawn_and_a_long_gap_is() -> None:
 @pytest.mark.graph
 def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, browser: Browser) -> None:
     found = live_map(run, SETTINGS, newest_run(run))
-    assert found is not None
     cells, about = features(found)
     board, maps = Board(["north"]), FieldMaps()
     with PageServer(board, host="127.0.0.1", port=0, maps=maps) as page:
@@ -156,7 +191,15 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
 
         until(lambda: told() or "Load 3" in text(browser), what="the page")
         assert js(browser, "document.querySelector('.field').hidden"), "no field, no map, and no megabyte to load"
+        maps.no_fix("north")
+        until(lambda: told() or "No yields: the GNSS receiver has no fix." in text(browser), what="why there is none")
+        maps.tell_why("north", "", "track x holds no position")
+        maps.add_place("north", lat_deg=52.0, lon_deg=5.0)
+        maps.tell_why("north", "no_ground", "no cell of 10 m")
+        until(lambda: told() or "No yields: too little ground is lifted yet" in text(browser), what="another reason")
+        assert js(browser, "document.querySelector('.map').hidden")
         assert not js(browser, "'maplibregl' in window")
+        maps.begin("north")
         maps.put_cells("north", cells, about)
         first = cells[0]["geometry"]["coordinates"][0][0]
         for n in range(30):
@@ -169,6 +212,7 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
         for n in range(2):
             maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
         until(lambda: told() or "The machine's way so far." in text(browser), what="its way")
+        assert "No yields" not in text(browser), "no cells were computed yet, so nothing is known to be missing"
         until(lambda: told() or js(browser, drawn) == 0, what="no cells of the run before")
 
 
@@ -195,9 +239,9 @@ def test_why_there_is_no_map_is_told_as_it_is(broken: str, browser: Browser) -> 
         js(browser, broken)
         for n in range(2):
             maps.add_place("north", lat_deg=52.0 + n * 2e-5, lon_deg=5.0)
-        wanted, wrong = "The machine's way so far.", "This browser cannot draw the map"
+        wanted, wrong = "The machine's way so far. No yields: the page was started", "This browser cannot draw the map"
         if broken == NO_WEBGL:
-            wanted, wrong = wrong, wanted
+            wanted, wrong = wrong, "The machine's way"
         until(lambda: wanted in told(), what=wanted)
         for _ in range(5):
             assert wrong not in told()

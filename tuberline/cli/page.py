@@ -118,7 +118,11 @@ def _live_maps(addresses: list[LineAddress], maps: FieldMaps) -> list[LiveMap]:
         return []
     from tuberline.maps.live import LiveMap
 
-    return [LiveMap(config, partial(maps.put_cells, config.name)) for config in configs if config.gnss]
+    return [
+        LiveMap(config, partial(maps.put_cells, config.name), partial(maps.tell_why, config.name))
+        for config in configs
+        if config.gnss
+    ]
 
 
 def _token(file: Path | None) -> str:

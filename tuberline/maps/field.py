@@ -28,6 +28,7 @@ from aggregator.ledger.reader import (
 from aggregator.ledger.totals_by import ALL, Labelled, labelled, total_of
 from aggregator.yield_map.cells import YieldMap, cells_of, check_cell, factors_to_one_scale
 from aggregator.yield_map.delay import Delay, delays
+from aggregator.yield_map.no_map import NoMapError, WhyNoMap
 from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
 from aggregator.yield_map.smooth import smoothed
 from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
@@ -143,9 +144,10 @@ def field_map(
     places, shared = _places_of(runs, tracks, settings, run, tubers)
     cells = cells_of([share.points for share in places.shares], cell_m=settings.cell_m, shared_percent=shared)
     if not np.isfinite(cells.t_ha).any():
-        raise InputError(
+        raise NoMapError(
             f"no cell of {settings.cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller "
-            "--cell-m"
+            "--cell-m",
+            why=WhyNoMap.NO_GROUND,
         )
     return FieldMap(places.plane, places.shares, settings, smoothed(cells) if settings.smooth else cells)
 
@@ -238,7 +240,7 @@ def _read(
         rows = [t for each in chosen for t in read_tubers(db, each.run)] if known is None else known
         tubers = [(t.crossed_ns, t.weight_g, t.low_g, t.high_g) for t in rows]
         if not tubers:
-            raise InputError(f"run {run} counted no tuber: there is nothing to map")
+            raise NoMapError(f"run {run} counted no tuber: there is nothing to map", why=WhyNoMap.NO_TUBERS)
         values = np.array(tubers, dtype=np.float64)
         scale, shared_percent = _scale(db, rows, tickets)
     crop = Crop(
@@ -289,10 +291,11 @@ def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Point
     path = believed(machine.track, plane)
     crop = machine.crop
     if crop.time_s[-1] < path.time_s[0] or crop.time_s[0] > path.time_s[-1] + 600:
-        raise InputError(
+        raise NoMapError(
             f"run {machine.run}: its tubers passed from {_clock(crop.time_s[0])} to {_clock(crop.time_s[-1])}, its "
             f"positions are from {_clock(path.time_s[0])} to {_clock(path.time_s[-1])}: another day's track, or clocks "
-            "that differ (--track-shift-s moves the track)"
+            "that differ (--track-shift-s moves the track)",
+            why=WhyNoMap.OTHER_TIMES,
         )
     if settings.delay_s is not None:
         delay = Delay(settings.delay_s, 0.0, "given", math.inf)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from aggregator.ledger.reader import read_runs, reading
+from aggregator.yield_map.no_map import NoMapError, WhyNoMap
 from conveyor.config import LineConfig
 from conveyor.errors import InputError, TuberlineError
 from conveyor.formats.positions import POSITIONS_FILE
@@ -25,6 +26,7 @@ ASSUMED_DELAY_S = 10.0
 """From ground to camera, as long as it is neither given nor found: it takes some opposite passes to find it."""
 MOST_CELLS = 4000
 Put = Callable[[Sequence[Mapping[str, Any]], Mapping[str, float]], None]
+TellWhy = Callable[[str, str], None]
 _log = logging.getLogger("page/map")
 
 
@@ -33,15 +35,16 @@ class LiveMap:
 
     Args:
         put: takes the cells as GeoJSON features, and `low`, `high` and `mean` of them, t/ha.
+        tell_why: takes why there are no new ones: a `WhyNoMap` or '' for any other cause, and the text.
     """
 
-    def __init__(self, config: LineConfig, put: Put) -> None:
+    def __init__(self, config: LineConfig, put: Put, tell_why: TellWhy | None = None) -> None:
         gnss = config.gnss
         self._out = config.aggregator.out
         self._settings = None if gnss is None else Settings(
             gnss.width_m, overlap_m=gnss.overlap_m, delay_s=gnss.delay_s, antenna_ahead_m=gnss.antenna_ahead_m
         )  # fmt: skip
-        self._put = put
+        self._put, self._tell_why = put, tell_why
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="map", daemon=True)
 
@@ -59,17 +62,22 @@ class LiveMap:
         while not self._stop.wait(rest_s):
             started_s = time.monotonic()
             try:
-                run = newest_run(self._out)
-                if self._settings is not None and run and (field := live_map(self._out, self._settings, run)):
-                    found = features(field)
-                    if newest_run(self._out) == run:  # else these are the cells of the run before
-                        self._put(*found)
-                    said = ""
+                self._compute()
+                said = ""
             except TuberlineError as error:  # too little was harvested yet, or something that a person has to know
                 if str(error) != said:
                     _log.info("no map: %s", error)
                 said = str(error)
+                if self._tell_why is not None:
+                    self._tell_why(error.why if isinstance(error, NoMapError) else "", said)
             rest_s = max(EVERY_S, SHARE * (time.monotonic() - started_s))
+
+    def _compute(self) -> None:
+        assert self._settings is not None, "its thread was started"
+        run = newest_run(self._out)
+        found = features(live_map(self._out, self._settings, run))
+        if newest_run(self._out) == run:  # else these are the cells of the run before
+            self._put(*found)
 
 
 def newest_run(out: Path) -> str:
@@ -82,14 +90,17 @@ def newest_run(out: Path) -> str:
     return runs[-1].run if runs else ""
 
 
-def live_map(out: Path, settings: Settings, run: str) -> FieldMap | None:
-    """The map of a run in `out`; None where there are no positions.
+def live_map(out: Path, settings: Settings, run: str) -> FieldMap:
+    """The map of a run in `out`.
 
     Raises:
-        InputError: too little was harvested, or positions that cannot be used.
+        NoMapError: there is no run, there are no positions, or too little was harvested.
+        InputError: positions that cannot be used.
     """
+    if not run:
+        raise NoMapError(f"{out} holds no ledger with a run", why=WhyNoMap.NO_LEDGER)
     if not (out / POSITIONS_FILE).is_file():
-        return None
+        raise NoMapError(f"{out} holds no {POSITIONS_FILE}", why=WhyNoMap.NO_POSITIONS)
     try:
         return field_map([out], [], settings, run=run)
     except InputError:
@@ -121,6 +132,6 @@ def features(field: FieldMap, *, most: int = MOST_CELLS) -> tuple[list[dict[str,
         for ring, row in zip(rings, rows, strict=True)
     ]
     if not made:
-        raise InputError("no cell of the field is lifted far enough to say anything of it yet")
+        raise NoMapError("no cell of the field is lifted far enough to say anything of it yet", why=WhyNoMap.NO_GROUND)
     told = {"low": np.nanmin(cells.t_ha), "high": np.nanmax(cells.t_ha), "mean": cells.mean_t_ha}
     return made[-most:], {name: round(float(value), 1) for name, value in told.items()}

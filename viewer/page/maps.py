@@ -12,6 +12,8 @@ from viewer.way import Way
 
 TELL_EVERY = 20
 """Places after which browsers are told that the way has grown."""
+NO_FIX, NOT_COMPUTED = "no_fix", "not_computed"
+"""Why there are no cells: the receiver tells no place, or no process computes them for this page."""
 
 
 @dataclass(slots=True)
@@ -21,6 +23,15 @@ class _Field:
     about: Mapping[str, float] = field(default_factory=dict)
     way: Way = field(default_factory=Way)
     untold: int = 0
+    why: tuple[str, str] = (NOT_COMPUTED, "")
+    fixless: bool = False
+
+    @property
+    def why_no_cells(self) -> tuple[str, str]:
+        """(a word, a text): both empty where there are cells, or nothing is known yet."""
+        if self.cells:
+            return "", ""
+        return (NO_FIX, "") if self.fixless and not self.way.lon_lat else self.why
 
 
 class FieldMaps:
@@ -34,13 +45,28 @@ class FieldMaps:
         """Another run has begun: of its field nothing is known yet."""
         with self._lock:
             if line in self._fields:
-                self._fields[line] = _Field(number=self._fields[line].number + 1)
+                before = self._fields[line]
+                self._fields[line] = _Field(number=before.number + 1, why=before.why)
 
     def put_cells(self, line: str, cells: Sequence[Mapping[str, Any]], about: Mapping[str, float]) -> None:
         """The cells as GeoJSON features, and what is told of all of them (`low`, `high`, `mean`, t/ha)."""
         with self._lock:
             found = self._fields.setdefault(line, _Field())
-            found.cells, found.about, found.number = cells, about, found.number + 1
+            found.cells, found.about, found.number, found.why = cells, about, found.number + 1, ("", "")
+
+    def tell_why(self, line: str, why: str, text: str) -> None:
+        """Why the process that computes the cells has none: a word that the page has words for, or '', and a text."""
+        with self._lock:
+            found = self._fields.setdefault(line, _Field())
+            if found.why != (why, text):
+                found.why, found.number = (why, text), found.number + 1
+
+    def no_fix(self, line: str) -> None:
+        """The receiver is there and tells no place."""
+        with self._lock:
+            found = self._fields.setdefault(line, _Field())
+            if not found.fixless:
+                found.fixless, found.number = True, found.number + 1
 
     def add_place(self, line: str, *, lat_deg: float, lon_deg: float) -> None:
         """Where the machine is now."""
@@ -58,10 +84,15 @@ class FieldMaps:
             return self._fields[line].number if line in self._fields else 0
 
     def newest(self, line: str) -> bytes:
-        """The map as JSON: {number, cells (a FeatureCollection), about, way ([lon, lat], oldest first)}."""
+        """The map as JSON: {number, cells (a FeatureCollection), about, way ([lon, lat], oldest first), why, said}.
+
+        `why` and `said`: a word and a text, why there are no cells.
+        """
         with self._lock:
             found = self._fields.get(line, _Field())
             way = [[round(lon, 7), round(lat, 7)] for lon, lat in found.way.lon_lat]
             cells = {"type": "FeatureCollection", "features": list(found.cells)}
+            why, said = found.why_no_cells
             told = {"number": found.number, "cells": cells, "about": dict(found.about), "way": way}
+            told |= {"why": why, "said": said}
         return json.dumps(told, separators=(",", ":"), allow_nan=False).encode()

@@ -139,6 +139,8 @@ class LineWatch:
             while len(places) and (place := places.get(0.0)) is not None:
                 if place.quality > 0:
                     self._maps.add_place(self.line, lat_deg=place.lat_deg, lon_deg=place.lon_deg)
+                else:
+                    self._maps.no_fix(self.line)
             self._hear(observer, now_s)
             before, signs = signs, (observer.alive(), self._silent(now_s))
             if now_s - told_s >= TELL_EVERY_S or signs != before:  # who died is told at once

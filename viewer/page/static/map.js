@@ -37,9 +37,11 @@ export class FieldMap {
     try {
       found = await (await fetch(`map.json?line=${encodeURIComponent(line)}`)).json();
       const empty = !found.cells.features.length && found.way.length < 2; // a run that has just begun
-      this.found = empty ? null : found;
-      this.section.hidden = empty;
-      if (empty) return;
+      const silent = empty && !reason(found);
+      this.found = silent ? null : found;
+      this.section.hidden = silent;
+      this.place.hidden = empty;
+      if (empty) return this.tell();
       await maplibre();
     } catch {
       this.number = null; // the server did not answer: asked again with the next snapshot
@@ -58,13 +60,14 @@ export class FieldMap {
 
   tell() {
     if (!this.found) return;
-    const { about, cells } = this.found;
+    const { about, cells, way } = this.found;
     const [low, high, mean] = [about.low, about.high, about.mean].map((figure) => number(figure, 1));
     const known = cells.features.length > 0;
     this.section.querySelector(".colours").hidden = !known;
-    const told = this.undrawn ? t("map.no_webgl") : known ? t("map.legend", { low, high, mean }) : t("map.way");
+    const drawn = way.length < 2 ? "" : t(this.undrawn ? "map.no_webgl" : "map.way");
+    const told = known ? t(this.undrawn ? "map.no_webgl" : "map.legend", { low, high, mean }) : [drawn, reason(this.found)].filter(Boolean).join(" ");
     this.section.querySelector(".told").textContent = told;
-    this.place.setAttribute("aria-label", this.undrawn ? told : known ? t("map.said", { n: cells.features.length, mean }) : t("map.way"));
+    this.place.setAttribute("aria-label", known && !this.undrawn ? t("map.said", { n: cells.features.length, mean }) : told);
   }
 
   async begin(found) {
@@ -94,6 +97,11 @@ export class FieldMap {
     const most = (values) => values.reduce((a, b) => Math.max(a, b));
     this.map.fitBounds([[least(lons), least(lats)], [most(lons), most(lats)]], { padding: 24, animate: false, maxZoom: 20 });
   }
+}
+
+// Why there are no cells; a cause that the page has no words for is said as it was told.
+function reason({ why, said }) {
+  return why || said ? t("map.no_cells", { why: why ? t(`map.none.${why}`) : said }) : "";
 }
 
 function first({ way, cells }) {
