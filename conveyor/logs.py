@@ -123,7 +123,7 @@ def _traceback(record: logging.LogRecord, formatter: logging.Formatter) -> str:
 
 class _TextFormatter(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        when = datetime.fromtimestamp(record.created, UTC).strftime("%H:%M:%S.%f")[:-3]
+        when = datetime.fromtimestamp(record.created, UTC).strftime("%H:%M:%S.%f")[:-3] + "Z"  # as ISO 8601 says UTC
         text = f"{when} {record.levelname.lower():7} {one_line(record.name)}: {one_line(record.getMessage())}"
         traceback = _traceback(record, self)
         return f"{text}\n{traceback}" if traceback else text

@@ -58,6 +58,7 @@ def test_a_forged_event_stays_inside_the_one_it_came_with() -> None:
     log, written, _ = logger("page/" + FORGED)
     log.warning("no camera %s", FORGED)
     (line,) = written.getvalue().splitlines()
+    assert re.match(r"\d\d:\d\d:\d\d\.\d{3}Z warning ", line), "a time without its zone"
     assert "\x1b" not in line
     assert r"left\n12:00:00.000 error   ledger: lost\r\x1b[2J" in line
 

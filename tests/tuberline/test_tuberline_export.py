@@ -8,9 +8,7 @@ import json
 import shutil
 import subprocess
 import zipfile
-from dataclasses import replace
 from datetime import UTC, datetime
-from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,9 +26,6 @@ from tuberline.export.isoxml.archive import read_time_logs
 from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
 from tuberline.export.report.gather import day_facts
-from tuberline.export.report.html import report_html
-from tuberline.export.report.page import Bars, Figures, Grid, Report, Sentences
-from tuberline.export.report.pdf import report_pdf
 from tuberline.export.report.wrong import what_went_wrong
 from tuberline.maps.field import Settings, field_map
 
@@ -336,63 +331,3 @@ def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -
     assert ("the rest is made up for" in text) == (summary["coverage"] <= 0.9995)
     with pytest.raises(InputError, match=r"no load of 2020-01-01: they hold 2026-09-21"):
         export([run], format="html", day="2020-01-01", out=tmp_path / "no.html", **HOW)  # type: ignore[arg-type]
-
-
-def test_the_pdf_report_takes_no_text_for_markup(tmp_path: Path) -> None:
-    pytest.importorskip("typst")
-    pdftotext = shutil.which("pdftotext")
-    odd = '#panic("x") $ <b>& *bold* \\'
-    grid = Grid("Loads", (("Load", "left"), ("kg", "right")), ((odd, "1.0"), ("all", "1.0")), summed=True)
-    bars = Bars(
-        "Classes", ((odd, "#112233"), ("large", "#445566")), ((odd, odd, (0.25, 0.75)), ("empty", "", (0.0, 0.0)))
-    )
-    report = Report(odd, odd, (Figures(((odd, "1", odd),)), grid, bars, Sentences("Wrong", (odd,), warn=True)), odd)
-    html = report_html(report)
-    assert "<b>&" not in html
-    assert html.count(escape(odd)) == 11
-    (tmp_path / "report.pdf").write_bytes(report_pdf(report))
-    if pdftotext:
-        text = subprocess.run(
-            [pdftotext, tmp_path / "report.pdf", "-"], capture_output=True, text=True, check=True
-        ).stdout
-        assert text.count("#panic") == 10, "all but the title of the window"
-
-
-def test_what_went_wrong_is_said_in_words(run: Path) -> None:
-    facts = day_facts([run])
-    (load,), (of_run,) = facts.loads, facts.runs
-    missed = replace(
-        load, label="7 trailer", coverage=0.8, unseen_m={"between_frames": 3.21}, ticket_kg=2 * load.high_kg
-    )
-    sheet = {"frames": {"published": 100, "gaps": 7, "dropped_blind": 1}, "views": {"sent": 10, "lost_late": 5}}
-    lower = {"cameras": "left", "lower_mm": 3.2, "lower_sd_mm": 0.5, "scale_percent": -1.0, "scale_sd_percent": 2.0}
-    lower |= {"tubers": 900, "loads": 3, "alarm": True}
-    apart = {"first": "left", "second": "right", "along_mm": 1.0, "across_mm": 40.0}
-    apart |= {"shared": 20, "twice": 18, "alarm": True}
-    heights = [{"name": "7 trailer", "number": 1, "heights": [lower]}, {"name": "", "number": 2}]
-    broken = replace(
-        of_run,
-        summary={
-            "cameras": {"left": sheet},
-            "differences": ["tubers do not add up"],
-            "loads": heights,
-            "totals": {"apart": [apart, {**apart, "second": "rear", "alarm": False}]},
-        },
-    )
-    told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, replace(of_run, run="b", summary={}))))
-    assert told[0] == (
-        "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
-        "Its weight makes up for that."
-    )
-    assert told[1].startswith("Load 7 trailer: its ticket says ")
-    assert told[3:] == [
-        "The balance sheet of run monday does not hold: tubers do not add up. `tuberline audit` says more.",
-        "Run monday: cameras left and right put the same tubers 1 mm apart along the belt and 40 mm across, 18 of 20 "
-        "counted twice. A camera moved, its place is not right or, along the belt, two clocks differ: record both, "
-        "then run `tuberline calibrate cameras`.",
-        "Load 7 trailer: under camera left tubers lie 3.2 mm lower (± 0.8) than in 3 earlier loads of this variety; "
-        "height over width -1 % (± 3).",
-        "Camera left of run monday: of 100 frames 7 lost on the way.",
-        "Camera left of run monday: of 10 views 5 late.",
-        "Run b has not ended, or was cut off: this is what is committed.",
-    ]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 from aggregator.calibration.together import Together
 from aggregator.ledger.totals_by import ALL, Total
+from conveyor.zone import zone_told
 from tuberline.cli.ledger_totals import print_totals
-from tuberline.cli.load_table import print_loads
+from tuberline.cli.load_table import print_load, print_loads
 
 SAID = {"trailer": "", "customer": "", "operator": "", "field": "North 4", "variety": "Agria", "undone": False}
 
@@ -25,6 +28,31 @@ def test_an_interval_has_two_ends_and_a_trailer_of_tons_its_ticket(
     told = capsys.readouterr().out
     for part in ("9.04 ", "3.43 to 27.10", "40.3 %", "104200 ", "95000 to 112000", "103100.0"):
         assert part in told, told
+
+
+def test_times_of_day_say_their_zone(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who asked from another zone than the line's took them for the line's own."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+    time.tzset()
+    load = {**SAID, "number": 2, "name": "trailer 7", "open": False, "count": 19, "coverage": 0.403, "net_g": None}
+    load |= {"estimated_weight_g": 9040.0, "estimated_low_g": 3430.0, "estimated_high_g": 27100.0}
+    load |= {"began_unix_s": 1.79e9, "ended_unix_s": 1.79e9 + 600, "said": [{"unix_s": 1.8e9, "by": "", "text": "wet"}]}
+    try:
+        print_load(load)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    first, second = capsys.readouterr().out.splitlines()[2:4]
+    assert "09-21 16:13  16:23" in first, first
+    assert second.count("UTC+2") == 2, second
+
+
+@pytest.mark.parametrize(
+    ("offset_s", "told"), [(0, "UTC"), (7200, "UTC+2"), (-12600, "UTC-3:30"), (20700, "UTC+5:45"), (-43200, "UTC-12")]
+)
+def test_a_zone_is_told_by_how_far_it_is_ahead(offset_s: int, told: str) -> None:
+    assert zone_told(offset_s) == told
 
 
 def total(label: str, *, kg: float, loads: int = 1, weighed: int = 0) -> Total:

@@ -210,9 +210,11 @@ def test_between_loads_the_one_that_ended_is_told_and_the_run_is_called_so(brows
 def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -> None:
     board = Board(["north"])
     board.put({**snapshot(loaded_state()), "looks_only": ""})
+    browser.page("Emulation.setTimezoneOverride", timezoneId="America/St_Johns")
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
         until(lambda: "Load 3 · trailer 7" in text(browser), what="the open load")
+        assert "11:43 AM UTC-2:30" in text(browser), "a person at a distance took it for the line's time"
         until_told(
             browser,
             board,
@@ -237,6 +239,7 @@ def test_the_open_load_stands_first_and_contact_is_told_once(browser: Browser) -
         for contradicted in ("Page connected", "Running", "No alarms", "Working", "✓ ok", "frames a second"):
             assert contradicted not in shown, contradicted
         assert js(browser, "document.querySelector('[data-act=start]').disabled")
+    browser.page("Emulation.setTimezoneOverride", timezoneId="")
 
 
 @pytest.mark.parametrize("language", ENDS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from conveyor.errors import InputError
 from conveyor.heights import heights_told
 from conveyor.messages import HeightChange
 from conveyor.messages.loads import is_meant
+from conveyor.zone import local_clock
 from tuberline.cli.address import LineAddress
 
 MOST_ASKED = 50
@@ -84,7 +84,7 @@ def print_loads(loads: list[dict[str, Any]]) -> None:
         table.add_row(
             str(load["number"]),
             Text(", ".join(filter(None, said))),
-            _clock(load["began_unix_s"], "%m-%d %H:%M"),
+            "\n".join(local_clock(load["began_unix_s"], "%m-%d %H:%M")),
             _ended(load),
             str(load["count"]),
             weight_told(load["estimated_weight_g"], load["estimated_low_g"], load["estimated_high_g"]),
@@ -123,8 +123,8 @@ def weight_told(middle_g: float, low_g: float, high_g: float) -> str:
 def _ended(load: dict[str, Any]) -> str:
     if load["undone"] or load["open"]:
         return "undone" if load["undone"] else "open"
-    return "its run" if load["ended_unix_s"] is None else _clock(load["ended_unix_s"], "%H:%M")
+    return "its run" if load["ended_unix_s"] is None else "\n".join(local_clock(load["ended_unix_s"], "%H:%M"))
 
 
-def _clock(unix_s: float, form: str = "%Y-%m-%d %H:%M:%S") -> str:
-    return time.strftime(form, time.localtime(unix_s))
+def _clock(unix_s: float) -> str:
+    return " ".join(local_clock(unix_s, "%Y-%m-%d %H:%M:%S"))

@@ -20,6 +20,7 @@ from conveyor.config_yield import ForeignConfig
 from conveyor.contract import Contract, SizeClass, read_contract
 from conveyor.errors import InputError
 from conveyor.messages import ClassTotal, ForeignTotal
+from conveyor.zone import zone_told
 
 PLAIN = Contract(
     classes=tuple(
@@ -40,7 +41,8 @@ PLAIN = Contract(
 class LoadFacts:
     """One load: what was said of it and what it came to; kilograms for its whole belt.
 
-    `began`, `ended` are the line's own time of day, '' where not known. `ticket_kg` None: not weighed.
+    `began`, `ended` are the line's own time of day, '' where not known, `zone` the one that they are of. `ticket_kg`
+    None: not weighed.
     """
 
     label: str
@@ -48,6 +50,7 @@ class LoadFacts:
     variety: str
     began: str
     ended: str
+    zone: str
     tubers: int
     raw_kg: float
     kg: float
@@ -148,6 +151,7 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
         variety=load.variety if load else "",
         began=_clock(load.began_ns, offset_s) if load else "",
         ended=_clock(load.ended_ns, offset_s) if load and load.ended_ns else "",
+        zone=zone_told(offset_s) if load else "",
         tubers=one.totals.sums.count,
         raw_kg=one.whole * one.totals.sums.as_weighed_g / 1000,
         kg=kg,

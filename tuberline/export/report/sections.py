@@ -67,12 +67,13 @@ def _unseen(coverage: float | None) -> str:
 
 
 def _loads(facts: DayFacts) -> Grid:
+    zones = list(dict.fromkeys(load.zone for load in facts.loads if load.began))
     rows = [
         (
             load.label,
             load.field or NONE,
             load.variety or NONE,
-            _when(load),
+            _when(load, zoned=len(zones) > 1),
             str(load.tubers),
             kg(load.raw_kg, unit=False),
             kg(load.kg, unit=False),
@@ -91,14 +92,16 @@ def _loads(facts: DayFacts) -> Grid:
             _percent(sums.coverage), weighed,
         )
     )  # fmt: skip
-    names = ("Load", "Field", "Variety", "Time", "Tubers", "Raw kg", "kg", "90 % interval", "Seen", "Ticket kg")
+    time = f"Time, {zones[0]}" if len(zones) == 1 else "Time"
+    names = ("Load", "Field", "Variety", time, "Tubers", "Raw kg", "kg", "90 % interval", "Seen", "Ticket kg")
     known = "calibrated" if facts.calibrated_by else "the same, for nothing is calibrated"
     note = f"Raw kg: as weighed. kg: {known}. Both for all of the belt."
     return Grid("Loads", _columns(names, left=4), tuple(rows), note, summed=True)
 
 
-def _when(load: LoadFacts) -> str:
-    return f"{load.began}–{load.ended}" if load.ended else load.began or NONE
+def _when(load: LoadFacts, *, zoned: bool) -> str:
+    told = f"{load.began}–{load.ended}" if load.ended else load.began or NONE
+    return f"{told} {load.zone}" if zoned and load.began else told
 
 
 def _groups(facts: DayFacts) -> list[Block]:

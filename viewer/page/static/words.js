@@ -106,8 +106,16 @@ export function rate(kgPerMin) {
 
 export const inKilograms = (figure) => (figure * GRAMS[unit]) / 1000;
 
+// By this device's clock, with its zone: the line may stand in another one.
 export function when(unixS) {
-  return new Date(unixS * 1000).toLocaleString(language, { dateStyle: "short", timeStyle: "short" });
+  const at = new Date(unixS * 1000);
+  return `${at.toLocaleString(language, { dateStyle: "short", timeStyle: "short" })} ${zone(-at.getTimezoneOffset())}`;
+}
+
+// "UTC", "UTC+2", "UTC-3:30"
+function zone(minutes) {
+  const [hours, rest] = [Math.floor(Math.abs(minutes) / 60), Math.abs(minutes) % 60];
+  return minutes ? `UTC${minutes < 0 ? "-" : "+"}${hours}${rest ? `:${String(rest).padStart(2, "0")}` : ""}` : "UTC";
 }
 
 // Texts that stand in the page itself.
