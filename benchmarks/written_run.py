@@ -68,7 +68,9 @@ def write_run(
         core.receive(TrackEntry(CAMERA, run, len(crossed_ns) + 1, mark=final), now_s=0.0)
         ledger.write(run, core.commit(now_s=0.0))
         reporter = Reporter(ledger, core, config=config, counters=CounterSet())
-        if not stopped:
+        if stopped:
+            ledger.stopped(run, core.cameras.sights)
+        else:
             ledger.finish(run, reporter.summary_text(0.0), sights=core.cameras.sights)
         reporter.write(folder, 0.0)
 

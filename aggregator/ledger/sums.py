@@ -35,6 +35,7 @@ class RunSums:
         counted: tubers that tracks were counted for; last_tuber_id: the highest.
         head_start_m, turns: of travel that is estimated (`aggregator.core.travel.TravelKnown`).
         load: sums over the tubers; sights: what each camera looked at.
+        stopped: its line was stopped since the last entry came.
     """
 
     load: LoadSums
@@ -50,6 +51,7 @@ class RunSums:
     head_start_m: float | None = None
     turns: list[tuple[int, float]] = field(default_factory=list)
     sights: dict[str, CameraSight] = field(default_factory=dict)
+    stopped: bool = False
 
     def add_rows(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
         """Rows as they are written, their checksum last."""
@@ -102,7 +104,7 @@ class RunSums:
         self.counted += _counted(batch.observations)
         self.settled = dict(batch.settled)
         self.head_start_m, self.turns = batch.travel.head_start_m, list(batch.travel.turns)
-        self.sights = dict(batch.sights)
+        self.sights, self.stopped = dict(batch.sights), False
 
     @property
     def pending(self) -> int:
@@ -111,9 +113,8 @@ class RunSums:
 
     def text(self) -> str:
         """As the ledger keeps it."""
-        left_out = (
-            ("load", "sights") if self.turns else ("load", "sights", "turns")
-        )  # so that a version before reads it
+        not_needed = {name for name in ("turns", "stopped") if not getattr(self, name)}  # a version before reads it
+        left_out = {"load", "sights", *not_needed}
         values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}
         values["load"] = self.load.plain()
         values["sights"] = {camera: sight.plain() for camera, sight in self.sights.items()}

@@ -315,7 +315,7 @@ class Ledger:
                 next_step(self._db, run, sums)
 
     def stopped(self, run: str, sights: Mapping[str, CameraSight]) -> None:
-        """Keep what was looked at (`coverage.at_rest`) of a run whose line is stopped; it may go on later.
+        """Keep that a run's line is stopped, and what was looked at by then (`coverage.at_rest`); it may go on later.
 
         Raises:
             LedgerError: it could not be written.
@@ -324,7 +324,7 @@ class Ledger:
             known = read_run(self.view, run)
             if known is not None and not known.finished:
                 sums = self.sums(run)
-                sums.sights = dict(sights)
+                sums.sights, sums.stopped = dict(sights), True
                 next_step(self._db, run, sums)
 
     def _transaction(self, name: str) -> _Transaction:

@@ -90,6 +90,22 @@ def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_pa
         assert (coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view))).share or 0.0) < 0.9
 
 
+def test_a_ledger_knows_of_a_run_that_it_was_stopped_until_it_goes_on(tmp_path: Path) -> None:
+    path, story = tmp_path / "ledger.db", tell(5, cameras=1, n=20, length_m=2.0)
+    known = []
+    with Ledger(path) as ledger:
+        it = Aggregator(ledger, story.in_run(fresh_run("now")))
+        for n in it.commits():
+            with reading(path) as view:
+                known.append(read_sums(view, it.core.run).stopped)
+            if n == 3:
+                ledger.stopped(it.core.run, it.core.cameras.sights)
+                with reading(path) as view:
+                    assert read_sums(view, it.core.run).stopped
+    assert len(known) > 5
+    assert not any(known)
+
+
 def test_who_asks_whether_a_ledger_is_written_keeps_no_writer_out(tmp_path: Path) -> None:
     path = tmp_path / "ledger.db"
     assert not is_being_written(path)
@@ -121,6 +137,7 @@ def test_a_stopped_line_has_one_coverage(line: tuple[LineConfig, Path], process:
     with reading(config.aggregator.out / "ledger.db") as view:
         (run,) = read_runs(view)
         read = coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view)))
+        assert read_sums(view, run.run).stopped
         whole = ReadLoads(view).whole(run)
     assert read.share == pytest.approx(summary["coverage"], abs=1e-6)
     assert read.belt_m == pytest.approx(summary["belt_m"], abs=1e-6)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aggregator.ledger.writer import Ledger
 from benchmarks.written_run import write_run
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.html import report_html
@@ -84,7 +85,8 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
             "totals": {"apart": [apart, {**apart, "second": "rear", "alarm": False}]},
         },
     )
-    told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, replace(of_run, run="b", summary={}))))
+    others = (replace(of_run, run=end, summary={}, end=end) for end in ("stopped", "goes on", "cut off"))
+    told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, *others)))
     assert told[0] == (
         "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
         "Its weight makes up for that."
@@ -99,5 +101,25 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
         "height over width -1 % (± 3).",
         "Camera left of run monday: of 100 frames 7 lost on the way.",
         "Camera left of run monday: of 10 views 5 late.",
-        "Run b has not ended, or was cut off: this is what is committed.",
+        "Run goes on goes on: this is what is committed so far.",
+        "Run cut off was cut off: its aggregator ended without a word. This is what is committed.",
     ]
+
+
+def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) -> None:
+    """A live line is always stopped, and each of its days 'has not ended, or was cut off'."""
+    folder = tmp_path / "live"
+    seconds = 1_790_000_000 + np.arange(20)
+    for name, late_s in (("morning", 0), ("noon", 100)):
+        crossed_ns = (seconds + late_s) * 1_000_000_000
+        write_run(folder, run=name, crossed_ns=crossed_ns, weight_g=np.full(20, 170.0), stopped=True)
+    facts = day_facts([run, folder])
+    ends = {each.run: each.end for each in facts.runs}
+    assert ends == {"monday": "cameras ended", "morning": "stopped", "noon": "stopped"}
+    assert not [words for words in what_went_wrong(facts) if words.startswith("Run ")]
+    text = report_html(report_of(facts, map_png=None, map_note=""))
+    assert text.count("<td>stopped</td>") == 2
+    with Ledger(folder / "ledger.db") as ledger:
+        ledger.open_run("evening", line="line", cameras=("left",), version="1", started_ns=1_790_000_200_000_000_000)
+        assert [each.end for each in day_facts([folder]).runs] == ["stopped", "stopped", "goes on"]
+    assert [each.end for each in day_facts([folder]).runs] == ["stopped", "stopped", "cut off"]

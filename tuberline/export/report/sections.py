@@ -179,8 +179,8 @@ def _made_of(facts: DayFacts) -> Grid:
     for run in facts.runs:
         models = ", ".join(f"{name} ({n})" for name, n in run.models.items()) or NONE
         rest = run.summary.get("belt", {})
-        rows.append((run.run, run.line, run.version, models, _stated(rest)))
-    heads = ("Run", "Line", "Version", "Weights (tubers)", "Resting offset")
+        rows.append((run.run, run.line, run.version, models, _stated(rest), run.end))
+    heads = ("Run", "Line", "Version", "Weights (tubers)", "Resting offset", "End")
     note = "Calibrated by " + "; ".join(facts.calibrated_by) + "." if facts.calibrated_by else "Not calibrated."
     return Grid("Made with", _columns(heads, left=len(heads)), tuple(rows), note)
 

@@ -86,8 +86,10 @@ def _weighing(facts: DayFacts) -> Iterator[str]:
 
 def _of_run(run: RunFacts) -> Iterator[str]:
     summary = run.summary
-    if not (run.finished and summary):
-        yield f"Run {run.run} has not ended, or was cut off: this is what is committed."
+    if run.end == "goes on":
+        yield f"Run {run.run} goes on: this is what is committed so far."
+    elif run.end == "cut off":
+        yield f"Run {run.run} was cut off: its aggregator ended without a word. This is what is committed."
     if not summary:
         return
     for text in summary.get("differences", []):
