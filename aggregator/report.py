@@ -12,6 +12,7 @@ from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import Ticket, read_tickets
 from aggregator.core.class_totals import class_totals
 from aggregator.core.coverage import Coverage, Moment, at_rest, coverage
+from aggregator.core.device import Device
 from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.load_state import load_state
@@ -24,10 +25,11 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.apart import cameras_apart
 from aggregator.ledger.audit import audit_sums
 from aggregator.ledger.earlier_loads import heights_before
+from aggregator.ledger.exchanged import cameras_exchanged, devices_before
 from aggregator.ledger.files import tubers_csv, write_whole
 from aggregator.ledger.line_tickets import with_own
 from aggregator.ledger.load_totals import Seen, count_load, tickets_of
-from aggregator.ledger.reader import read_marks
+from aggregator.ledger.reader import read_marks, read_runs
 from aggregator.ledger.stated import told_belt
 from aggregator.ledger.ticket_doubts import ticket_remark
 from aggregator.ledger.writer import Ledger
@@ -38,9 +40,10 @@ from conveyor.config import LineConfig
 from conveyor.contract import read_contract
 from conveyor.counters import CounterSet
 from conveyor.errors import LedgerError
+from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
-from conveyor.messages import CamerasApart, LoadNow, Totals, Tuber
+from conveyor.messages import CameraExchanged, CamerasApart, LoadNow, Totals, Tuber
 from conveyor.messages.base import plain
 
 TABLE_IN_HASTE = 5_000
@@ -67,6 +70,7 @@ class Reporter:
         self._earlier: dict[int, tuple[tuple[int, int], list[HeightSums]]] = {}
         self._contract = read_contract(settings.contract) if settings.contract else None
         self._apart: tuple[int, float, tuple[CamerasApart, ...]] = (-APART_EVERY, -math.inf, ())
+        self._devices_before: dict[str, list[Device]] | None = None
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
         """Newest balance sheets of frames, by camera, as the segmenters report them beside their logs."""
@@ -151,6 +155,19 @@ class Reporter:
             self._apart = count, now_s, found
         return found
 
+    def _exchanged(self, now_s: float) -> tuple[CameraExchanged, ...]:
+        """Cameras that are not those that were calibrated."""
+        view = self._ledger.view
+        if self._devices_before is None:
+            self._devices_before = devices_before(view, self._core.run)
+        return cameras_exchanged(
+            self._core.cameras.sights,
+            self._devices_before,
+            lambda: self._tickets(now_s),
+            loads=self._ledger.loads.loads,
+            runs=lambda: read_runs(view),
+        )
+
     def totals(self, now_s: float) -> Totals:
         """The totals as they are now."""
         cameras, seen, sums = self._core.cameras, self.coverage(now_s), self._ledger.sums(self._core.run)
@@ -180,6 +197,7 @@ class Reporter:
             classes=class_totals(totals, contract) if contract else (),
             foreign=foreign_total(totals, self._config.foreign),
             apart=self._cameras_apart(sums.load.count, now_s),
+            exchanged=self._exchanged(now_s),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:
@@ -237,13 +255,14 @@ class Reporter:
             return f"nothing seen: {totals.reason}; final={totals.final}"
         layers = layers_in_words(totals.hidden, totals.layered_m, totals.belt_m)
         heights = heights_in_words(totals.load.heights) if totals.load else ""
-        apart = apart_in_words(totals.apart)
+        apart, exchanged = apart_in_words(totals.apart), exchanged_in_words(totals.exchanged)
         seen = "unknown" if totals.coverage is None else f"{100 * totals.coverage:.1f} %"
         return (
             f"{totals.count} tubers, {totals.weight_g / 1000:.3f} kg "
             f"({totals.low_g / 1000:.3f} to {totals.high_g / 1000:.3f}), belt seen {seen}, "
             f"calibrated by {totals.calibrated_by or 'nothing'}, final={totals.final}"
             f"{layers and '; ' + layers}{heights and '; ' + heights}{apart and '; ' + apart}"
+            f"{exchanged and '; ' + exchanged}"
         )
 
 

@@ -91,6 +91,8 @@ def told_totals(totals: Totals) -> dict[str, Any]:
         del told["load"]
     if not totals.apart:  # one camera, or cameras that share no tubers
         del told["apart"]
+    if not totals.exchanged:
+        del told["exchanged"]
     if not totals.contract:
         del told["contract"], told["classes"]
     if totals.state == LoadState.NOTHING_SEEN:

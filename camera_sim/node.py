@@ -322,6 +322,7 @@ class CameraNode:
                 last_captured_ns=newest[0],
                 last_travel_m=newest[1],
                 live=d.live,
+                serial=d.serial,
             )
         )
 

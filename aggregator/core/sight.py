@@ -6,10 +6,11 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Self
 
+from aggregator.core.device import Device, with_newest
 from conveyor.messages import CameraInfo, Mark
 from conveyor.messages.tracks import UNFOLLOWED
 from conveyor.ranges import FASTEST_MPS
@@ -50,16 +51,30 @@ class Published:
     """Seconds from the load's beginning to the first frame of a live camera, by the aggregator's clock."""
     lead_m: float | None = None
     """How far the belt moved in them, by an encoder of its own; None where none told it."""
+    devices: list[Device] = field(default_factory=list)
+    """What sent them, oldest first: several where another one was hung up in mid-run."""
 
     def take(self, info: CameraInfo) -> None:
         """What a camera says of itself; one that was started again goes on from here."""
         self.waits, self.live = info.waits, info.live
+        if info.first_captured_ns is not None:
+            self.devices = with_newest(self.devices, Device.of(info))
         if info.first_seq is not None and info.last_seq is not None:
             self.frames = max(self.frames, info.last_seq - info.first_seq + 1)
         if info.first_captured_ns is not None and (self.first_ns is None or info.first_captured_ns < self.first_ns):
             self.first_ns, self.first_travel_m = info.first_captured_ns, info.first_travel_m
         if info.last_captured_ns is not None and (self.last_ns is None or info.last_captured_ns > self.last_ns):
             self.last_ns, self.last_travel_m = info.last_captured_ns, info.last_travel_m
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON keeps it; without devices as a version before has it."""
+        values = {name: getattr(self, name) for name in self.__slots__ if name != "devices"}
+        return values | ({"devices": [astuple(device) for device in self.devices]} if self.devices else {})
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Self:
+        """Back from `plain`."""
+        return cls(**{**plain, "devices": [Device(*values) for values in plain.get("devices", ())]})
 
 
 @dataclass(slots=True)
@@ -286,7 +301,7 @@ class CameraSight:
         """As JSON keeps it."""
         not_needed = {name for name in ("ahead_ns", "line_m") if not getattr(self, name)}  # a version before reads it
         values = {name: getattr(self, name) for name in self.__slots__ if name not in {"published", *not_needed}}
-        return {**values, "published": {name: getattr(self.published, name) for name in Published.__slots__}}
+        return {**values, "published": self.published.plain()}
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Self:
@@ -296,6 +311,6 @@ class CameraSight:
                 **plain,
                 "pieces": [(length, looked) for length, looked in plain["pieces"]],
                 "curve": [(t_ns, s) for t_ns, s in plain["curve"]],
-                "published": Published(**plain["published"]),
+                "published": Published.from_plain(plain["published"]),
             }
         )

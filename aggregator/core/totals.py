@@ -14,7 +14,7 @@ from aggregator.calibration.tickets import Ticket
 from aggregator.core.layers import Hidden, hidden
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.reasons import LoadState
-from conveyor.messages import CamerasApart, ClassTotal, ForeignTotal, LoadNow, Totals
+from conveyor.messages import CameraExchanged, CamerasApart, ClassTotal, ForeignTotal, LoadNow, Totals
 from conveyor.statistics import NORMAL_90
 
 UNSEEN_SPREAD = 0.5
@@ -187,6 +187,7 @@ class LoadTotals:
         classes: tuple[ClassTotal, ...] = (),
         foreign: ForeignTotal | None = None,
         apart: tuple[CamerasApart, ...] = (),
+        exchanged: tuple[CameraExchanged, ...] = (),
     ) -> Totals:
         """The totals as published; `most_m` as in `estimated`."""
         low_g, high_g = self.interval_g()
@@ -230,4 +231,5 @@ class LoadTotals:
             classes=classes,
             foreign=foreign,
             apart=apart,
+            exchanged=exchanged,
         )

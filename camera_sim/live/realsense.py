@@ -251,6 +251,7 @@ class RealSenseSource:
             fps=float(wanted.fps),
             frames=None,
             live=True,
+            serial=serial,
         )
 
     def _depth_scale_m(self, sensor: Any) -> float:

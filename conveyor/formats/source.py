@@ -27,6 +27,7 @@ class CameraDescription:
         notes: what a user should know about this camera's recording.
         resting_offset_mm: how far below the belt plane tubers' undersides lie, where the recording says it; positive
             is below. `resting_sd_mm`: how well that is known, standard deviation.
+        serial: the device's serial number, where it is known.
     """
 
     name: str
@@ -41,6 +42,7 @@ class CameraDescription:
     notes: tuple[str, ...] = ()
     resting_offset_mm: float | None = None
     resting_sd_mm: float | None = None
+    serial: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse a pose that is no rigid transform, whatever format it comes from."""

@@ -3,6 +3,7 @@
 from conveyor.messages.apart import CamerasApart
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
+from conveyor.messages.exchanged import CameraExchanged
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.frames import CameraInfo, Frame, FrameProgress, FrameSlot, Travel
 from conveyor.messages.heights import HeightChange
@@ -16,6 +17,7 @@ from conveyor.messages.tracks import Committed, Mark, Track, TrackEntry, Weighed
 from conveyor.messages.views import View, Weight
 
 __all__ = [
+    "CameraExchanged",
     "CameraInfo",
     "CamerasApart",
     "ClassTotal",

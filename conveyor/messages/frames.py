@@ -23,6 +23,7 @@ from conveyor.ranges import (
     Nanoseconds,
     Range,
     Seq,
+    Word,
     Yes,
 )
 from conveyor.wire import MAX_ARRAY_BYTES, MAX_MESSAGE_BYTES
@@ -106,7 +107,8 @@ class CameraInfo(Message):
     `refused` counts frames the source could not read, by reason; their sequence numbers are gaps downstream.
     `first_captured_ns`, `first_travel_m`, `last_captured_ns`, `last_travel_m` are of the first and the newest frame
     published by this process (None before the first; no travel without an encoder): belt that passed between them and
-    was not processed was not seen. `live`: a device, whose belt may have moved before its first frame.
+    was not processed was not seen. `live`: a device, whose belt may have moved before its first frame. `serial`: its
+    serial number; None where the source knows none.
     """
 
     camera: Name
@@ -127,6 +129,7 @@ class CameraInfo(Message):
     last_captured_ns: Nanoseconds | None = None
     last_travel_m: BeltPlace | None = None
     live: Yes = False
+    serial: Word | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from typing import Annotated
 from conveyor.messages.apart import CamerasApart
 from conveyor.messages.base import Message
 from conveyor.messages.classes import ClassTotal
+from conveyor.messages.exchanged import CameraExchanged
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.messages.loads import LoadNow
 from conveyor.messages.sizes import Sizes
@@ -80,7 +81,7 @@ class Totals(Message):
 
     `classes` are those of the contract, named and measured as `contract` says; none without one.
     `foreign` is what is no tuber: clods, stones, haulm. `apart`: how far cameras disagree on the places of the newest
-    tubers that both saw.
+    tubers that both saw. `exchanged`: cameras that are not those that were calibrated.
     """
 
     LATER_FIELDS = "ignore"
@@ -115,6 +116,7 @@ class Totals(Message):
     classes: Annotated[tuple[ClassTotal, ...], Items(32)] = ()
     foreign: ForeignTotal | None = None
     apart: Annotated[tuple[CamerasApart, ...], Items(256)] = ()
+    exchanged: Annotated[tuple[CameraExchanged, ...], Items(256)] = ()
 
     @property
     def no_number(self) -> bool:

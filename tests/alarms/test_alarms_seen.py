@@ -24,6 +24,7 @@ BEGUN = {
     "stalled-aggregator/aggregator": "",
     "coverage-monday": "",
     "camera-left-heights": "left",
+    "camera-left-exchanged": "left",
 }
 
 
@@ -40,7 +41,7 @@ def only(state: LineState, *names: str) -> LineState:
 
 
 def test_nothing_is_known_of_processes_that_were_not_heard_of() -> None:
-    told = {"coverage-monday", "camera-left-heights"}
+    told = {"coverage-monday", "camera-left-heights", "camera-left-exchanged"}
     assert unknown(only(good_state(), "segmenter/right")) == BEGUN.keys() - told
     assert unknown(only(good_state(), "camera/left")) == BEGUN.keys() - told - {"camera-left-camera-gone"}
     assert unknown(only(good_state(), "segmenter/left")) == BEGUN.keys() - told - {"camera-left-belt"}

@@ -59,6 +59,7 @@ def test_settings_are_set_in_order_read_back_and_told(device: tuple[Any, Path]) 
     assert asked(folder) == ["option 1 3", "option 2 0", "option 3 8000", "option 4 32", "start"]
     assert source.description.origin.endswith(": 848x480 at 15/s, preset high-accuracy, exposure 8000 us, gain 32")
     assert source.description.fps == 15
+    assert source.description.origin.startswith(f"RealSense {source.description.serial} ")
 
 
 def test_what_is_not_given_stays_as_the_device_has_it(device: tuple[Any, Path]) -> None:

@@ -14,7 +14,7 @@ from tuberline.doctor import Level
 from tuberline.doctor.belt import check_belt_seen, check_running_belts
 from tuberline.doctor.depth import check_running_noise
 from tuberline.doctor.examine import examine
-from tuberline.doctor.places import check_agreement, check_places
+from tuberline.doctor.places import check_agreement, check_exchanged, check_places
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,11 @@ def test_the_places_of_cameras_are_compared() -> None:
     assert [finding.level for finding in told] == [Level.FAULT, Level.WARNING, Level.OK, Level.OK]
     assert told[0].text == "the same tubers -2 mm along the belt, +41 mm across: 7 of 20 counted twice"
     assert "calibrate cameras" in told[0].fix
-    assert check_agreement(None) == []
+    assert check_agreement(None) == check_exchanged(None) == []
+    change = {"camera": "left", "before": "serial 77", "now": "serial 78", "since_ns": 1}
+    (found,) = check_exchanged({"exchanged": [change]})
+    assert (found.check, found.level) == ("device of left", Level.WARNING)
+    assert found.text.startswith("camera left was exchanged or is set otherwise: it was serial 77, it is serial 78. ")
 
 
 def test_doctor_measures_a_recordings_belt(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ TUBER = m.Tuber(
 TOTALS = m.Totals(
     run="r", count=1, weight_g=170.0, low_g=150.0, high_g=190.0, coverage=0.9, estimated_weight_g=188.0,
     estimated_low_g=150.0, estimated_high_g=220.0, tubers_per_s=1.0, histogram_step_g=50.0, histogram=(0, 0, 0, 1),
-    cameras={"c": "running"}, final=False,
+    cameras={"c": "running"}, final=False, exchanged=(m.CameraExchanged("c", "lens a", "lens b", 1),),
 )  # fmt: skip
 EXAMPLES: list[m.Message] = [
     m.Frame("c", "r", 7, 123, 0.25, 0.001, INTRINSICS, 0.46, DEPTH, POSE, DEPTH, np.arange(9, dtype=np.uint8)),
@@ -56,7 +56,7 @@ EXAMPLES: list[m.Message] = [
             m.TrackInView("r/c/1-2", -0.9, 0.0, 70.0, 51.0, "counted", 150.0, 130.0, 170.0),
         ),
     ),
-    m.CameraInfo("c", "r", "streaming", "x", 30.0, True, INTRINSICS, 0.001, 0, 9, 10, {"damaged": 1}),
+    m.CameraInfo("c", "r", "streaming", "x", 30.0, True, INTRINSICS, 0.001, 0, 9, 10, {"damaged": 1}, serial="77"),
     m.Counters("segmenter", "c", "r", 1, "host", "0", 1.0, {"a": 1}, {"b": 1.0}),
     TUBER,
     TOTALS,
@@ -79,7 +79,7 @@ def changed(good: bytes, change: Any) -> bytes:
 
 def test_every_kind_of_message_is_here() -> None:
     parts = {m.Message, m.Outline, m.LoadNow, m.Track, m.Mark, m.Sizes, m.ClassTotal, m.ForeignTotal, m.WeighedView}
-    parts |= {m.TrackInView, m.HeightChange, m.CamerasApart}
+    parts |= {m.TrackInView, m.HeightChange, m.CamerasApart, m.CameraExchanged}
     kinds = {getattr(m, name) for name in m.__all__} - parts
     assert kinds == {type(example) for example in EXAMPLES}
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from conveyor.messages import CamerasApart, HeightChange
+from conveyor.messages import CameraExchanged, CamerasApart, HeightChange
 from tests.viewer.page_states import camera_info, good_state, loaded_state, node, segmenter, totals, with_node
 from viewer.page.alarms import alarms
 from viewer.page.snapshot import FORGET_GONE_S, MAX_NODES, snapshot
@@ -86,6 +86,16 @@ def test_cameras_that_put_the_same_tubers_at_different_places(twice: int, level:
     assert "Cameras left and right put the same tubers 3 mm apart along the belt and 42 mm across" in alarm.text
     assert said in alarm.text
     assert "calibrate cameras" in alarm.fix
+
+
+def test_a_camera_that_is_not_the_one_that_was_calibrated() -> None:
+    state = good_state()
+    assert state.totals is not None
+    change = CameraExchanged("left", "serial 77, 848x480", "serial 78, 848x480", 1)
+    (alarm,) = alarms(replace(state, totals=replace(state.totals, exchanged=(change,))))
+    assert (alarm.key, alarm.level) == ("camera-left-exchanged", "warning")
+    assert "it was serial 77, 848x480, it is serial 78, 848x480." in alarm.text
+    assert "enter the ticket of a load since" in alarm.fix
 
 
 @pytest.mark.parametrize(

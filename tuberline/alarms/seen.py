@@ -69,7 +69,7 @@ def _about(key: str, camera: str) -> str | None:
         return f"regressor/{rest.rpartition('-')[0]}"
     if head in ("stalled", "uncommitted"):
         return rest
-    if head == "camera" and camera and (what := key.removeprefix(f"camera-{camera}-")) != "heights":
+    if head == "camera" and camera and (what := key.removeprefix(f"camera-{camera}-")) not in ("heights", "exchanged"):
         return f"camera/{camera}" if what in ("camera-gone", "camera-quiet") else f"segmenter/{camera}"
     return None
 

@@ -9,7 +9,16 @@ from typing import Any, Literal
 
 from aggregator.ledger.reader import ledger_file, read_summary, read_tubers, reading, the_run
 from aggregator.ledger.totals_by import Total, totals_by
-from conveyor.messages import CamerasApart, ClassTotal, ForeignTotal, HeightChange, LoadNow, Totals, Tuber
+from conveyor.messages import (
+    CameraExchanged,
+    CamerasApart,
+    ClassTotal,
+    ForeignTotal,
+    HeightChange,
+    LoadNow,
+    Totals,
+    Tuber,
+)
 from conveyor.messages.base import plain
 from tuberline.api.values import in_range
 
@@ -147,7 +156,9 @@ def _totals(values: dict[str, Any]) -> Totals:
     heights = tuple(HeightChange(**each) for each in (load or {}).get("heights", ()))
     loads = {"load": LoadNow(**{**load, **_parts(load), "heights": heights})} if load else {}
     apart = tuple(CamerasApart(**each) for each in values.get("apart", ()))
-    return Totals(**{**values, "histogram": tuple(values["histogram"]), **loads, **_parts(values), "apart": apart})
+    exchanged = tuple(CameraExchanged(**each) for each in values.get("exchanged", ()))
+    more = {**loads, **_parts(values), "apart": apart, "exchanged": exchanged}
+    return Totals(**{**values, "histogram": tuple(values["histogram"]), **more})
 
 
 def _parts(values: dict[str, Any]) -> dict[str, Any]:

@@ -7,12 +7,14 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.markup import escape
 from rich.measure import Measurement
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
 from conveyor.apart import apart_in_words
+from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
 from conveyor.layers import layers_in_words
 from conveyor.messages import Counters, LoadNow, Totals
@@ -128,6 +130,8 @@ def totals_panel(totals: Totals | None, nothing: str = "") -> Panel:
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
     if apart := apart_in_words(totals.apart):
         text += f"\n[yellow]{apart}[/]"
+    if exchanged := exchanged_in_words(totals.exchanged):
+        text += f"\n[yellow]{escape(exchanged)}[/]"
     if totals.belt_unknown:
         text += f"\n[yellow]{totals.reason}[/]"
     if totals.state == "starting":

@@ -9,8 +9,9 @@ from rich.console import Console
 from rich.table import Table
 
 from conveyor.apart import apart_told
+from conveyor.exchanged import exchanged_told
 from conveyor.layers import layers_in_words
-from conveyor.messages import CamerasApart
+from conveyor.messages import CameraExchanged, CamerasApart
 from tuberline.cli.class_table import class_table, foreign_line
 from tuberline.cli.live import histogram_lines
 
@@ -35,7 +36,9 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
     else:
         _print_load(console, summary, totals)
     apart = [CamerasApart(**one) for one in totals.get("apart", ())]
-    for finding in [*summary.get("findings", []), *(apart_told(one) for one in apart if one.alarm)]:
+    exchanged = [exchanged_told(CameraExchanged(**one)) for one in totals.get("exchanged", ())]
+    told = [*(apart_told(one) for one in apart if one.alarm), *exchanged]
+    for finding in [*summary.get("findings", []), *told]:
         console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
     for name, n in summary.get("restarts", {}).items():
         console.print(f"[yellow]{name} was restarted {n} times[/]")

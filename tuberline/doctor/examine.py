@@ -16,7 +16,7 @@ from conveyor.errors import InputError, TuberlineError
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.doctor.finding import Finding, fault, ok
-from tuberline.doctor.places import check_agreement, check_places
+from tuberline.doctor.places import check_agreement, check_exchanged, check_places
 
 LISTEN_S = 2.5
 LOOK_AT_FRAMES = 5
@@ -105,6 +105,7 @@ def _running(config: LineConfig, live: Live) -> list[Finding]:
         *check_running_belts(config, live.nodes, alive=live.alive),
         *check_encoder(config, live.nodes, alive=live.alive),
         *check_agreement(live.totals),
+        *check_exchanged(live.totals),
         *check_running_noise(config, live.nodes, trained_range(config), alive=live.alive),
         *live.weights,
         *check_alarms(config, live.nodes, alive=live.alive),

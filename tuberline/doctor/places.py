@@ -7,9 +7,11 @@ from typing import Any
 
 from conveyor.config import LineConfig
 from conveyor.config_camera import at_one_place, hang_together
-from conveyor.messages import CamerasApart
+from conveyor.exchanged import exchanged_told
+from conveyor.messages import CameraExchanged, CamerasApart
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
+EXCHANGED_FIX = "`tuberline calibrate belt` and `calibrate cameras`, then a bucket or a load's ticket; or hang it back"
 FIX = "has a camera moved? Record both with tubers on the belt, then `tuberline calibrate cameras RECORDING`"
 
 
@@ -17,6 +19,12 @@ def check_places(config: LineConfig) -> list[Finding]:
     """What the line's file says of its live cameras."""
     together = at_one_place(config.cameras)
     return [warning("places of cameras", hang_together(together), FIX)] if together else []
+
+
+def check_exchanged(totals: Mapping[str, Any] | None) -> list[Finding]:
+    """Cameras of a running line that are not those that were calibrated."""
+    changes = [CameraExchanged(**told) for told in (totals or {}).get("exchanged", ())]
+    return [warning(f"device of {change.camera}", exchanged_told(change), EXCHANGED_FIX) for change in changes]
 
 
 def check_agreement(totals: Mapping[str, Any] | None) -> list[Finding]:

@@ -62,6 +62,7 @@ def alarms(state: LineState, *, most: int = MAX_ALARMS) -> tuple[Alarm, ...]:
         *_layers(state),
         *_heights(state),
         *_apart(state),
+        *_exchanged(state),
         *_versions(state),
     ]
     return tuple(sorted(found, key=lambda alarm: LEVELS.index(alarm.level))[:most])
@@ -203,6 +204,14 @@ def _apart(state: LineState) -> Iterator[Alarm]:
             level: Level = "trouble" if apart.twice else "warning"
             say = "alarm.apart_twice" if apart.twice else "alarm.apart"
             yield Alarm(f"apart-{apart.first}-{apart.second}", level, say, "todo.apart", values)
+
+
+def _exchanged(state: LineState) -> Iterator[Alarm]:
+    """Cameras that are not those that were calibrated."""
+    for change in () if state.totals is None else state.totals.exchanged:
+        values: dict[str, Value] = {"camera": change.camera, "before": change.before, "now": change.now}
+        key = f"camera-{change.camera}-exchanged"
+        yield Alarm(key, "warning", "alarm.exchanged", "todo.exchanged", values)
 
 
 def layers(totals: Totals) -> dict[str, Value]:

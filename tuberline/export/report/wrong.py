@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.apart import apart_in_words
+from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
-from conveyor.messages import CamerasApart, HeightChange
+from conveyor.messages import CameraExchanged, CamerasApart, HeightChange
 from tuberline.alarms import outbox
 from tuberline.alarms.message import AlarmMessage
 from tuberline.export.report.gather import DayFacts, LoadFacts, RunFacts
@@ -95,6 +96,8 @@ def _of_run(run: RunFacts) -> Iterator[str]:
     for text in summary.get("differences", []):
         yield f"The balance sheet of run {run.run} does not hold: {text}. `tuberline audit` says more."
     if said := apart_in_words(CamerasApart(**apart) for apart in summary.get("totals", {}).get("apart", ())):
+        yield f"Run {run.run}: {said}."
+    if said := exchanged_in_words(CameraExchanged(**each) for each in summary.get("totals", {}).get("exchanged", ())):
         yield f"Run {run.run}: {said}."
     if summary.get("layers"):
         yield f"Run {run.run}: {summary['layers']}."
