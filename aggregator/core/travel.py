@@ -21,14 +21,14 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 SAMPLES = 100_000
-"""Of one camera, 1.6 MB: 1.7 hours of a live camera's marks, a day of a recording's. Beyond it every other one of the
+"""Of one camera, 2.4 MB: 1.7 hours of a live camera's marks, a day of a recording's. Beyond it every other one of the
 older half goes, again and again: after four times as many the first one alone is left of what came before."""
 
 TURNS = 512
 """Kept, the newest: 15 s of two live cameras' marks on end, minutes of a recording's. No track waits longer."""
 
-
 UNKNOWN = -1
+"""Carried on for how long: not kept any more."""
 
 
 @dataclass(slots=True)
