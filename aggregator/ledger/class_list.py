@@ -5,23 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from aggregator.core.class_totals import class_totals
-from aggregator.core.totals import LoadTotals
+from aggregator.core.class_totals import classes_together
+from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_list import told_loads
-from aggregator.ledger.reader import read_sums, the_run
+from aggregator.ledger.load_totals import ReadLoads
+from aggregator.ledger.reader import the_run
+from aggregator.ledger.totals_by import run_loads
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
 from conveyor.messages.base import plain
 
 
 def told_classes(view: LedgerView, path: Path, contract: Contract, *, run: str | None = None) -> list[dict[str, Any]]:
-    """Name and classes of the run, as weighed, and of each of its loads, as its tickets calibrate it.
+    """Name and classes of the run, and of each of its loads, as tickets calibrate them: as `totals_by` tells weights.
 
     Raises:
         LedgerError: no such run, or several to choose from.
     """
-    chosen = the_run(view, path, run)
-    own = class_totals(LoadTotals(read_sums(view, chosen.run).load), contract)
+    chosen, ledger = the_run(view, path, run), ReadLoads(view)
+    ones = run_loads(ledger, chosen, tickets_beside(ledger)[0])
+    own = classes_together([one.totals for one in ones], contract, whole=[one.whole for one in ones])
     loads = [load for load in told_loads(view, limit=10**6, contract=contract) if load["run"] == chosen.run]
     return [
         {"name": f"run {chosen.run}", "classes": plain(own)},

@@ -22,15 +22,18 @@ from aggregator.core.sight import CameraSight
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.check import check_file
+from aggregator.ledger.class_list import told_classes
 from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.load_totals import Seen
 from aggregator.ledger.reader import RunRow, reading
 from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, totals_by
 from aggregator.ledger.writer import Ledger
 from conveyor.config import REPLAY_NAME
+from conveyor.contract import read_contract
 from conveyor.errors import InputError
 from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
+from tests.aggregator.finished_ledger import with_sizes
 from tests.aggregator.loaded_story import Loads, S
 from tests.aggregator.virtual_line import undisturbed
 from tuberline.api.runs import read_totals
@@ -113,9 +116,10 @@ def test_intervals_of_sums_hold(rng: np.random.Generator) -> None:
     assert 0.86 <= inside / days <= 0.95
 
 
-def day_of_loads(path: Path, *, seed: int = 5) -> None:
+def day_of_loads(path: Path, *, seed: int = 5, sized: bool = False) -> None:
     """A run with two loads of two fields and varieties, a day apart, and belt without a load before them."""
     story = tell(seed, n=60, cameras=2, length_m=5.0, noise_mm=0.0)
+    story = with_sizes(story) if sized else story
     with Ledger(path) as ledger:
         it = Loads(ledger, story)
         for n in it.commits():
@@ -214,7 +218,10 @@ def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Pat
     """Tickets and cultivar of the config beside a ledger: its export told 1.922 kg where the line had told 2.300 kg."""
     (tmp_path / "run").mkdir()
     path, tickets = tmp_path / "run" / "ledger.db", tmp_path / "tickets.json"
-    day_of_loads(path)
+    (contract := tmp_path / "contract.toml").write_text(
+        '[[classes]]\nname = "small"\nto_mm = 50\n[[classes]]\nname = "large"\nfrom_mm = 50\n'
+    )
+    day_of_loads(path, sized=True)
     before = {t.label: t for t in totals_by([path], "load")[0]}
     earlier = Ticket("monday", "m", 10000.0, 20.0, 9000.0, 90.0, 1.0, tubers=60, per_mm_g=198.0, cultivar="Agria")
     write_tickets(tickets, [earlier])
@@ -231,6 +238,11 @@ def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Pat
     with reading(path) as view:
         grams = {f"{load['number']} {load['name']}": load["estimated_weight_g"] for load in told_loads(view, limit=9)}
     assert grams == {label: pytest.approx(after[label].sums.estimated_g) for label in ("1 A", "2 B")}
+    with reading(path) as view:
+        classes = told_classes(view, path, read_contract(contract))
+    assert [sum(each["weight_g"] for each in one["classes"]) for one in classes] == [
+        pytest.approx(after[label].sums.weight_g) for label in ("all", "2 B", "1 A")
+    ], "the run's classes were told as weighed"
     config.write_text(config.read_text().replace('"Agria"', '"Fontane"'))
     other = {t.label: t.sums.estimated_g for t in totals_by([path], "load")[0]}
     assert other["story, without a load"] < after["story, without a load"].sums.estimated_g, "of the line's cultivar"
