@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aggregator.calibration.correction import Correction, Prior, fit, prior_sds, usable
 from aggregator.calibration.evidence import gather, sum_tickets
@@ -33,9 +34,12 @@ def correction_of(tickets: Sequence[Ticket], model: str, prior: Prior, *, cultiv
 
 @lru_cache(maxsize=32)
 def _correction_of(tickets: tuple[Ticket, ...], model: str, prior: Prior, cultivar: str) -> Correction:
+    return fit(tickets, prior, cultivar=cultivar, doubt=_doubt(tickets, prior), model=model)
 
-    doubt = np.maximum(1.0, (left_out_z(tickets, prior) / DOUBTFUL_SD) ** 2)
-    return fit(tickets, prior, cultivar=cultivar, doubt=doubt, model=model)
+
+def _doubt(tickets: tuple[Ticket, ...], prior: Prior) -> NDArray[np.float64]:
+    """(tickets,) by what each ticket's variance is multiplied for what the others say of it."""
+    return np.maximum(1.0, (left_out_z(tickets, prior) / DOUBTFUL_SD) ** 2)
 
 
 def expected_accuracy(
@@ -61,10 +65,10 @@ def expected_accuracy(
     scale_g = weight_g * now.factor[0] * (1.0 + per_mm * now.offset_mm[0])
     more = Ticket("", model, scale_g, TYPICAL_TICKET_SD * scale_g, weight_g, 0.0, 1.0, per_mm_g=per_mm * weight_g)
     more = replace(more, stated_offset_mm=prior.stated_offset_mm, cultivar=cultivar)
-    widths = {}
+    widths, doubt = {}, _doubt(known, prior)
     for number in numbers:
         tickets = (*known, *[more] * number)
-        found = gather(tickets, now.mean, now.cultivars, np.ones(len(tickets)))
+        found = gather(tickets, now.mean, now.cultivars, np.concatenate([doubt, np.ones(number)]))
         precision = np.diag(1.0 / prior_sds(prior, len(now.cultivars)) ** 2) + found.at(now.load_sd**2)[0]
         slope = sum_tickets([more], now.mean, now.cultivars).slopes[0]
         variance = float(slope @ np.linalg.solve(precision, slope))

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aggregator.calibration.apply import calibrated
+from aggregator.calibration.apply import calibrated, load_factor
 from aggregator.calibration.correction import FACTOR_SD, OFFSET_SD_MM, Prior
 from aggregator.calibration.leave_one_out import CONTRADICTS_SD, leave_one_out
 from aggregator.calibration.robust import correction_of, expected_accuracy
@@ -198,6 +198,17 @@ def test_more_tickets_are_expected_to_bring_more() -> None:
     assert widths[0] < NORMAL_90 * 0.03
     assert widths[10] > NORMAL_90 * 0.01  # never better than loads are known to differ
     assert expected_accuracy([], MODEL, PRIOR, per_mm=None)[0] == pytest.approx(NORMAL_90 * 0.09, rel=0.1)
+
+
+def test_what_is_expected_now_is_what_a_load_is_known_to_now() -> None:
+    """Beside tickets that contradict, the table said 5 % where the load itself was told as known to 8 %."""
+    weighed_g = reads(offset_mm=2.0, factor=1.0)
+    agree = [summed(weighed_g, run=run, kind="load") for run in "ab"]
+    for tickets in (agree, [agree[0], replace(agree[1], ticket_g=0.82 * agree[1].ticket_g)]):
+        now = load_factor(tickets, MODEL, PRIOR)
+        assert now is not None
+        per_mm = sum(t.per_mm_g for t in tickets) / sum(t.estimated_g for t in tickets)
+        assert expected_accuracy(tickets, MODEL, PRIOR, per_mm=per_mm)[0] == pytest.approx(now.half_width, rel=0.05)
 
 
 def test_a_ticket_of_a_run_that_stated_its_offset_says_the_same_of_the_line() -> None:
