@@ -233,7 +233,7 @@ def _some(found: Counted, part: Part) -> tuple[Tuber, ...]:
         if given is not None and not min(ids) <= given <= max(ids):
             raise InputError(
                 f"{option} is {given}, run {found.run} counted {len(ids)} tubers, numbered {min(ids)} to {max(ids)}: "
-                "give one of these (tuber_id in its tubers.csv), or leave it out for the end of the run"
+                "give one of these (id in its tubers.csv), or leave it out for the end of the run"
             )
     return tubers
 

@@ -6,7 +6,7 @@ import math
 
 from aggregator.calibration.correction import Prior
 from aggregator.calibration.load import LEAST_SHARE, MISCOUNTED
-from aggregator.calibration.tickets import Ticket, check_ticket
+from aggregator.calibration.tickets import Ticket, check_scale, check_ticket
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
@@ -35,7 +35,7 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
     whole = totals.whole(coverage, belt_m=found.belt_m)
     estimated_g, _, _ = totals.estimated(coverage, belt_m=found.belt_m)
     own_g2 = (sums.low_variance_g2 + sums.high_variance_g2) / 2 + MISCOUNTED * sums.squares_g2
-    return check_ticket(
+    ticket = check_ticket(
         Ticket(
             load.run,
             _model(load, sums),
@@ -51,6 +51,7 @@ def load_ticket(load: Load, found: LoadCounted, *, cultivar: str = "") -> Ticket
             cultivar=load.variety or cultivar,
         )
     )
+    return check_scale(ticket)
 
 
 def _model(load: Load, sums: LoadSums) -> str:

@@ -24,6 +24,8 @@ RATIO_RANGE = (0.75, 1.35)
 """A ticket outside of it is of other tubers, in other units, or the line did not see most of the belt."""
 
 LEAST_COVERAGE = 0.8
+MOST_SCALE_SD = 0.2
+"""Of the weight; an error above it was given in other units, and its ticket would say nothing."""
 KINDS = ("load", "bucket", "tubers")
 FORMAT = 2
 OLD_FORMAT = 1
@@ -142,13 +144,29 @@ def check_ticket(ticket: Ticket) -> Ticket:
     return ticket
 
 
+def check_scale(ticket: Ticket) -> Ticket:
+    """The ticket, if its scale's error can be one; asked of new tickets alone, so that files go on being read.
+
+    Raises:
+        InputError: it is more than `MOST_SCALE_SD` of the weight.
+    """
+    if ticket.ticket_sd_g > MOST_SCALE_SD * ticket.ticket_g:
+        raise InputError(
+            f"the scale's error is {ticket.ticket_sd_g / 1000:g} kg of {ticket.ticket_g / 1000:g} kg ({ticket.name}): "
+            f"more than {100 * MOST_SCALE_SD:.0f} % says nothing; give its standard deviation in kilograms, of single "
+            "weights that of one in grams"
+        )
+    return ticket
+
+
 def with_ticket(tickets: Sequence[Ticket], ticket: Ticket, *, again: bool) -> tuple[Ticket, ...]:
     """`tickets` with one more; no tuber is in two tickets of a kind, else what a scale said of it counts twice.
 
     Raises:
         InputError: some of its tubers have one already, or may (one part goes by numbers, the other by places), and
-            `again`, which replaces it, is not given.
+            `again`, which replaces it, is not given; or its scale cannot be as bad as it says.
     """
+    check_scale(ticket)
     of_same = [known for known in tickets if same_tubers(known, ticket) is not False]
     if of_same and not again:
         found = of_same[0]

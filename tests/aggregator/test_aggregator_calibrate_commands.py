@@ -10,6 +10,7 @@ import pytest
 
 from aggregator.calibration.align import align
 from aggregator.calibration.part import Part
+from aggregator.calibration.single import read_weights
 from aggregator.calibration.tickets import read_tickets
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
@@ -143,6 +144,47 @@ def test_weights_of_other_tubers_are_refused(line: Line, tmp_path: Path) -> None
     wrong.write_text("0.172\n0.211\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"row 1: '0\.172' is no weight in grams"):
         calibrate_tubers(folder, wrong, options=TicketOptions(tmp_path / "tickets.json"))
+
+
+@pytest.mark.parametrize(
+    ("text", "grams"),
+    [
+        ("nr;weight_g\n1;150,5\n2;92,25\n", (150.5, 92.25)),
+        ("\ufeffweight_g\n150,5\n-\n92\n", (150.5, 92.0)),
+        ("Weight_g\tfield\n150.5\tNorth\n92\n", (150.5, 92.0)),
+        ("nr,weight_g\n1,150.5\n", (150.5,)),
+    ],
+)
+def test_weights_come_as_spreadsheets_of_any_country_write_them(
+    tmp_path: Path, text: str, grams: tuple[float, ...]
+) -> None:
+    (path := tmp_path / "weights.csv").write_text(text, encoding="utf-8")
+    assert read_weights(path)[1] == grams
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nr,weight_g\n1,150,5\n", "row 2: 3 values, its first row names 2; write decimals with a point"),
+        ("150,5\n92,0\n", "want a column weight_g, or one column alone; found 150, 5"),
+        ("Gewicht\n150\n", "row 1: 'Gewicht' is no weight in grams, and no column is named weight_g"),
+        ("Gr\xf6\xdfe,weight_g\n1,150\n", "save it as UTF-8"),
+    ],
+)
+def test_weights_that_can_be_read_in_two_ways_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    """'150,5' in a table kept apart by commas counted as 150 g, without a word."""
+    (path := tmp_path / "weights.csv").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=said):
+        read_weights(path)
+
+
+def test_a_scale_that_says_nothing_makes_no_ticket(line: Line, tmp_path: Path) -> None:
+    """Grams given for kilograms: the ticket was taken, and its load known no better than before."""
+    folder, tubers = line
+    kg = sum(tuber.weight_g for tuber in tubers) / 1000
+    with pytest.raises(InputError, match=r"the scale's error is 13 kg .* standard deviation in kilograms"):
+        calibrate_bucket(folder, kg=kg, scale_error_kg=13.0, options=TicketOptions(tmp_path / "tickets.json"))
+    assert not (tmp_path / "tickets.json").exists()
 
 
 def test_weights_of_a_part_need_the_part_named(line: Line, tmp_path: Path) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
+from typing import Annotated
 
+from tuberline.cli.numbers import within
 from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, WHOLE_RUN, PartOptions, TicketOptions
 
 SCALE_SHARE = 0.002
@@ -18,7 +20,7 @@ def calibrate_bucket(
     *,
     kg: float,
     count: int | None = None,
-    scale_error_kg: float | None = None,
+    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
     weighed: PartOptions = WHOLE_RUN,
     options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
+from typing import Annotated
 
+from tuberline.cli.numbers import within
 from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, TicketOptions
 
 
@@ -15,7 +17,7 @@ def calibrate_load(
     *,
     ticket_kg: float | None = None,
     load: str = "",
-    scale_error_kg: float | None = None,
+    scale_error_kg: Annotated[float | None, within(0, 1e5, "kg")] = None,
     options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,
 ) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
+from typing import Annotated
 
+from tuberline.cli.numbers import within
 from tuberline.cli.ticket_options import NO_TICKET_OPTIONS, WHOLE_RUN, PartOptions, TicketOptions
 
 
@@ -14,7 +16,7 @@ def calibrate_tubers(
     weights: Path,
     /,
     *,
-    scale_error_g: float = 1.0,
+    scale_error_g: Annotated[float, within(0, 1000, "g")] = 1.0,
     weighed: PartOptions = WHOLE_RUN,
     options: TicketOptions = NO_TICKET_OPTIONS,
     json: bool = False,
@@ -29,6 +31,7 @@ def calibrate_tubers(
         Folder of the counted run (with its ledger.db), or the ledger itself.
     weights
         CSV file, one tuber a row in the order of the belt; grams in the column weight_g, or in the only column.
+        Columns may be kept apart by semicolons or tabs, decimals then by a comma.
     scale_error_g
         Standard deviation of the scale.
     weighed
