@@ -32,6 +32,11 @@ class ProfiledCamera:
         """Findings outside the trained range."""
         return tuple(finding for finding in self.findings if finding.verdict == "outside")
 
+    @property
+    def unseen(self) -> tuple[Finding, ...]:
+        """Findings that the recording does not show."""
+        return tuple(finding for finding in self.findings if finding.verdict == "not seen")
+
     def as_dict(self) -> dict[str, Any]:
         """For machines: numbers beside the words."""
         p = self.profile

@@ -103,7 +103,7 @@ def _step(profile: CameraProfile, trained: CameraRange) -> Finding:
 def _neighbours(profile: CameraProfile) -> Finding:
     name, told = "step between neighbours", "-"
     if profile.neighbour_px is None:
-        return Finding(name, "-", told, "not seen")
+        return Finding(name, "-", told, "not seen", "too few pixels beside each other have depth")
     p99, p999, most = profile.neighbour_px
     return Finding(name, f"99 %: {p99:.2f}, 99.9 %: {p999:.2f}, largest {most:.1f} px", told, "")
 

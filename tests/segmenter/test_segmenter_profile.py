@@ -138,9 +138,22 @@ def test_a_belt_farther_than_those_trained_for_is_outside(tmp_path: Path, capsys
 
 def test_a_belt_within_those_trained_for_is_inside(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     profile_command(recording)
-    row = next(line for line in capsys.readouterr().out.splitlines() if "distance to the belt" in line)
+    said = capsys.readouterr().out
+    row = next(line for line in said.splitlines() if "distance to the belt" in line)
     assert "0.46" in row
     assert "inside" in row
+
+
+def test_a_bare_belt_says_what_it_does_not_show(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a tuber in sight nothing is known of outlines; it said that weights and intervals hold as stated."""
+    files = sorted((recording / "front" / "depth").glob("*.png"))
+    bare = cv2.imread(str(files[0]), cv2.IMREAD_UNCHANGED)
+    _change(recording, lambda _n, _depth: np.asarray(bare, np.uint16))
+    profile_command(recording)
+    said = capsys.readouterr().out
+    assert "holes at outlines not seen: too few outlines show: record a loaded belt" in said
+    assert "nothing that was seen is outside" in said
+    assert "hold as stated" not in said
 
 
 @pytest.mark.filterwarnings("error")

@@ -101,5 +101,9 @@ def _print(camera: ProfiledCamera, model: str) -> None:
                   f"apart ({by})", markup=False)  # fmt: skip
     for finding in camera.outside:
         console.print(f"{finding.name}: {finding.follows}", markup=False)
-    if not camera.outside:
+    for finding in camera.unseen:
+        console.print(f"{finding.name} not seen: {finding.follows}", markup=False)
+    if camera.unseen and not camera.outside:
+        console.print("nothing that was seen is outside; of the rest this recording says nothing", markup=False)
+    elif not camera.outside:
         console.print("nothing is outside: weights and intervals hold as stated", markup=False)
