@@ -13,6 +13,8 @@ Size = Annotated[float, Field(gt=0, le=5000)]
 Place = Annotated[float, Field(ge=-5000, le=5000)]
 LEAST_BAR_MM = 40.0
 """Over the belt: nearer to it a bar moves as the belt does, and tells nothing."""
+DESCRIBES = {"gauge_width_m": "belt-width", "gauge_size_mm": "bar", "gauge_place_mm": "bar"}
+"""The gauge that each key describes."""
 
 
 class GaugeSection(Section):
@@ -31,6 +33,10 @@ class GaugeSection(Section):
 
     @model_validator(mode="after")
     def _gauge_described(self) -> Self:
+        described = [key for key in DESCRIBES if key in self.model_fields_set and getattr(self, key) is not None]
+        if described and "gauge" not in self.model_fields_set:
+            wanted = " or ".join(f'"{name}"' for name in dict.fromkeys(DESCRIBES[key] for key in described))
+            raise ValueError(f'{" and ".join(described)} given without gauge: set gauge = {wanted}, or "none"')
         if self.gauge == "belt-width" and self.gauge_width_m is None:
             raise ValueError('gauge is "belt-width": give gauge_width_m, from edge to edge')
         if self.gauge == "bar" and (self.gauge_size_mm is None or self.gauge_place_mm is None):

@@ -59,7 +59,11 @@ def test_the_page_has_a_row_for_each_key() -> None:
 BESIDE = {
     "cameras.<camera>.starts_at_s": "waits = false",
     "cameras.<camera>.realsense.": '[cameras.front]\nsource = "realsense"',
+    "belt.gauge_width_m": 'gauge = "belt-width"',
+    "belt.gauge_size_mm": 'gauge = "bar"\ngauge_place_mm = [0, -420, 100]',
+    "belt.gauge_place_mm": 'gauge = "bar"\ngauge_size_mm = [40, 30]',
     "belt.gauge": 'surface = "rods"',
+    "belt.rod": 'surface = "rods"',
     "alarms.": 'channels = ["https://farm.example"]',
     "encoder.source": "metres_per_pulse = 0.0005",
     "encoder.metres_per_pulse": 'source = "tcp://127.0.0.1:5000"',

@@ -221,6 +221,8 @@ def test_the_lines_file_describes_a_gauge_or_is_refused() -> None:
         ({"gauge": "belt-width"}, "gauge_width_m"),
         ({"gauge": "bar"}, "gauge_size_mm"),
         ({"gauge": "bar", "gauge_size_mm": [300, 60], "gauge_place_mm": [0, 0, 10]}, "40 mm at least"),
+        ({"gauge_width_m": 0.6}, 'gauge_width_m given without gauge: set gauge = "belt-width", or "none"'),
+        ({"rod_pitch_mm": 32}, 'rod_pitch_mm given without surface: set surface = "rods", or "flat"'),
     ):
         with pytest.raises(ConfigError, match=says):
             parse_config({"belt": belt}, where="test")

@@ -37,7 +37,7 @@ EXAMPLES: Mapping[str, Any] = {
     "cameras.<camera>.realsense.filters": ["spatial"],
     "belt.gauge_width_m": 0.8,
     "belt.gauge_size_mm": [40.0, 30.0],
-    "belt.gauge_place_mm": [0.0, -420.0, 25.0],
+    "belt.gauge_place_mm": [0.0, -420.0, 100.0],
     "belt.resting_sd_mm": 1.5,
     "segmenter.weights": "my-belt.onnx",
     "segmenter.state_dir": "/var/lib/tuberline/segmenter",
