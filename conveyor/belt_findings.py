@@ -11,7 +11,7 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     Args:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
-            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m.
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -47,6 +47,12 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         found["encoder_behind_m"] = (
             f"camera '{camera}': the encoder came back {behind_m:.2f} m behind where the load had gone, so it counts "
             "from another zero: the load alone tells the travel until the next run. Start a new run to use it again"
+        )
+    if gauges.get("gauge_unseen"):
+        found["gauge_unseen"] = (
+            f"camera '{camera}': the gauge of [belt] has not been seen once, so a depth scale that drifts goes unseen. "
+            "Compare what [belt] says of it with the belt (rod_pitch_mm, gauge_width_m, gauge_size_mm, "
+            "gauge_place_mm), keep it in view, and give the camera a belt_distance_m or a belt_from_camera"
         )
     cause = _CAUSES.get(gauges.get("gauge_cause", 0.0))
     if cause is not None:

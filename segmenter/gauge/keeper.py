@@ -37,7 +37,7 @@ class GaugeKeeper:
         self._estimate: GaugeEstimate | None = None
         self._belt: BeltGeometry | None = None
         self._frames = 0
-        self._looks = 0
+        self._tried = self._looks = 0
         self._table: tuple[float, NDArray[np.uint16]] | None = None
         self._moved: tuple[float, BeltGeometry] | None = None
 
@@ -83,10 +83,11 @@ class GaugeKeeper:
         )
 
     def gauges(self) -> dict[str, float]:
-        """The levels that are known."""
+        """The levels that are known; 'gauge_unseen' is 1 where many looks have not found it once."""
+        unseen = {"gauge_unseen": float(not self._looks)} if self._tried >= REFERENCE_LOOKS else {}
         if self.reading is None:
-            return {}
-        return {
+            return unseen
+        return unseen | {
             "gauge_cause": CAUSES[self.reading.cause],
             "gauge_drift_px": self.reading.drift_px,
             "gauge_shift_mm": 1000 * self.reading.shift_m,
@@ -98,6 +99,7 @@ class GaugeKeeper:
         gauge = self._gauge
         if gauge is None:
             return
+        self._tried += 1
         if self._belt is None:
             pose = frame.belt_from_camera
             if pose is None and frame.belt_distance_m is not None:

@@ -78,10 +78,11 @@ def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, fl
 
 
 def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
-    config = parse_config({"cameras": {"left": {}, "right": {}}}, where="test")
+    config = parse_config({"cameras": {"left": {}, "right": {}, "third": {}}}, where="test")
     nodes = {
         f"segmenter/{name}": Counters("segmenter", name, "r", 1, "h", "1", 9.0, {}, {"belt_drift_mm": 0.3, **gauges})
         for name, gauges in {
+            "third": {"gauge_unseen": 1.0},
             "left": {"gauge_cause": 2.0, "gauge_drift_px": 0.21, "camera_noise_px": 0.02},
             "right": {"gauge_cause": 0.0, "camera_noise_px": 0.2},
         }.items()
@@ -90,6 +91,8 @@ def test_a_running_segmenters_gauge_and_noise_are_told() -> None:
     assert found["gauge of left"].level is Level.WARNING
     assert "the depth scale drifted by +0.21 px" in found["gauge of left"].text
     assert "gauge of right" not in found
+    assert "has not been seen once" in found["gauge of third"].text
+    assert "correct the gauge in [belt]" in found["gauge of third"].fix
     noisy = check_running_noise(config, nodes, camera_range(("easy",)), alive=set(nodes))
     assert [(f.check, f.level) for f in noisy] == [("depth of right", Level.WARNING)]
     assert "measures 0.200 px of noise" in noisy[0].text

@@ -165,6 +165,11 @@ def test_no_gauge_and_no_calibrated_belt_change_nothing() -> None:
     assert loose.reading is None
     assert loose.gauges() == {}
     assert loose.flags() == ()
+    for _ in range(REFERENCE_LOOKS):
+        loose.look(replace(frame, belt_distance_m=None))
+    assert "has not been seen once" in belt_findings("front", loose.gauges())["gauge_unseen"]
+    loose.look(frame)
+    assert belt_findings("front", loose.gauges()) == {}, "it came into view"
 
 
 def test_a_web_is_checked_by_its_rods_and_the_ground_between_is_no_belt() -> None:

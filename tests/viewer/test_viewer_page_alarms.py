@@ -146,7 +146,8 @@ def test_a_belt_that_moved(drift_mm: float, said: str) -> None:
             "trouble",
             ["The depth scale of camera left drifted by -0.70 px; too much to correct: weights are wrong."],
         ),
-        ({"gauge_cause": 0.0, "gauge_shift_mm": 0.4}, "warning", []),
+        ({"gauge_cause": 0.0, "gauge_shift_mm": 0.4, "gauge_unseen": 0.0}, "warning", []),
+        ({"gauge_unseen": 1.0}, "warning", ["Camera left does not see its gauge."]),
     ],
 )
 def test_a_gauge_names_what_moved(levels: dict[str, float], level: str, said: list[str]) -> None:

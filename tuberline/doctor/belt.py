@@ -20,6 +20,7 @@ OTHER_WAY = {
     "encoder_behind_m": "begin a new run, and look at the encoder's power and cable",
 }
 """Levels of a load that moves otherwise than pose or encoder say, and what to do."""
+UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'
 WRONG_SCALE = 3.0
 """Seen this many times too far or too near, it is no belt that moved: the depth is read in other units."""
 
@@ -69,7 +70,7 @@ def check_running_belts(config: LineConfig, nodes: Mapping[str, Counters], *, al
         why = [text for key, text in belt_findings(camera, gauges).items() if key.startswith("gauge_")]
         if why:
             fix = "fasten or calibrate the camera, then `tuberline calibrate belt RECORDING`"
-            found.append(warning(f"gauge of {camera}", why[0], fix))
+            found.append(warning(f"gauge of {camera}", why[0], UNSEEN if gauges.get("gauge_unseen") else fix))
         for key, fix in OTHER_WAY.items():
             if gauges.get(key):
                 found.append(fault(f"belt of {camera}", belt_findings(camera, gauges)[key], fix))

@@ -80,7 +80,10 @@ def _encoder(source: NodeState | None, segmenter: NodeState) -> Iterator[Found]:
 
 
 def _gauge(segmenter: NodeState) -> Iterator[Found]:
-    """Why the belt is not where it was, by the gauge: a mount that moved (1), a depth scale that drifted (2), both."""
+    """Why the belt is not where it was, by the gauge: a mount that moved (1), a depth scale that drifted (2), both;
+    or that no gauge was seen."""
+    if segmenter.level("gauge_unseen"):
+        yield "gauge-unseen", False, "alarm.camera.gauge_unseen", "todo.camera.gauge_unseen", {}
     cause = segmenter.level("gauge_cause") or 0.0
     moved, drifted = segmenter.level("gauge_shift_mm") or 0.0, segmenter.level("gauge_drift_px") or 0.0
     beyond = bool(segmenter.level("gauge_beyond"))
