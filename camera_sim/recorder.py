@@ -3,12 +3,13 @@ its own that none waits for."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor import topics
-from conveyor.config import LineConfig
+from conveyor.config import BeltConfig, LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber, ReliableSubscriber
 from conveyor.errors import StorageError
 from conveyor.files import told
@@ -81,8 +82,9 @@ class Part:
 class _OpenPart:
     """The file that is being written and the positions beside it; `runs`: each camera's frames in it are of one."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, resting: Mapping[str, float]) -> None:
         self.path = path
+        self._resting = resting
         self.runs: dict[str, str] = {}
         self._files = ExitStack()
         self._positions: PositionsWriter | None = None
@@ -91,7 +93,7 @@ class _OpenPart:
     def write(self, frame: Frame, *, fps: float | None) -> None:
         """Append `frame` to the file."""
         self.runs[frame.camera] = frame.run
-        self.writer.add_camera(frame.camera, fps=fps)
+        self.writer.add_camera(frame.camera, fps=fps, **self._resting)
         self.writer.write(frame)
 
     def add(self, at: Position) -> None:
@@ -114,11 +116,11 @@ class _Parts:
             begin a part with every frame.
     """
 
-    def __init__(self, out: Path) -> None:
-        self._out = out
+    def __init__(self, out: Path, resting: Mapping[str, float]) -> None:
+        self._out, self._resting = out, resting
         self.left: set[tuple[str, str]] = set()
         self.done: list[Part] = []
-        self.open = _OpenPart(next_part(out))
+        self.open = _OpenPart(next_part(out), resting)
 
     def write(self, frame: Frame, *, fps: float | None) -> bool:
         """Append `frame`; returns whether a part was begun for it."""
@@ -126,7 +128,7 @@ class _Parts:
         if before != frame.run:
             self.left.add((frame.camera, before))
             self.close()
-            self.open = _OpenPart(next_part(self._out))
+            self.open = _OpenPart(next_part(self._out), self._resting)
         self.open.write(frame, fps=fps)
         return before != frame.run
 
@@ -144,6 +146,16 @@ def next_part(out: Path) -> Path:
     return part
 
 
+def stated_resting(belt: BeltConfig) -> dict[str, float]:
+    """What a recording says of the resting level of its line, where that states one. Of a web it says nothing: each
+    tuber's own sink is not in these figures.
+    """
+    if belt.surface == "rods" or (not belt.resting_offset_mm and belt.resting_sd_mm is None):
+        return {}
+    sd = {} if belt.resting_sd_mm is None else {"resting_sd_mm": belt.resting_sd_mm}
+    return {"resting_offset_mm": belt.resting_offset_mm, **sd}
+
+
 def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[Part]:
     """Record until stopped; returns the files that were written, in their order, at least one.
 
@@ -154,9 +166,13 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[
         StorageError: the disk is full, or gone.
     """
     with Node("recorder", name, config=config, run=run, announce=False) as node:
-        parts = _Parts(out)
+        parts = _Parts(out, stated_resting(config.belt))
         if parts.open.path != out:
             node.log.warning("%s holds a recording: going on in %s", out, parts.open.path)
+        if config.belt.surface == "rods":
+            node.log.info(
+                "a recording does not say that its belt is a web: replay it with --places and the line's file"
+            )
         try:
             with closing(parts):
                 _record(node, parts)

@@ -1,4 +1,4 @@
-"""Where the cameras of a recording hang, as a line's file says it."""
+"""Where the cameras of a recording hang, and what its tubers lie on, as a line's file says it."""
 
 from __future__ import annotations
 
@@ -32,3 +32,12 @@ def places_in(file: Path, cameras: Sequence[str]) -> dict[str, dict[str, Any]]:
             f"{' or '.join(KEYS[:2])}, as `tuberline calibrate cameras` prints them"
         )
     return found
+
+
+def belt_in(file: Path) -> dict[str, Any]:
+    """What a line's file says in `[belt]`; empty where it has no such section.
+
+    Raises:
+        ConfigError: no line's file.
+    """
+    return load_config(file).belt.model_dump(exclude_unset=True)

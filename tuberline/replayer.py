@@ -20,7 +20,7 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.taken_port import check_port_free, free_port
 from conveyor.topics import check_name
-from tuberline.places import places_in
+from tuberline.places import belt_in, places_in
 from tuberline.processes import line_processes, usual_regressors
 from tuberline.recorded import has_positions, lost_frames
 from tuberline.supervisor import Supervisor
@@ -67,7 +67,8 @@ def replay_recording(
         resting_offset_mm, resting_sd_mm: how far tubers' undersides lie below the belt, and how well that is known;
             None: what the recording states.
         contract: a buyer's classes of size (TOML).
-        places: a line's file that says where the cameras hang, instead of what the recording says.
+        places: a line's file that says where the cameras hang, and in `[belt]` what tubers lie on, instead of what the
+            recording says.
         fast: one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
         settings: further config sections by name, e.g. {"segmenter": {"views_per_tuber": 5}}.
         forks: the process that nodes are forked from, where it was begun earlier.
@@ -84,7 +85,8 @@ def replay_recording(
     cameras = line_names(recording, recording_cameras(recording))
     _refuse_early(weights, contract)
     told = [open_source(recording, camera=name).description for name in cameras]
-    belt = stated_belt(told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
+    belt: dict[str, Any] = belt_in(places) if places else {}
+    belt |= stated_belt(() if belt else told, offset_mm=resting_offset_mm, sd_mm=resting_sd_mm)
     sections: dict[str, Any] = {"belt": belt, **(settings or {})}
     asked = FAST if fast else {}
     sections |= {name: {**section, **sections.get(name, {})} for name, section in asked.items()}

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.recorder import next_part
+from camera_sim.recorder import next_part, stated_resting
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor import topics
-from conveyor.config import LinkConfig
+from conveyor.config import BeltConfig, LinkConfig
 from conveyor.delivery import LatestPublisher, ReliablePublisher
 from conveyor.errors import PASSING
 from conveyor.formats import describe_recording, open_source
@@ -46,6 +46,7 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
     link: LinkConfig, small_recording: Path, tmp_path: Path
 ) -> None:
     config, out = line(link, path=small_recording, speed=2.0, waits=True), tmp_path / "line.mcap"
+    config = config.model_copy(update={"belt": BeltConfig(resting_offset_mm=5.5, resting_sd_mm=1.5)})
     with other_side(config) as side, process(config, tmp_path, "recorder", "--out", str(out)) as recorder:
         _wait_for_recorder(side)
         with (
@@ -73,7 +74,10 @@ def test_what_a_camera_published_is_recorded_frame_by_frame(
     recorded = [frame for frame in open_source(out).frames(run="r") if isinstance(frame, Frame)]
     original = [frame for frame in open_source(small_recording).frames(run="r") if isinstance(frame, Frame)]
     assert [frame.encode() for frame in recorded] == [frame.encode() for frame in original]
-    assert describe_recording(out).cameras[0].fps == 10.0
+    (camera,) = describe_recording(out).cameras
+    assert camera.fps == 10.0
+    assert (camera.resting_offset_mm, camera.resting_sd_mm) == (5.5, 1.5), "its replay read 9 % light at 5 mm"
+    assert stated_resting(BeltConfig()) == stated_resting(BeltConfig(surface="rods", resting_offset_mm=1.0)) == {}
     _positions_go_with_it(out, tmp_path)
 
 

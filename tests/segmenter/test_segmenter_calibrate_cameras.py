@@ -18,7 +18,7 @@ from conveyor.formats import open_source
 from tests.belts import replay
 from tests.belts import tuberline as command
 from tuberline.cli.calibrate_cameras import calibrate_cameras
-from tuberline.places import places_in
+from tuberline.places import belt_in, places_in
 
 SEED = 31
 
@@ -112,6 +112,9 @@ def test_places_of_a_file_reach_the_frames_and_leave_what_they_do_not_say(record
         places_in(file, ["left", "right"])
     (said,) = places_in(file, ["left"]).values()
     assert said == {"belt_distance_m": 0.5, "across_m": 0.1, "turned_deg": 90.0}
+    assert belt_in(file) == {}
+    (web := tmp_path / "web.toml").write_text(file.read_text() + '[belt]\nsurface = "rods"\n', encoding="utf-8")
+    assert belt_in(web) == {"surface": "rods"}
     place = load_config(file).camera("left").place
     plain = next(iter(open_source(recording, camera="left").frames(run="r")))
     turned = open_source(recording, camera="left", belt_distance_m=0.5, place=place)

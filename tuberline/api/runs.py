@@ -76,8 +76,8 @@ def replay(
         weights: a .safetensors or the authors' .pth; None takes the shipped ones.
         resting_offset_mm: how far tubers' undersides lie below the belt; None: what the recording states.
         ignore_masks: find the tubers on depth though the recording has masks of its own.
-        places: a line's file that says where the cameras hang, as `tuberline calibrate cameras` prints it; None: what
-            the recording says.
+        places: a line's file that says where the cameras hang, as `tuberline calibrate cameras` prints it, and in
+            `[belt]` what tubers lie on; None: what the recording says.
         fast: weigh one view of a tuber from each camera, in the fastest form within 0.1 g of the exact one.
 
     Returns:
