@@ -4,7 +4,7 @@ little; none is thrown away, for scales are corrected later.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from aggregator.calibration.leave_one_out import LeftOut, contradicting, contradicting_all
 from aggregator.calibration.load_tickets import load_ticket
@@ -40,6 +40,20 @@ def ledger_doubts(ledger: Sums, tickets: Sequence[Ticket]) -> list[str]:
     """What speaks against `tickets`, which calibrate a ledger, and against the gross ones of its loads."""
     found = [entry.told for entry in contradicting_all(tickets)]
     return [*found, *(words for load in ledger.loads.loads.values() for words in gross_below_net(load))]
+
+
+def of_other_weights(tickets: Sequence[Ticket], models: Iterable[str]) -> list[str]:
+    """That `tickets` are of other weights than some of `models`, which weighed what they should calibrate; empty where
+    no ticket is in use.
+    """
+    known = {ticket.model for ticket in tickets if not ticket.set_aside}
+    bare = sorted(set(models) - known)
+    if not known or not bare:
+        return []
+    return [
+        f"no ticket calibrates what {', '.join(bare)} weighed: those at hand are of {', '.join(sorted(known))}. "
+        "Weights that changed are calibrated again, by a bucket or a load"
+    ]
 
 
 def ticket_remark(

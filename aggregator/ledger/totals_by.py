@@ -17,7 +17,7 @@ from aggregator.core.totals import LoadTotals
 from aggregator.ledger.line_tickets import line_tickets
 from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
-from aggregator.ledger.ticket_doubts import ledger_doubts
+from aggregator.ledger.ticket_doubts import ledger_doubts, of_other_weights
 from conveyor.config import REPLAY_NAME
 from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
@@ -67,7 +67,8 @@ class AllLoads:
 
     Attributes:
         by_ledger: those of each, by its file. refused: tickets that cannot calibrate, in words. doubts: what else is
-            to be said of tickets: that others contradict them, or that they hold for one ledger alone.
+            to be said of tickets: that others contradict them, that they hold for one ledger alone, or for other
+            weights.
     """
 
     by_ledger: Mapping[Path, list[Labelled]]
@@ -123,7 +124,10 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLo
         for (file, ledger), known in zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True):
             loads[file] = labelled(ledger, known.tickets)
             refused += known.refused
-            doubts |= dict.fromkeys((*known.unshared, *ledger_doubts(ledger, known.tickets)))
+            weighed = [key for load in loads[file] for key in load.one.totals.sums.weighed]
+            models = [model for method, model in weighed if method != "volume"]
+            told = (*known.unshared, *of_other_weights(known.tickets, models), *ledger_doubts(ledger, known.tickets))
+            doubts |= dict.fromkeys(told)
         return AllLoads(loads, refused, list(doubts))
 
 

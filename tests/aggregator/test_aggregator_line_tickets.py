@@ -94,6 +94,16 @@ def test_tickets_that_are_given_calibrate_all_lines(tmp_path: Path) -> None:
     assert {name: found[name].sums.tickets for name in ("north", "south")} == {"north": 1, "south": 2}
 
 
+def test_tickets_of_other_weights_are_told(tmp_path: Path) -> None:
+    """New weights in mid-season: totals went back to what was weighed, without a word."""
+    north = write_load(tmp_path / "north", line="north", seed=5, weighed=False)
+    old = Ticket("earlier", "old", 10000.0, 20.0, 9200.0, 90.0, 1.0, tubers=60, per_mm_g=202.0)
+    (told,) = all_loads([north], tickets=[old]).doubts
+    assert told.startswith("no ticket calibrates what m weighed: those at hand are of old.")
+    assert all_loads([north], tickets=[old, replace(old, run="later", model="m")]).doubts == []
+    assert all_loads([north], tickets=[replace(old, set_aside="two trailers")]).doubts == []
+
+
 def test_a_ticket_that_the_line_sets_aside_does_not_come_back_with_another_folder(tmp_path: Path) -> None:
     monday = write_load(tmp_path / "monday", line="north", seed=5, weighed=False)
     tuesday = write_load(tmp_path / "tuesday", line="north", seed=7, weighed=True)

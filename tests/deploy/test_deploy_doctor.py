@@ -22,6 +22,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from aggregator.calibration.tickets import Ticket, write_tickets
 from conveyor import __version__, topics
 from conveyor.config import AggregatorConfig, LineConfig, LinkConfig, RegressorConfig, load_config, parse_config
 from conveyor.delivery import KeptPublisher
@@ -30,6 +31,7 @@ from conveyor.identity import Identity
 from conveyor.messages import Counters, Totals
 from conveyor.node import Node
 from conveyor.observer import Observer
+from regressor.network.stored import SHIPPED, read_weights
 from tests.conftest import wait_until
 from tests.deploy.deploy_site import site_config
 from tuberline.cli.address import LineAddress
@@ -41,6 +43,7 @@ from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
 from tuberline.doctor.link import check_certificates, check_port
 from tuberline.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
+from tuberline.doctor.weights import check_tickets
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
 
@@ -73,6 +76,18 @@ def test_weights_of_regressors_on_other_hosts_are_not_missed_here(tmp_path: Path
         asked = RegressorConfig(weights=tmp_path / "w.safetensors", processes=processes)
         found = examine(LineConfig(regressor=asked, aggregator=AggregatorConfig(out=tmp_path)), offline=True)
         assert [finding.level for finding in found if finding.check == "weights"] == [level]
+
+
+def test_tickets_are_of_the_weights_that_weigh(tmp_path: Path) -> None:
+    """A line whose weights changed weighed without a calibration, and nothing told of it."""
+    config = LineConfig(aggregator=AggregatorConfig(tickets=tmp_path / "tickets.json"))
+    assert check_tickets(LineConfig()) == []
+    assert only(check_tickets(config)).level is Level.FAULT
+    for model, level in (("monday@1", Level.WARNING), (read_weights(SHIPPED)[1].model_id, Level.OK)):
+        write_tickets(tmp_path / "tickets.json", [Ticket("r", model, 9e3, 9.0, 8e3, 8.0, 1.0)])
+        found = only(check_tickets(config))
+        assert found.level is level
+    assert "1 of tuberline-sim@" in found.text
 
 
 def test_a_fix_belongs_to_every_fault_and_to_no_ok() -> None:

@@ -65,6 +65,7 @@ def examine(
     """All findings, the machine's first. `on_work` is told what is looked at, how much is done, and of how much."""
     from tuberline.doctor import link, machine
     from tuberline.doctor.gpu import check_gpu
+    from tuberline.doctor.weights import check_tickets
 
     on_work("looking at this machine", 0, 4)
     findings = machine.check_disk(config.aggregator.out, what="the ledger")
@@ -73,7 +74,7 @@ def examine(
     findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
     findings += check_places(config) + link.check_certificates(config, now=datetime.now(UTC))
     on_work("weighing the reference clouds", 1, 4)
-    findings += _weights(config) + check_gpu(config)
+    findings += _weights(config) + check_tickets(config) + check_gpu(config)
     on_work("listening to the line", 2, 4)
     heard = Live() if offline else live or look(config)
     on_work("looking through the cameras", 3, 4)

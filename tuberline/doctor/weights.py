@@ -1,11 +1,13 @@
-"""Which weights a line's regressors weigh with: all with the same, none refused, none lost by a restart."""
+"""Which weights a line's regressors weigh with: all with the same, none refused, none lost by a restart; and whether
+its tickets are of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from conveyor import topics
-from conveyor.errors import LinkError
+from conveyor.config import LineConfig
+from conveyor.errors import LinkError, TuberlineError
 from conveyor.observer import Observer
 from regressor.serve.messages import WeightsState
 from regressor.weigh.weigher import VOLUME_MODEL
@@ -21,6 +23,31 @@ def models_of_run(observer: Observer) -> dict[str, int]:
     except LinkError:
         return {}
     return {str(model): int(n) for model, n in found.items()} if isinstance(found, dict) else {}
+
+
+def check_tickets(config: LineConfig) -> list[Finding]:
+    """Whether the tickets that the line names are of the weights that it is configured with."""
+    from aggregator.calibration.tickets import read_tickets
+    from regressor.network.stored import SHIPPED, read_weights
+
+    file = config.aggregator.tickets
+    if file is None:
+        return []
+    try:
+        known = [ticket.model for ticket in read_tickets(file) if not ticket.set_aside]
+    except TuberlineError as error:
+        return [fault("tickets", str(error), "correct aggregator.tickets, or leave it out")]
+    try:
+        model = read_weights(config.regressor.weights or SHIPPED)[1].model_id
+    except TuberlineError:  # a finding of its own, see `weights`
+        return []
+    if known and model not in known:
+        others = ", ".join(sorted(set(known)))
+        fix = "weigh a bucket again: `tuberline calibrate bucket RUN --kg ...`"
+        return [
+            warning("tickets", f"{file} has none of {model}, so nothing is calibrated; it has some of {others}", fix)
+        ]
+    return [ok("tickets", f"{file}: {known.count(model)} of {model} in use")]
 
 
 def check_running_weights(found: Mapping[str, WeightsState], models: Mapping[str, int]) -> list[Finding]:
