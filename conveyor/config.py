@@ -68,14 +68,14 @@ class BeltConfig(GaugeSection):
     def _rods_apart(self) -> Self:
         if self.gauge == "rods" and self.surface != "rods":
             raise ValueError('gauge is "rods" and surface is not: set surface = "rods", rod_pitch_mm, rod_diameter_mm')
-        rods = [key for key in ("rod_pitch_mm", "rod_diameter_mm") if key in self.model_fields_set]
-        if rods and "surface" not in self.model_fields_set:
-            raise ValueError(f'{" and ".join(rods)} given without surface: set surface = "rods", or "flat"')
         if self.rod_diameter_mm >= self.rod_pitch_mm:
             raise ValueError(
                 f"rod_diameter_mm is {self.rod_diameter_mm} and rod_pitch_mm {self.rod_pitch_mm}: rods of a web lie "
                 "farther apart than they are thick"
             )
+        rods = [key for key in ("rod_pitch_mm", "rod_diameter_mm") if key in self.model_fields_set]
+        if rods and "surface" not in self.model_fields_set:
+            raise ValueError(f'{" and ".join(rods)} given without surface: set surface = "rods", or "flat"')
         return self
 
     @property
