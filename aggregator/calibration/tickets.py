@@ -124,10 +124,10 @@ def check_ticket(ticket: Ticket) -> Ticket:
     if not math.isfinite(ticket.stated_offset_mm):
         raise InputError(f"the resting offset of run {ticket.run} is {ticket.stated_offset_mm:g} mm: give a number")
     if ticket.estimated_g <= 0:
-        raise InputError(f"run {ticket.run} counted no tuber: there is nothing to calibrate")
+        raise InputError(f"{ticket.name} counted no tuber: there is nothing to calibrate")
     if ticket.coverage < LEAST_COVERAGE:
         raise InputError(
-            f"run {ticket.run} looked at {100 * ticket.coverage:.0f} % of the belt, a ticket needs at least "
+            f"{ticket.name}: {100 * ticket.coverage:.0f} % of the belt were looked at, a ticket needs at least "
             f"{100 * LEAST_COVERAGE:.0f} %: calibrate with a load that was seen whole"
         )
     ratio = ticket.ticket_g / ticket.estimated_g
