@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import zenoh
 
+from aggregator.calibration.correction import stated_mm
 from aggregator.core.line_place import NotYetKnownError, place_now_x_m
 from aggregator.core.load_orders import answer, decide, refusal
 from aggregator.core.loads import LoadEvent
@@ -41,7 +42,7 @@ class Orders:
         self._ledger = ledger
         self._core = core
         self._remark = remark
-        self._stated_offset_mm = node.config.belt.resting_offset_mm
+        self._stated_offset_mm = stated_mm(node.config.belt.model_dump())
         self._lock = threading.Lock()
         self._said_s: dict[int, float] = {}
         self._waiting: deque[tuple[float, LoadOrder, zenoh.Query]] = deque()

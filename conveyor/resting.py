@@ -20,6 +20,8 @@ tubers on three webs (tests/regressor/test_regressor_resting.py); 0.1 more is 0.
 GEOMETRY_SD_M = 0.0012
 """How far a tuber's outline misleads about its sink between rods, standard deviation over the same poses."""
 ROUNDS = 12
+ORDINARY_ALONG_M, ORDINARY_TOP_M = 0.068, 0.048
+"""Of a tuber of mean size: along the travel, in the mean of its headings, and above the rods' tops."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,11 @@ class RestingLevel:
                 pitch_m=self.rod_pitch_m,
             )
         return self.offset_m + sink_m, math.hypot(self.sd_m, GEOMETRY_SD_M)
+
+    @property
+    def ordinary_m(self) -> float:
+        """Offset of a tuber of mean size: on a web with its sink, elsewhere the one that is stated."""
+        return self.under(along_m=ORDINARY_ALONG_M, top_m=ORDINARY_TOP_M)[0]
 
 
 def ellipse_sink_m(half_along_m: float, half_height_m: float, *, rod_radius_m: float, pitch_m: float) -> float:

@@ -27,6 +27,7 @@ from aggregator.calibration.tickets import Ticket
 from conveyor import load_spread
 from conveyor.cultivar import as_first_given, cultivar_key
 from conveyor.load_spread import CULTIVAR_SD, FACTOR_SD, OFFSET_SD_MM, factor_sd
+from conveyor.resting import RestingLevel
 
 Floats = NDArray[np.float64]
 
@@ -49,13 +50,30 @@ class Prior:
     cultivar_sd: float = CULTIVAR_SD
 
 
+def stated_mm(belt: Mapping[str, Any]) -> float:
+    """Where a line states that ordinary undersides lie, mm: section `belt` as `prior_told` takes it.
+
+    On a web that is the offset and the sink of an ordinary tuber: tickets of a time when the line did not say that its
+    belt is one hold afterwards, too.
+    """
+    return float(belt.get("resting_offset_mm") or 0.0) + sink_mm(belt)
+
+
+def sink_mm(belt: Mapping[str, Any]) -> float:
+    """Of that, what the rods of a web do, mm; 0 on other belts."""
+    if belt.get("surface") != "rods":
+        return 0.0
+    rods = {f"{key}_m": float(belt[f"{key}_mm"]) / 1000 for key in ("rod_pitch", "rod_diameter") if f"{key}_mm" in belt}
+    return 1000 * RestingLevel("rods", **rods).ordinary_m
+
+
 def prior_told(belt: Mapping[str, Any]) -> Prior:
     """What a line states of its resting level: section `belt` of its config or summary, with `plane_sd_mm`.
 
     As wide as before any calibration where it does not say how well. What it states lies under the belt plane, and that
     is as well known as the views' own intervals take it to be. Rods in view as a gauge make the factor known better.
     """
-    offset_mm, sd_mm = float(belt.get("resting_offset_mm") or 0.0), belt.get("resting_sd_mm")
+    offset_mm, sd_mm = stated_mm(belt), belt.get("resting_sd_mm")
     factor = factor_sd(gauged=belt.get("gauge") == "rods")
     if sd_mm is None:
         return Prior(stated_offset_mm=offset_mm, factor_sd=factor)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.calibration.align import Alignment, align
+from aggregator.calibration.correction import sink_mm, stated_mm
 from aggregator.calibration.part import Part
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket, check_ticket
@@ -44,8 +45,8 @@ class Counted:
     """What a run counted: its id, its tubers in the order they crossed, and what the totals make of the whole belt.
 
     `unshared_sd_g` is the random error of belt that was not looked at and of what lies under others.
-    `stated_offset_mm`: resting offset that it was weighed with; None where neither its summary nor a config beside the
-    ledger says.
+    `stated_offset_mm`: resting offset that it was weighed with, on a web with the `sink_mm` of an ordinary tuber; None
+    where neither its summary nor a config beside the ledger says.
     """
 
     run: str
@@ -54,6 +55,7 @@ class Counted:
     estimated_g: float
     unshared_sd_g: float
     stated_offset_mm: float | None = None
+    sink_mm: float = 0.0
 
 
 def counted(path: Path, *, run: str | None) -> Counted:
@@ -75,8 +77,8 @@ def counted(path: Path, *, run: str | None) -> Counted:
     # What is random from load to load; the bias that all tubers share is what the ticket is to measure.
     random_sd_g = load.unshared_sd_g(coverage, belt_m=seen.belt_m)
     ordered = tuple(sorted(tubers, key=lambda tuber: (tuber.crossed_ns, tuber.tuber_id)))
-    offset_mm = None if belt is None else float(belt.get("resting_offset_mm") or 0.0)
-    return Counted(chosen.run, ordered, coverage, estimated_g, random_sd_g, offset_mm)
+    offset_mm = None if belt is None else stated_mm(belt)
+    return Counted(chosen.run, ordered, coverage, estimated_g, random_sd_g, offset_mm, sink_mm(belt or {}))
 
 
 def ticket_of(
@@ -213,10 +215,10 @@ def singles_ticket(
 def _stated_mm(found: Counted, given: float | None) -> float:
     """The resting offset that a run was weighed with: its own, else the one given, else none."""
     own = found.stated_offset_mm
-    if own is not None and given is not None and abs(own - given) > SAME_OFFSET_MM:
+    if own is not None and given is not None and abs(own - found.sink_mm - given) > SAME_OFFSET_MM:
         raise InputError(
-            f"run {found.run} was weighed with a resting offset of {own:g} mm, --resting-offset-mm says {given:g}: "
-            "leave it out, the ticket takes what the run states"
+            f"run {found.run} was weighed with a resting offset of {own - found.sink_mm:g} mm, --resting-offset-mm "
+            f"says {given:g}: leave it out, the ticket takes what the run states"
         )
     return own if own is not None else given or 0.0
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from aggregator.calibration.apply import calibrated
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.calibration.load import bucket_ticket, counted, ticket_of
 from aggregator.calibration.part import Part
 from aggregator.calibration.tickets import Ticket, read_tickets
@@ -74,6 +76,31 @@ def test_an_offset_that_the_run_was_not_weighed_with_is_refused(tmp_path: Path) 
         assert found.stated_offset_mm == OFFSET_MM
     with pytest.raises(InputError, match=r"was weighed with a resting offset of 6 mm, --resting-offset-mm says 5"):
         ticket_of(tmp_path / "run", run=None, ticket_g=weighed_g, ticket_sd_g=1.0, stated_offset_mm=5.0)
+
+
+def test_a_bucket_holds_when_the_line_says_that_its_belt_is_a_web(tmp_path: Path) -> None:
+    """The bucket had found the sink between the rods as an offset; each tuber's own sink came on top of it."""
+    web = {"surface": "rods", "rod_pitch_mm": 40.0, "rod_diameter_mm": 11.0, "resting_offset_mm": 0.0}
+    prior = prior_told(web)
+    assert prior.stated_offset_mm == pytest.approx(3.5, abs=0.1)
+    assert prior_told({**web, "surface": "flat"}).stated_offset_mm == 0.0
+    assert prior_told({**web, "resting_offset_mm": 1.0}).stated_offset_mm == pytest.approx(prior.stated_offset_mm + 1)
+    # Told as flat it read light by what the sink is worth; told as a web it reads what the scale says.
+    lost_g = 22.0 * prior.stated_offset_mm
+    bucket = Ticket("b", "m", 1000.0, 0.1, 1000.0 - lost_g, 0.1, 1.0, kind="bucket", per_mm_g=22.0)
+    told = {
+        name: calibrated({("pointraft", "m"): g}, per_mm_g=22.0, own_variance_g2=(0, 0), tickets=[bucket], prior=p)
+        for name, g, p in (("flat", 1000.0 - lost_g, Prior()), ("web", 1000.0, prior))
+    }
+    assert told["flat"].weight_g == pytest.approx(1000.0, rel=0.01)
+    assert told["web"].weight_g == pytest.approx(1000.0, rel=0.01), "1076 where the sink counted twice"
+    path = tmp_path / "ledger.db"
+    with Ledger(path) as ledger:
+        story = undisturbed(ledger, tell(11, n=40, cameras=2)).story
+        ledger.finish(story.run, json.dumps({"belt": {**web, "resting_offset_mm": 1.0}}))
+    assert counted(path, run=None).stated_offset_mm == pytest.approx(prior.stated_offset_mm + 1)
+    with pytest.raises(InputError, match=r"with a resting offset of 1 mm, --resting-offset-mm says 0"):
+        ticket_of(path, run=None, ticket_g=9e3, ticket_sd_g=1.0, stated_offset_mm=0.0)
 
 
 def test_where_nothing_says_the_offset_it_is_the_one_given(tmp_path: Path) -> None:
