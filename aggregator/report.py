@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from aggregator.calibration.apply import MOST_TOLD_PERCENT
 from aggregator.calibration.correction import prior_told
 from aggregator.calibration.tickets import Ticket, read_tickets
-from aggregator.core.class_totals import class_totals
+from aggregator.calibration.together import together
+from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.coverage import Coverage, Moment, at_rest, coverage
 from aggregator.core.device import Device
 from aggregator.core.foreign_totals import foreign_total
@@ -32,6 +35,7 @@ from aggregator.ledger.load_totals import Seen, count_load, tickets_of
 from aggregator.ledger.reader import read_marks, read_runs
 from aggregator.ledger.stated import told_belt
 from aggregator.ledger.ticket_doubts import ticket_remark
+from aggregator.ledger.totals_by import loads_in
 from aggregator.ledger.writer import Ledger
 from aggregator.summary import summarise
 from conveyor import __version__
@@ -182,7 +186,7 @@ class Reporter:
         prior, cultivar = prior_told(told_belt(self._config)), self._config.aggregator.cultivar
         totals = LoadTotals(sums.load, self._tickets(now_s), prior=prior, cultivar=cultivar)
         contract = self._contract
-        return totals.message(
+        told = totals.message(
             self._core.run,
             coverage=seen.share,
             cameras=cameras.says(now_s),
@@ -198,6 +202,37 @@ class Reporter:
             foreign=foreign_total(totals, self._config.foreign),
             apart=self._cameras_apart(sums.load.count, now_s),
             exchanged=self._exchanged(now_s),
+        )
+        return self._load_by_load(told, totals, now_s) if self._core.run in self._ledger.loads.spans else told
+
+    def _load_by_load(self, told: Totals, totals: LoadTotals, now_s: float) -> Totals:
+        """The totals of a run in which loads were started: the sum of them, each by its variety and its own belt."""
+        prior, cultivar = prior_told(told_belt(self._config)), self._config.aggregator.cultivar
+        ones = loads_in(
+            self._ledger,
+            self._core.run,
+            self._seen(now_s),
+            self._tickets(now_s),
+            prior_of=lambda _run: prior,
+            cultivar=cultivar,
+        )
+        sums, loads = together(ones), [one.totals for one in ones]
+        by = dict.fromkeys(filter(None, (load.calibrated().told for load in loads)))
+        return replace(
+            told,
+            weight_g=sums.weight_g,
+            low_g=sums.seen_g[0],
+            high_g=sums.seen_g[1],
+            estimated_weight_g=sums.estimated_g,
+            estimated_low_g=sums.low_g,
+            estimated_high_g=sums.high_g,
+            tickets=sums.tickets,
+            calibrated_by="; ".join(by),
+            parts_percent={name: round(min(part, MOST_TOLD_PERCENT), 2) for name, part in sums.parts_percent.items()},
+            classes=classes_together(loads, self._contract, whole=[one.whole for one in ones])
+            if self._contract
+            else (),
+            foreign=foreign_total(totals, self._config.foreign, weight_g=sums.weight_g),
         )
 
     def summary(self, now_s: float) -> dict[str, Any]:

@@ -59,6 +59,7 @@ class Together:
 
     Attributes:
         as_weighed_g: before any calibration, of what was seen.
+        seen_g: 90 % interval of what was seen, up to all that lies under others, as `LoadTotals.interval_g`.
         parts_percent: 90 % half-widths by cause, in percent of the estimate; their squares add up.
         tickets: evidence that the calibration of a load rests on; of the one that has most.
     """
@@ -66,6 +67,7 @@ class Together:
     tubers: int
     as_weighed_g: float
     weight_g: float
+    seen_g: tuple[float, float]
     estimated_g: float
     low_g: float
     high_g: float
@@ -79,12 +81,13 @@ def together(loads: Sequence[OneLoad]) -> Together:
     """The sum of `loads` and its interval; of one load what it comes to by itself."""
     weight_g = sum(load.totals.weight_g for load in loads)
     estimated_g = sum(load.whole * (load.totals.weight_g + load.totals.hidden().weight_g) for load in loads)
-    errors, seen = _errors(loads, whole=True), _errors(loads, whole=False)
+    errors, seen = _errors(loads, whole=True, hidden=True), _errors(loads, whole=False, hidden=False)
     missed_g2 = sum(load.totals.missed_g(load.coverage, belt_m=load.belt_m) ** 2 for load in loads)
     reach_g2 = sum(load.reach_g**2 for load in loads)
     below_g = math.sqrt((NORMAL_90 * errors.low_sd_g) ** 2 + missed_g2)
     above_g = math.sqrt((NORMAL_90 * errors.high_sd_g) ** 2 + missed_g2 + reach_g2)
-    floor_g = weight_g - NORMAL_90 * seen.low_sd_g if any(load.whole != 1.0 for load in loads) else 0.0
+    seen_low_g = max(0.0, weight_g - NORMAL_90 * seen.low_sd_g)
+    floor_g = seen_low_g if any(load.whole != 1.0 for load in loads) else 0.0
     belt_m = sum(load.belt_m for load in loads)
     seen_m = sum((load.coverage or 0.0) * load.belt_m for load in loads)
     parts = {**errors.parts_g, UNSEEN: math.sqrt(missed_g2 + reach_g2) / NORMAL_90}
@@ -92,6 +95,7 @@ def together(loads: Sequence[OneLoad]) -> Together:
         tubers=sum(load.totals.sums.count for load in loads),
         as_weighed_g=sum(load.totals.sums.as_weighed_g for load in loads),
         weight_g=weight_g,
+        seen_g=(seen_low_g, _seen_high_g(loads, weight_g, seen)),
         estimated_g=estimated_g,
         low_g=max(0.0, floor_g, estimated_g - below_g),
         high_g=estimated_g + above_g,
@@ -115,14 +119,22 @@ class _Errors:
     high_sd_g: float
 
 
-def _errors(loads: Sequence[OneLoad], *, whole: bool) -> _Errors:
-    """Of the weight of the whole belt, or of what was seen on it and lies under nothing."""
+def _seen_high_g(loads: Sequence[OneLoad], weight_g: float, seen: _Errors) -> float:
+    """Up to where what was seen reaches; what lies under others passed the camera, too."""
+    high_g, hidden_g = weight_g + NORMAL_90 * seen.high_sd_g, sum(load.totals.hidden().weight_g for load in loads)
+    if hidden_g <= 0:
+        return high_g
+    return max(high_g, weight_g + hidden_g + NORMAL_90 * _errors(loads, whole=False, hidden=True).high_sd_g)
+
+
+def _errors(loads: Sequence[OneLoad], *, whole: bool, hidden: bool) -> _Errors:
+    """Of the weight of the whole belt or of what was seen on it, with what lies under others or without."""
     shared = dict.fromkeys((RESTING, CAMERA, LAYERS), 0.0)
     varieties: dict[str, float] = {}
     between_g2, own_g2 = 0.0, [0.0, 0.0]
     for load in loads:
         found, under, times = load.totals.calibrated(), load.totals.hidden(), load.whole if whole else 1.0
-        layers_g = math.hypot(under.support_sd_g, under.weight_sd_g if whole else 0.0)
+        layers_g = math.hypot(under.support_sd_g, under.weight_sd_g if hidden else 0.0)
         for name, sd_g in ((RESTING, found.parts_g[RESTING]), (CAMERA, found.parts_g[CAMERA]), (LAYERS, layers_g)):
             shared[name] += times * sd_g
         own = math.sqrt(max(0.0, found.parts_g[TUBERS] ** 2 - found.own_g**2 - found.between_g**2))

@@ -125,6 +125,17 @@ def ticket_of_load(path: Path, wanted: str, *, cultivar: str = "") -> Ticket:
     return ticket
 
 
+def without_load(ledger: Sums, run: str, seen: Seen) -> LoadCounted | None:
+    """What passed in `run` while no load was open; None where a load was open all the time."""
+    parts = [(own, told) for own, told in parts_of(ledger, run, NO_LOAD, seen) if own.count or told.belt_m > 0]
+    return counted(parts) if parts else None
+
+
+def here(load: Load, run: str) -> Load:
+    """Of a load that went on elsewhere its belt in `run` alone."""
+    return replace(load, spans=tuple(span for span in load.spans if span[0] == run))
+
+
 class ReadLoads:
     """The loads of a ledger that is read, as `Sums`."""
 
@@ -165,8 +176,3 @@ class ReadLoads:
         """A run in which no load was started: it is one load by itself."""
         sums = read_sums(self._view, run.run)
         return counted([(sums.load, coverage_of(run, sums, self.seen[run.run].moment))])
-
-    def without_load(self, run: str, seen: Seen) -> LoadCounted | None:
-        """What passed in `run` while no load was open; None where a load was open all the time."""
-        parts = [(own, told) for own, told in parts_of(self, run, NO_LOAD, seen) if own.count or told.belt_m > 0]
-        return counted(parts) if parts else None

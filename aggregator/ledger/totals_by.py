@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.calibration.correction import Prior
@@ -15,7 +15,7 @@ from aggregator.core.load_told import LoadCounted
 from aggregator.core.loads import Load
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.line_tickets import line_tickets
-from aggregator.ledger.load_totals import ReadLoads, Seen, count_load
+from aggregator.ledger.load_totals import ReadLoads, Seen, Sums, count_load, here, without_load
 from aggregator.ledger.reader import RunRow, ledger_file, reading
 from aggregator.ledger.ticket_doubts import ledger_doubts, of_other_weights
 from conveyor.config import REPLAY_NAME
@@ -163,15 +163,33 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
 
 def run_loads(ledger: ReadLoads, run: RunRow, tickets: Sequence[Ticket]) -> list[OneLoad]:
     """What passed in one run of a ledger, load by load; of a load that went on elsewhere what passed in this run."""
-    seen, ones = ledger.seen, []
+    name, cultivar = run.run, ledger.stated.cultivar
+    if name not in ledger.loads.spans:
+        return [_one(ledger.whole(run), tickets, ledger.prior(name), cultivar)]
+    return loads_in(ledger, name, ledger.seen, tickets, prior_of=ledger.prior, cultivar=cultivar)
+
+
+def loads_in(
+    ledger: Sums,
+    run: str,
+    seen: Mapping[str, Seen],
+    tickets: Sequence[Ticket],
+    *,
+    prior_of: Callable[[str], Prior],
+    cultivar: str,
+) -> list[OneLoad]:
+    """The same of a run in which loads were started, what passed without one last.
+
+    Args:
+        prior_of: what the line stated in a run. cultivar: of loads that name no variety.
+    """
+    ones = []
     for load in ledger.loads.loads.values():
-        spans = tuple(span for span in load.spans if span[0] == run.run)
-        if spans and not load.undone:
-            here = count_load(ledger, replace(load, spans=spans), seen)
-            ones.append(_of_load(ledger, load, here, tickets))
-    rest = _rest(ledger, run)
-    rests = [] if rest is None else [_one(rest, tickets, ledger.prior(run.run), ledger.stated.cultivar)]
-    return [*ones, *rests]
+        if (part := here(load, run)).spans and not load.undone:
+            found, variety = count_load(ledger, part, seen), load.variety or cultivar
+            ones.append(_one(found, tickets, prior_of(load.run), variety))
+    rest = without_load(ledger, run, seen[run])
+    return [*ones, *([] if rest is None else [_one(rest, tickets, prior_of(run), cultivar)])]
 
 
 def _of_load(ledger: ReadLoads, load: Load, found: LoadCounted, tickets: Sequence[Ticket]) -> OneLoad:
@@ -181,7 +199,7 @@ def _of_load(ledger: ReadLoads, load: Load, found: LoadCounted, tickets: Sequenc
 def _rest(ledger: ReadLoads, run: RunRow) -> LoadCounted | None:
     """What passed in a run while no load was open; all of it where none was ever started."""
     name = run.run
-    return ledger.without_load(name, ledger.seen[name]) if name in ledger.loads.spans else ledger.whole(run)
+    return without_load(ledger, name, ledger.seen[name]) if name in ledger.loads.spans else ledger.whole(run)
 
 
 def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: str) -> OneLoad:

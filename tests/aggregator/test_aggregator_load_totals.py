@@ -6,7 +6,9 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,8 +30,10 @@ from aggregator.ledger.load_totals import Seen
 from aggregator.ledger.reader import RunRow, reading
 from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, totals_by
 from aggregator.ledger.writer import Ledger
-from conveyor.config import REPLAY_NAME
+from aggregator.report import Reporter
+from conveyor.config import REPLAY_NAME, AggregatorConfig, LineConfig
 from conveyor.contract import read_contract
+from conveyor.counters import CounterSet
 from conveyor.errors import InputError
 from conveyor.messages import LoadOrder, Mark
 from tests.aggregator.belt_story import tell
@@ -41,6 +45,7 @@ from tuberline.cli.calibrate_load import calibrate_load
 from tuberline.cli.ticket_options import TicketOptions
 
 DAY_NS = 86_400 * S
+CLASSES = '[[classes]]\nname = "small"\nto_mm = 50\n[[classes]]\nname = "large"\nfrom_mm = 50\n'
 
 
 def mark(s_m: float, looked_m: float) -> Mark:
@@ -116,7 +121,9 @@ def test_intervals_of_sums_hold(rng: np.random.Generator) -> None:
     assert 0.86 <= inside / days <= 0.95
 
 
-def day_of_loads(path: Path, *, seed: int = 5, sized: bool = False) -> None:
+def day_of_loads(
+    path: Path, *, seed: int = 5, sized: bool = False, at_end: Callable[[Loads], None] = lambda it: None
+) -> None:
     """A run with two loads of two fields and varieties, a day apart, and belt without a load before them."""
     story = tell(seed, n=60, cameras=2, length_m=5.0, noise_mm=0.0)
     story = with_sizes(story) if sized else story
@@ -130,6 +137,7 @@ def day_of_loads(path: Path, *, seed: int = 5, sized: bool = False) -> None:
             if n == 5:
                 it.order("b", "start", x_m=-2.8, fields={"name": "B", "variety": "Fontane"}, now_ns=2 * DAY_NS)
         assert it.core.finished
+        at_end(it)
         ledger.finish(story.run, "{}", sights=it.core.cameras.sights)
         it.order("c", "note", load="B", fields={"field": "Berg"}, now_ns=3 * DAY_NS)
 
@@ -156,6 +164,29 @@ def test_totals_by_what_loads_are_described_by(tmp_path: Path) -> None:
         assert whole.sums.coverage == pytest.approx(1.0)
     with pytest.raises(InputError, match="known are load, field, variety, day, season"):
         totals_by([path], "cultivar")
+
+
+def test_the_summary_of_a_run_is_the_sum_of_its_loads(tmp_path: Path) -> None:
+    """It took the line's cultivar for all of them: 6.67 kg, where its loads, totals and report came to 6.64 kg."""
+    (contract := tmp_path / "contract.toml").write_text(CLASSES)
+    earlier = Ticket("monday", "m", 10000.0, 20.0, 9000.0, 90.0, 1.0, tubers=60, per_mm_g=198.0, cultivar="Agria")
+    write_tickets(tmp_path / "t.json", [earlier])
+    config = LineConfig(aggregator=AggregatorConfig(tickets=tmp_path / "t.json", contract=contract))
+    told: dict[str, Any] = {}
+
+    def summarise(it: Loads) -> None:
+        told.update(Reporter(it.ledger, it.core, config=config, counters=CounterSet()).summary(it.now_s))
+
+    day_of_loads(tmp_path / "ledger.db", sized=True, at_end=summarise)
+    *loads, whole = totals_by([tmp_path / "ledger.db"], "load", tickets=[earlier])[0]
+    run, sums = told["totals"], whole.sums
+    assert run["weight_g"] == pytest.approx(sums.weight_g) == pytest.approx(sum(load.sums.weight_g for load in loads))
+    assert (run["low_g"], run["high_g"]) == pytest.approx(sums.seen_g)
+    estimated = [run[f"estimated_{name}_g"] for name in ("weight", "low", "high")]
+    assert estimated == pytest.approx([sums.estimated_g, sums.low_g, sums.high_g])
+    assert run["parts_percent"] == pytest.approx(sums.parts_percent, abs=0.006)
+    assert sum(each["weight_g"] for each in run["classes"]) == pytest.approx(sums.weight_g)
+    assert run["tickets"] == 1
 
 
 def test_loads_of_one_variety_are_together_however_it_was_typed(tmp_path: Path) -> None:
@@ -218,9 +249,7 @@ def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Pat
     """Tickets and cultivar of the config beside a ledger: its export told 1.922 kg where the line had told 2.300 kg."""
     (tmp_path / "run").mkdir()
     path, tickets = tmp_path / "run" / "ledger.db", tmp_path / "tickets.json"
-    (contract := tmp_path / "contract.toml").write_text(
-        '[[classes]]\nname = "small"\nto_mm = 50\n[[classes]]\nname = "large"\nfrom_mm = 50\n'
-    )
+    (contract := tmp_path / "contract.toml").write_text(CLASSES)
     day_of_loads(path, sized=True)
     before = {t.label: t for t in totals_by([path], "load")[0]}
     earlier = Ticket("monday", "m", 10000.0, 20.0, 9000.0, 90.0, 1.0, tubers=60, per_mm_g=198.0, cultivar="Agria")

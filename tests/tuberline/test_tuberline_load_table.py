@@ -58,8 +58,9 @@ def test_a_zone_is_told_by_how_far_it_is_ahead(offset_s: int, told: str) -> None
 def total(label: str, *, kg: float, loads: int = 1, weighed: int = 0) -> Total:
     grams = 1000 * kg
     sums = Together(
-        tubers=round(5.5 * kg), as_weighed_g=grams, weight_g=grams, estimated_g=grams, low_g=0.95 * grams,
-        high_g=1.12 * grams, coverage=1.0, belt_m=100.0, parts_percent={"camera": 4.0}, tickets=weighed,
+        tubers=round(5.5 * kg), as_weighed_g=grams, weight_g=grams, seen_g=(grams, grams), estimated_g=grams,
+        low_g=0.95 * grams, high_g=1.12 * grams, coverage=1.0, belt_m=100.0, parts_percent={"camera": 4.0},
+        tickets=weighed,
     )  # fmt: skip
     return Total(label, loads, weighed, grams, grams, sums)
 
