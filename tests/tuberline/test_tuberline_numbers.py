@@ -93,6 +93,8 @@ def test_a_number_is_finite(text: str) -> None:
         ("evaluate --data a --out b --max-views 0", 'Invalid value "0" for --max-views.'),
         ("replay rec --out b --regressors 65", 'Invalid value "65" for --regressors. Allowed is 1 to 64.'),
         ("replay rec --out b --resting-sd-mm 21", 'Invalid value "21.0" for --resting-sd-mm. Allowed is 0 to 20 mm.'),
+        ("weigh a --belt-distance-m 0.4 --resting-offset-mm 0.0055", "cannot be known; 0.0055 m are 5.5 mm."),
+        ("replay rec --out b --resting-sd-mm 0.0015", "cannot be known; 0.0015 m are 1.5 mm."),
         ("convert a b --belt-distance-m -1", 'Invalid value "-1.0" for --belt-distance-m. Allowed is 0.05 to 5 m.'),
     ],
 )

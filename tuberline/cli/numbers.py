@@ -60,6 +60,21 @@ class Within:
             raise ValueError(f"Allowed is {self.low:.15g} to {self.high:.15g}{unit}.")
 
 
+LEAST_MM = 0.05
+"""Of a resting level; who gives less but 0 gave metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level(Within):
+    """The same of a height in millimetres that was measured: metres are no such number."""
+
+    def __call__(self, kind: Any, value: float | None) -> None:
+        """Raises ValueError, which cyclopts tells with the option and the value."""
+        Within.__call__(self, kind, value)
+        if value and abs(value) < LEAST_MM:
+            raise ValueError(f"Less than {LEAST_MM} mm cannot be known; {value:g} m are {1000 * value:g} mm.")
+
+
 def within(low: float, high: float, unit: str = "") -> Parameter:
     """For the annotation of an option: `frames: Annotated[int, within(1, 1000)]`."""
     return Parameter(validator=Within(low, high, unit))
@@ -70,5 +85,5 @@ Many = Annotated[int, within(1, 10**9)]
 Seed = Annotated[int, within(0, 10**18)]
 """The same seed gives the same."""
 BeltDistance = Annotated[float, within(*BELT_DISTANCE_M, "m")]
-RestingOffset = Annotated[float, within(*RESTING_OFFSET_MM, "mm, positive below the belt")]
-RestingSd = Annotated[float, within(*RESTING_SD_MM, "mm")]
+RestingOffset = Annotated[float, Parameter(validator=Level(*RESTING_OFFSET_MM, "mm, positive below the belt"))]
+RestingSd = Annotated[float, Parameter(validator=Level(*RESTING_SD_MM, "mm"))]
