@@ -9,11 +9,18 @@ from aggregator.core.class_totals import classes_together
 from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.load_totals import ReadLoads
-from aggregator.ledger.reader import the_run
+from aggregator.ledger.reader import RunRow, the_run
 from aggregator.ledger.totals_by import run_loads
 from aggregator.ledger.verified import LedgerView
 from conveyor.contract import Contract
+from conveyor.messages import ClassTotal
 from conveyor.messages.base import plain
+
+
+def classes_of_run(ledger: ReadLoads, run: RunRow, contract: Contract) -> tuple[ClassTotal, ...]:
+    """The classes of a run: of its loads together, each as its tickets calibrate it."""
+    ones = run_loads(ledger, run, tickets_beside(ledger)[0])
+    return classes_together([one.totals for one in ones], contract, whole=[one.whole for one in ones])
 
 
 def told_classes(view: LedgerView, path: Path, contract: Contract, *, run: str | None = None) -> list[dict[str, Any]]:
@@ -22,9 +29,8 @@ def told_classes(view: LedgerView, path: Path, contract: Contract, *, run: str |
     Raises:
         LedgerError: no such run, or several to choose from.
     """
-    chosen, ledger = the_run(view, path, run), ReadLoads(view)
-    ones = run_loads(ledger, chosen, tickets_beside(ledger)[0])
-    own = classes_together([one.totals for one in ones], contract, whole=[one.whole for one in ones])
+    chosen = the_run(view, path, run)
+    own = classes_of_run(ReadLoads(view), chosen, contract)
     loads = [load for load in told_loads(view, limit=10**6, contract=contract) if load["run"] == chosen.run]
     return [
         {"name": f"run {chosen.run}", "classes": plain(own)},

@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from aggregator.core.class_totals import class_totals
-from aggregator.core.load_sums import LoadSums
-from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
+from aggregator.ledger.class_list import classes_of_run
+from aggregator.ledger.load_totals import ReadLoads
+from aggregator.ledger.reader import ledger_file, reading, the_run
 from conveyor.contract import Contract
 from conveyor.errors import InputError
 from conveyor.messages.base import plain
@@ -40,16 +39,13 @@ def true_percents(truth: Path, contract: Contract) -> list[float]:
 
 
 def score_classes(path: Path, *, truth: Path, contract: Contract, run: str | None = None) -> list[dict[str, Any]]:
-    """Each class as plain `ClassTotal` with its `true_percent`.
+    """Each class of the run as plain `ClassTotal`, as its tickets calibrate it, with its `true_percent`.
 
     Raises:
         LedgerError: no ledger, or not that run. InputError: the truth does not say sizes.
     """
     expected = true_percents(truth, contract)
     ledger = ledger_file(path)
-    sums = LoadSums(50.0)
     with reading(ledger) as view:
-        for tuber in read_tubers(view, the_run(view, ledger, run).run):
-            sums.add(tuber)
-    found = class_totals(LoadTotals(sums), contract)
+        found = classes_of_run(ReadLoads(view), the_run(view, ledger, run), contract)
     return [{**plain(each), "true_percent": percent} for each, percent in zip(found, expected, strict=False)]

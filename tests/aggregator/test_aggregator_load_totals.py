@@ -31,6 +31,7 @@ from aggregator.ledger.reader import RunRow, reading
 from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, totals_by
 from aggregator.ledger.writer import Ledger
 from aggregator.report import Reporter
+from aggregator.scoring.classes import score_classes
 from conveyor.config import REPLAY_NAME, AggregatorConfig, LineConfig
 from conveyor.contract import read_contract
 from conveyor.counters import CounterSet
@@ -272,6 +273,12 @@ def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Pat
     assert [sum(each["weight_g"] for each in one["classes"]) for one in classes] == [
         pytest.approx(after[label].sums.weight_g) for label in ("all", "2 B", "1 A")
     ], "the run's classes were told as weighed"
+    tubers = [{"id": "1", "place_x_m": 0.0, "place_y_m": 0.0, "weight_g": 150, "square_mesh_mm": 60}]
+    (truth := tmp_path / "truth.json").write_text(json.dumps({"tubers": tubers}))
+    scored = score_classes(path, truth=truth, contract=read_contract(contract))
+    told_of_run = [{name: each[name] for name in classes[0]["classes"][0]} for each in scored]
+    assert told_of_run == classes[0]["classes"]
+    assert [each["true_percent"] for each in scored] == [0.0, 100.0]
     config.write_text(config.read_text().replace('"Agria"', '"Fontane"'))
     other = {t.label: t.sums.estimated_g for t in totals_by([path], "load")[0]}
     assert other["story, without a load"] < after["story, without a load"].sums.estimated_g, "of the line's cultivar"
