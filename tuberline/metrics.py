@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from conveyor.errors import ConfigError, LinkError
@@ -77,24 +77,23 @@ def node_metrics(nodes: Mapping[str, Counters], *, alive: set[str], line: str) -
     yield from _families(here, line)
 
 
-def _families(nodes: Iterable[Counters], line: str) -> Iterator[Metric]:
+def _families(nodes: Sequence[Counters], line: str) -> Iterator[Metric]:
     counts: dict[str, CounterMetricFamily] = {}
     levels: dict[str, GaugeMetricFamily] = {}
     for counters in nodes:
-        labels = _labels(counters, line)
         for key, value in counters.values.items():
             name = f"{PREFIX}_{metric_name(key)}"
             if name not in counts:
                 counts[name] = CounterMetricFamily(name, f"counter '{key}' of the nodes", labels=NODE_LABELS)
-            counts[name].add_metric(labels, value)
+            counts[name].add_metric(_labels(counters, line), value)
+    for counters in nodes:
         for key, level in counters.gauges.items():
             name = f"{PREFIX}_{metric_name(key)}"
+            # What one role counts and another one sets: the level has a name of its own, for a family has one type.
+            name = f"{name}_level" if name in counts else name
             if name not in levels:
                 levels[name] = GaugeMetricFamily(name, f"level '{key}' of the nodes", labels=NODE_LABELS)
-            levels[name].add_metric(labels, level)
-    # A name that one role counts and another one sets: the level gets a name of its own, for a family has one type.
-    for name in sorted(counts.keys() & levels.keys()):
-        levels[name].name = f"{name}_level"
+            levels[name].add_metric(_labels(counters, line), level)
     yield from counts.values()
     yield from levels.values()
 

@@ -353,6 +353,7 @@ def test_a_name_that_is_both_counter_and_level_keeps_one_type() -> None:
         Counters("regressor", "b", "r1", 1, "h", "1", 1.0, {}, {"queue": 2.0}),
     ]
     nodes = {f"{c.role}/{c.name}": c for c in pair}
-    families = {family.name: family.type for family in exporter.node_metrics(nodes, alive=set(nodes), line="north")}
-    assert families["tuberline_queue"] == "counter"
-    assert families["tuberline_queue_level"] == "gauge"
+    families = {family.name: family for family in exporter.node_metrics(nodes, alive=set(nodes), line="north")}
+    told = {name: (found.type, {s.name: s.value for s in found.samples}) for name, found in families.items()}
+    assert told["tuberline_queue"] == ("counter", {"tuberline_queue_total": 4})
+    assert told["tuberline_queue_level"] == ("gauge", {"tuberline_queue_level": 2.0})
