@@ -14,6 +14,7 @@ import numpy as np
 
 from conveyor.config import LineConfig
 from conveyor.errors import InputError
+from conveyor.geometry import belt_distance_m as distance_along_axis_m
 from conveyor.geometry import straight_down_belt_from_camera
 from regressor.network.sidecar import Sidecar
 from regressor.serve.messages import CloudAnswer
@@ -57,11 +58,14 @@ def check_belt_distances(sidecar: Sidecar, config: LineConfig) -> None:
     """
     trained = sidecar.belt_distance_m
     for name, camera in sorted(config.cameras.items()):
-        if camera.belt_distance_m is not None and not trained.holds(camera.belt_distance_m):
+        pose = camera.pose
+        distance_m = camera.belt_distance_m if pose is None else distance_along_axis_m(pose)
+        if distance_m is not None and not trained.holds(distance_m):
+            key = "belt_distance_m" if pose is None else "belt_from_camera"
             raise InputError(
-                f"weights {sidecar.model_id} do not fit camera '{name}': it hangs {camera.belt_distance_m:.3f} m over "
-                f"the belt, they were trained for {trained.low:.3f} to {trained.high:.3f} m; train for this distance, "
-                f"or fix cameras.{name}.belt_distance_m"
+                f"weights {sidecar.model_id} do not fit camera '{name}': it hangs {distance_m:.3f} m over the belt, "
+                f"they were trained for {trained.low:.3f} to {trained.high:.3f} m; train for this distance, or fix "
+                f"cameras.{name}.{key}"
             )
 
 
