@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from conveyor.errors import InputError
+from conveyor.files import cause, told
 from regressor.serve.messages import digest_of, write_checkpoint
 from regressor.weigh.weigher import Weigher
 
@@ -92,17 +94,28 @@ class WeightsStore:
         """A weigher with these weights.
 
         Raises:
-            InputError: not here, damaged, or no weights that can be used.
+            InputError: not here, damaged, no weights that can be used, or there is no room to unpack them.
         """
-        with tempfile.TemporaryDirectory(prefix="tuberline-weights-") as folder:
-            return Weigher.load(write_checkpoint(self.parcel(digest), Path(folder)))
+        parcel = self.parcel(digest)
+        try:
+            with tempfile.TemporaryDirectory(prefix="tuberline-weights-") as folder:
+                return Weigher.load(write_checkpoint(parcel, Path(folder)))
+        except OSError as error:
+            raise InputError(f"weights {digest[:16]} cannot be unpacked: {told(error)}") from error
 
     def keep_only(self, digests: set[str]) -> None:
-        """Remove all other parcels."""
-        if (folder := self._found()) is not None:
-            for file in folder.glob("*.parcel"):
-                if file.stem not in digests:
+        """Remove all other parcels.
+
+        Raises:
+            InputError: one cannot be removed.
+        """
+        folder = self._found()
+        for file in folder.glob("*.parcel") if folder is not None else ():
+            if file.stem not in digests:
+                try:
                     file.unlink(missing_ok=True)
+                except OSError as error:
+                    raise InputError(f"{file} cannot be removed: {cause(error)}") from error
 
     def record(self, order: Order) -> None:
         """Make durable which order is followed.
@@ -140,7 +153,10 @@ class WeightsStore:
                 raise InputError(f"regressor.state_dir: {self._given} cannot be made: {error.strerror}") from error
             return self._given
         if self._temporary is None:
-            self._temporary = tempfile.TemporaryDirectory(prefix="tuberline-given-")
+            try:
+                self._temporary = tempfile.TemporaryDirectory(prefix="tuberline-given-")
+            except OSError as error:
+                raise InputError(f"weights cannot be kept: {told(error)}") from error
         return Path(self._temporary.name)
 
     @staticmethod
@@ -153,8 +169,9 @@ class WeightsStore:
                 os.fsync(file.fileno())
             partial.replace(path)
         except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise InputError(f"{path} cannot be written: {error.strerror}") from error
+            with suppress(OSError):  # on a read-only disk this is refused too
+                partial.unlink(missing_ok=True)
+            raise InputError(f"{path} cannot be written: {cause(error)}") from error
 
 
 def _file(folder: Path, digest: str) -> Path:

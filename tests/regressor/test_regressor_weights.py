@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,6 +133,26 @@ def test_the_store_keeps_parcels_and_the_order_across_a_restart(tmp_path: Path) 
         again.recorded(config_digest="c")
     again.keep_only(set())
     assert not again.has(digest)
+
+
+def test_a_disk_that_refuses_is_an_error_in_words_and_ends_no_regressor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a full or read-only disk: it was no error of ours, so that `weights use` ended the regressors."""
+    folder = tmp_path / "r1"
+    store = WeightsStore(folder)
+    digest = store.add(read_parcel(SHIPPED))
+    (folder / f"{digest_of(b'other')}.parcel.partial").mkdir()
+    with pytest.raises(InputError, match=r"parcel cannot be written: Is a directory; that is a folder: name a file"):
+        store.add(b"other")
+    (folder / "some.parcel").mkdir()
+    with pytest.raises(InputError, match=r"some.parcel cannot be removed: Is a directory"):
+        store.keep_only({digest})
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    with pytest.raises(InputError, match=rf"weights {digest[:16]} cannot be unpacked: \S+gone\S+: No such file"):
+        store.load(digest)
+    with pytest.raises(InputError, match=r"weights cannot be kept: \S+gone\S+: No such file"):
+        WeightsStore(None).add(b"other")
 
 
 def test_without_a_folder_given_weights_live_as_long_as_the_process() -> None:
