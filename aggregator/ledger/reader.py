@@ -227,9 +227,14 @@ def read_sums(view: LedgerView, run: str) -> RunSums:
 
 
 def run_being_written(view: LedgerView) -> str | None:
-    """The run that a line is writing now; None where none is."""
-    newest = view.row(BATCH, "ORDER BY seq DESC") if is_being_written(view.path) else None
-    return None if newest is None else str(newest[1])
+    """The run that a line is writing now: the one that was begun last where nothing of it is there yet, else that of
+    the newest batch. None where none is.
+    """
+    begun = view.row(RUN, "ORDER BY rowid DESC") if is_being_written(view.path) else None
+    if begun is None:
+        return None
+    newest = view.row(BATCH, "ORDER BY seq DESC") if read_last_batch(view, begun[0]) else None
+    return str(begun[0] if newest is None else newest[1])
 
 
 def moment_of(run: RunRow, written: str | None) -> Moment:

@@ -88,6 +88,11 @@ def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_pa
     with reading(path) as view:
         assert moment_of(run, run_being_written(view)).over
         assert (coverage_of(run, read_sums(view, run.run), moment_of(run, run_being_written(view))).share or 0.0) < 0.9
+    with Ledger(path) as ledger:  # the next run has begun, and no camera has said anything
+        ledger.open_run("next", line=run.line, cameras=run.cameras, version="1", started_ns=run.started_ns + 1)
+        with reading(path) as view:
+            assert run_being_written(view) == "next"
+            assert (ReadLoads(view).whole(run).coverage or 0.0) < 0.9, "the stopped run was told as one that goes on"
 
 
 def test_a_ledger_knows_of_a_run_that_it_was_stopped_until_it_goes_on(tmp_path: Path) -> None:
