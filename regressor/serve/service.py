@@ -17,7 +17,7 @@ from typing import Any
 
 import zenoh
 
-from conveyor.errors import InputError, TuberlineError
+from conveyor.errors import InputError, StorageError, TuberlineError
 from conveyor.messages.base import Message
 from conveyor.node import Node
 from conveyor.topics import ORDER_MODEL, QUERY_MODEL, Topic
@@ -103,13 +103,19 @@ class WeightsService:
         )
 
     def _restore(self) -> None:
-        """Go on with the order that was followed before a restart."""
+        """Go on with the order that was followed before a restart.
+
+        Raises:
+            StorageError: there is no room to unpack those weights now: weighing with others would be no better.
+        """
         try:
             order = self._store.recorded(config_digest=self._config_digest)
             if order is not None:
                 self._weigher = self._weigher_of(order.digest)
                 self._order = order
                 self._node.log.info("goes on with %s by order %d", self._weigher.sidecar.model_id, order.n)
+        except StorageError:
+            raise
         except TuberlineError as error:
             self._node.counters.add("weights_refused")
             self._node.log.error("goes on with the config's weights: %s", error)
@@ -142,6 +148,8 @@ class WeightsService:
             return
         try:
             self._change(order)
+        except StorageError as error:  # it may pass: the next look round tries again
+            self._node.log.warning("cannot follow order %d of %s now: %s", order.n, leader, error)
         except TuberlineError as error:
             self._refuse(order, f"order {order.n} of {leader}: {error}")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, StorageError
 from conveyor.files import cause, told
 from regressor.serve.messages import digest_of, write_checkpoint
 from regressor.weigh.weigher import Weigher
@@ -94,14 +94,15 @@ class WeightsStore:
         """A weigher with these weights.
 
         Raises:
-            InputError: not here, damaged, no weights that can be used, or there is no room to unpack them.
+            InputError: not here, damaged, or no weights that can be used.
+            StorageError: there is no room to unpack them now.
         """
         parcel = self.parcel(digest)
         try:
             with tempfile.TemporaryDirectory(prefix="tuberline-weights-") as folder:
                 return Weigher.load(write_checkpoint(parcel, Path(folder)))
         except OSError as error:
-            raise InputError(f"weights {digest[:16]} cannot be unpacked: {told(error)}") from error
+            raise StorageError(f"weights {digest[:16]} cannot be unpacked: {told(error)}") from error
 
     def keep_only(self, digests: set[str]) -> None:
         """Remove all other parcels.

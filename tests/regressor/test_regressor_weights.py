@@ -13,11 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conveyor.config import parse_config
-from conveyor.errors import InputError, MessageError
+from conveyor.errors import InputError, MessageError, StorageError
+from conveyor.node import Node
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.stored import SHIPPED
 from regressor.serve.check import check_weights, reference_clouds
 from regressor.serve.messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
+from regressor.serve.service import WeightsService
 from regressor.serve.store import Order, WeightsStore
 from regressor.serve.upload import Upload
 from regressor.weigh.weigher import Weigher
@@ -149,10 +151,22 @@ def test_a_disk_that_refuses_is_an_error_in_words_and_ends_no_regressor(
     with pytest.raises(InputError, match=r"some.parcel cannot be removed: Is a directory"):
         store.keep_only({digest})
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
-    with pytest.raises(InputError, match=rf"weights {digest[:16]} cannot be unpacked: \S+gone\S+: No such file"):
+    with pytest.raises(StorageError, match=rf"weights {digest[:16]} cannot be unpacked: \S+gone\S+: No such file"):
         store.load(digest)
     with pytest.raises(InputError, match=r"weights cannot be kept: \S+gone\S+: No such file"):
         WeightsStore(None).add(b"other")
+
+
+def test_a_regressor_that_starts_again_waits_for_room_and_takes_no_other_weights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 75: it is started again until there is room."""
+    store, own = WeightsStore(tmp_path / "r1"), digest_of(read_parcel(SHIPPED))
+    store.record(Order(3, store.add(WeightsParcel("given.pth", "", np.zeros(9, np.uint8)).encode()), config_digest=own))
+    line = parse_config({"regressor": {"state_dir": str(tmp_path)}}, where="test")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    with pytest.raises(StorageError, match="cannot be unpacked"):
+        WeightsService(Node("regressor", "r1", config=line, run="test"), Weigher.load()).open()
 
 
 def test_without_a_folder_given_weights_live_as_long_as_the_process() -> None:
