@@ -103,7 +103,7 @@ def issue(
         now: start of its validity; default the clock.
 
     Raises:
-        InputError: no authority, files already there, no host for a router.
+        InputError: no authority or one with less than a day left, files already there, no host for a router.
     """
     certificate_path, key_path = folder / f"{identity.stem}.pem", folder / f"{identity.stem}.key"
     if not renew and (certificate_path.exists() or key_path.exists()):
@@ -113,9 +113,14 @@ def issue(
     now = now or datetime.now(UTC)
     authority, authority_key = _authority(folder)
     key = ec.generate_private_key(authority_key.curve)
-    days = min(days, (authority.not_valid_after_utc - now).days)
+    left = (authority.not_valid_after_utc - now).days
+    if left < 1:
+        raise InputError(
+            f"the authority {folder / CA_FILE} expires on {authority.not_valid_after_utc:%Y-%m-%d}, and its "
+            "certificates with it: make a new one with all of them in another folder (certs make)"
+        )
     certificate = (
-        _builder(_name(identity.common_name(line)), authority.subject, key.public_key(), now, days)
+        _builder(_name(identity.common_name(line)), authority.subject, key.public_key(), now, min(days, left))
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(sign_others=False), critical=True)
         .add_extension(x509.ExtendedKeyUsage(_purposes(identity)), critical=False)

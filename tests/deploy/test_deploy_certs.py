@@ -91,6 +91,11 @@ def test_validity_is_bounded_by_the_authority_and_starts_a_day_early(tmp_path: P
     fresh = issue(tmp_path, Identity("camera", "front"), line="north", now=NOW)
     assert (fresh.not_before, fresh.not_after) == (NOW - timedelta(days=1), NOW + timedelta(days=730))
     assert fresh.days_left(NOW + timedelta(days=731)) == -1
+    for hours in (-1, 24):
+        over = read_certificate(tmp_path / "ca.pem").not_after - timedelta(hours=hours, seconds=-1)
+        with pytest.raises(InputError, match=r"ca.pem expires on 20\d\d-\d\d-\d\d, and its certificates with it"):
+            issue(tmp_path, Identity("keeper"), line="north", now=over)
+    assert not list(tmp_path.glob("keeper.*"))
     with pytest.raises(InputError, match="names or addresses it is reached at"):
         issue(tmp_path, Identity("router"), line="north")
 
