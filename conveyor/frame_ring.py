@@ -145,11 +145,11 @@ class RingReader:
             raise OSError(str(error)) from error
         finally:
             os.close(file)
-        magic, self._id, self._slots, self._stride = _FILE.unpack_from(found, 0)
-        if magic != _MAGIC or PAGE + self._slots * self._stride != len(found):
+        magic, ring, slots, stride = _FILE.unpack_from(found) if len(found) > PAGE else (b"", 0, 0, 0)
+        if magic != _MAGIC or stride < _SLOT.size or PAGE + slots * stride != len(found):
             found.close()
             raise OSError(f"{self._path} is no ring of frames")
-        self._map = found
+        self._map, self._id, self._slots, self._stride = found, ring, slots, stride
 
 
 class RingOutlet:

@@ -64,9 +64,10 @@ def test_a_ring_that_cannot_be_is_an_error_and_leaves_nothing(tmp_path: Path) ->
         RingWriter(tmp_path / "none" / "f.ring").put(b"frame")
     with pytest.raises(OSError, match="No such file"):
         RingReader(tmp_path / "f.ring").take(FrameSlot(1, 0, 2, 5))
-    (tmp_path / "f.ring").write_bytes(bytes(PAGE))
-    with pytest.raises(OSError, match="no ring of frames"):
-        RingReader(tmp_path / "f.ring").take(FrameSlot(1, 0, 2, 5))
+    for size in (1, PAGE, 2 * PAGE):  # one that was cut short, too
+        (tmp_path / "f.ring").write_bytes(bytes(size))
+        with pytest.raises(OSError, match="no ring of frames"):
+            RingReader(tmp_path / "f.ring").take(FrameSlot(1, 0, 2, 5))
     (tmp_path / "f.ring").unlink()
     (tmp_path / "f.ring").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError):
