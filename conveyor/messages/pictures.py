@@ -27,7 +27,7 @@ class Outline:
         corners: u, v, u, v, ... of its outline, pixels of the picture.
         state: 'seen' (not decided yet), 'counted', 'lump' (refused: a clod or a stone), 'haulm' (refused as that), or
             'left_out': neither counted nor foreign, a part of something or seen too little.
-        weight_g: mean of what its views weigh by now; None before the first answer. What is not counted yet has a
+        weight_g: median of what its views weigh by now; None before the first answer. What is not counted yet has a
             provisional one.
     """
 
