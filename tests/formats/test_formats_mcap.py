@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
@@ -161,6 +162,19 @@ def test_a_flipped_bit_loses_what_follows_and_nothing_silently(mcap: Path, tmp_p
     assert saved.damage
     assert saved.lost_bytes > 0
     assert 0 < saved.messages["camera/front/frame"] < describe_recording(mcap).cameras[0].frames
+
+
+def test_messages_of_a_channel_that_is_not_described_are_lost_and_told(tmp_path: Path) -> None:
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer = Writer(file, use_chunking=False, use_statistics=False)
+        writer.start()
+        known = writer.register_channel("/a", "json", writer.register_schema("s", "jsonschema", b"{}"))
+        for channel in (known, known + 1, known):
+            writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    saved = recover(tmp_path / "x.mcap", tmp_path / "saved.mcap")
+    assert (saved.messages, saved.lost_bytes, saved.whole) == ({"/a": 2}, 2, False)
+    assert "no record describes channel 2" in saved.damage
 
 
 def test_a_whole_file_survives_recovery_unchanged(mcap: Path, tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> No
     if saved.whole:
         sys.stdout.write("the file was whole: nothing was lost\n")
     else:
-        sys.stdout.write(f"{saved.lost_bytes} bytes at the end could not be read ({saved.damage})\n")
+        sys.stdout.write(f"{saved.lost_bytes} bytes could not be read ({saved.damage})\n")
 
 
 def info(recording: Path, /, *, json: bool = False) -> None:

@@ -27,7 +27,8 @@ class Recovered:
 
     Attributes:
         messages: by topic.
-        lost_bytes: of the file's end (or of a damaged chunk and what follows) that no whole record could be read from.
+        lost_bytes: of the file's end (or of a damaged chunk and what follows) that no whole record could be read from,
+            and of messages whose channel the file does not describe.
         whole: the file was closed properly; nothing needed repairing.
         damage: what stopped the reading, in the library's words.
     """
@@ -107,7 +108,7 @@ def _copy(source: Any, target: Any, *, size: int, on_bytes: Callable[[int, int],
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, tuple[int, str]] = {}
     counts: dict[str, int] = {}
-    started = False
+    started, unknown, unknown_bytes = False, "", 0
     records = _Records(source)
     for record in records:
         on_bytes(records.good_bytes, size)
@@ -121,6 +122,10 @@ def _copy(source: Any, target: Any, *, size: int, on_bytes: Callable[[int, int],
             number = writer.register_channel(record.topic, record.message_encoding, schema, dict(record.metadata))
             channels[record.id] = (number, record.topic)
         elif isinstance(record, Message):
+            if record.channel_id not in channels:
+                unknown = f"no record describes channel {record.channel_id} before its messages"
+                unknown_bytes += len(record.data)
+                continue
             number, topic = channels[record.channel_id]
             writer.add_message(number, record.log_time, record.data, record.publish_time, record.sequence)
             counts[topic] = counts.get(topic, 0) + 1
@@ -131,5 +136,6 @@ def _copy(source: Any, target: Any, *, size: int, on_bytes: Callable[[int, int],
     if not started:
         writer.start(library=f"tuberline {__version__} recover")
     writer.finish()  # type: ignore[no-untyped-call]
-    whole = records.closed and not records.damage
-    return Recovered(counts, 0 if whole else size - records.good_bytes, whole, records.damage)
+    ended = records.closed and not records.damage
+    lost_bytes = (0 if ended else size - records.good_bytes) + unknown_bytes
+    return Recovered(counts, lost_bytes, ended and not unknown, records.damage or unknown)
