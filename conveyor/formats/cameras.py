@@ -101,8 +101,6 @@ def open_cameras(
         InputError: no recording of a known kind, or one that cannot be used.
     """
     names = camera_names(recording)
-    if not names:
-        raise InputError(f"{recording} holds no frames of any camera")
     sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
     counts = [source.description.frames for source in sources]
     total = None if None in counts else sum(count or 0 for count in counts)

@@ -52,9 +52,12 @@ def camera_names(path: Path) -> tuple[str, ...]:
     """The cameras of the recording at `path`, in its own order.
 
     Raises:
-        InputError: no recording, or a camera's name that is no plain one.
+        InputError: no recording, one without a frame of any camera, or a camera's name that is no plain one.
     """
-    return tuple(plain_name(name, where=path) for name in _camera_names(path, recording_kind(path)))
+    names = _camera_names(path, recording_kind(path))
+    if not names:
+        raise InputError(f"{path} holds no frames of any camera")
+    return tuple(plain_name(name, where=path) for name in names)
 
 
 def _camera_names(path: Path, kind: Kind) -> tuple[str, ...]:
@@ -158,10 +161,8 @@ def choose_camera(path: Path, known: Sequence[str], camera: str | None) -> str:
     """Which of the cameras `known` of the recording at `path` is meant: the one of that name, or the only one.
 
     Raises:
-        InputError: there is none, no such one, or several and none is named.
+        InputError: there is no such one, or several and none is named.
     """
-    if not known:
-        raise InputError(f"{path} holds no frames of any camera")
     if camera is None and len(known) == 1:
         return known[0]
     if camera is None:

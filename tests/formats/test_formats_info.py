@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from conveyor.errors import InputError
+from conveyor.formats import open_source
+from conveyor.formats.conversion import convert_recording
 from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.mcap.recovery import recover
@@ -65,3 +67,19 @@ def test_a_file_that_is_being_written_is_told_so(tmp_path: Path) -> None:
         inspect_recording(killed)
     assert "being written" not in str(told.value)
     recover(killed, tmp_path / "saved.mcap")
+
+
+def test_a_recording_without_a_frame_is_refused_by_its_name(tmp_path: Path) -> None:
+    """Of a recorder that was stopped before the first; `convert` made an empty file, or missed a folder."""
+    path = tmp_path / "empty.mcap"
+    with McapFrameWriter(path):
+        pass
+    for use in (
+        inspect_recording,
+        open_source,
+        lambda path: convert_recording(path, tmp_path / "out.mcap"),
+        lambda path: convert_recording(path, tmp_path / "out"),
+    ):
+        with pytest.raises(InputError, match=r"empty\.mcap holds no frames of any camera"):
+            use(path)
+    assert list(tmp_path.iterdir()) == [path]

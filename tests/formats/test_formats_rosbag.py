@@ -156,3 +156,10 @@ def test_a_broken_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.bag").write_bytes(b"#ROSBAG V2.0\nnonsense")
     with pytest.raises(InputError, match=r"x\.bag is no ROS bag that can be read"):
         open_source(tmp_path / "x.bag")
+
+
+def test_a_count_of_messages_that_is_no_number_is_damage(tmp_path: Path) -> None:
+    about = _ros2(tmp_path / "bag", mcap=False) / "metadata.yaml"
+    about.write_text(about.read_text().replace("message_count: 5", "message_count:"))
+    with pytest.raises(InputError, match=r"bag is damaged, and cannot be read as a ROS bag: TypeError"):
+        open_source(tmp_path / "bag")

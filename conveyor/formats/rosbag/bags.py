@@ -81,8 +81,8 @@ def open_bag(path: Path) -> Iterator[BagReader]:
     with ExitStack() as stack:
         with _as_ours(path):
             reader = _rosbags().AnyReader([path], default_typestore=ros2_typestore())
-            bag = stack.enter_context(reader)
-        yield _RosbagReader(path, bag)
+            bag = _RosbagReader(path, stack.enter_context(reader))
+        yield bag
 
 
 @contextmanager
