@@ -149,7 +149,7 @@ def add(sums: LoadSums, belt: dict[str, Any]) -> None:
 
 
 def filling(belts: Sequence[dict[str, Any]]) -> float:
-    """Median of true volume over visible volume, of lumps that were refused: what `LUMP_FILLED` was set by."""
+    """Median of true volume over visible volume, of clods and stones that were refused: `CLOD_FILLED` is set by it."""
     ratios = [
         track["true_volume_ml"] / track["visible_volume_ml"]
         for belt in belts

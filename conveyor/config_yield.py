@@ -9,9 +9,9 @@ from pydantic import Field, field_validator
 from conveyor.config_base import Section, checked_name, serial_rate
 
 BAUD = 9600
-LUMP_FILLED = 0.72
-"""Of the volume under the visible surface of a clod or a stone, the part that is lump and not the air under its flanks.
-Median over refused lumps of simulated belts with seeds 61000 and on."""
+CLOD_FILLED = 0.72
+"""Of the volume under the visible surface of a clod or a stone, the part that is body and not the air under its flanks.
+Median over those refused on simulated belts with seeds 61000 and on."""
 
 
 def gnss_source(text: str) -> SplitResult:

@@ -40,7 +40,7 @@ def is_foreign(group: Group) -> bool:
 
 
 def make_body(group: Group, *, run: str, body_id: int) -> ForeignBody:
-    """The body that all tracks of `group` saw; a lump where any camera took it for one."""
+    """The body that all tracks of `group` saw; a clod or stone where any camera took it for one."""
     members = sorted(group.members, key=lambda member: (member.camera, member.track.first_seq, member.track.track_id))
     sized = [member.track for member in group.best]
     return ForeignBody(

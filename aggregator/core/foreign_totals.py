@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from aggregator.core.totals import LoadTotals
-from conveyor.config_yield import LUMP_FILLED, ForeignConfig
+from conveyor.config_yield import CLOD_FILLED, ForeignConfig
 from conveyor.messages.foreign import ForeignTotal
 from conveyor.statistics import NORMAL_90
 
@@ -33,12 +33,12 @@ def foreign_total(load: LoadTotals, densities: ForeignConfig, *, weight_g: float
     shared = math.hypot(HIDDEN_SD * doubt.hidden, OF_ALL_SD * total) if found.odds.bins else 0.0
     count_sd = math.hypot(math.sqrt(doubt.variance), shared)
     low, high = max(0.0, count - NORMAL_90 * count_sd), min(float(total), count + NORMAL_90 * count_sd)
-    lump_g_ml = _lump_density(densities)
+    clod_g_ml = _clod_or_stone_g_ml(densities)
     haulm_ml = found.bodies.get("haulm", [0, 0.0])[1]
-    lump_ml = found.bodies.get("lump", [0, 0.0])[1] - doubt.spared_ml
+    clod_ml = found.bodies.get("lump", [0, 0.0])[1] - doubt.spared_ml
     # What was taken for a tuber and is a clod weighs by its volume too: its grams say what lies under its surface.
-    hidden_g = LUMP_FILLED * lump_g_ml * doubt.hidden_g / (TUBER_FILLED * TUBER_G_ML)
-    foreign_g = max(0.0, LUMP_FILLED * (lump_ml * lump_g_ml + haulm_ml * densities.haulm_density) + hidden_g)
+    hidden_g = CLOD_FILLED * clod_g_ml * doubt.hidden_g / (TUBER_FILLED * TUBER_G_ML)
+    foreign_g = max(0.0, CLOD_FILLED * (clod_ml * clod_g_ml + haulm_ml * densities.haulm_density) + hidden_g)
     half_g = NORMAL_90 * math.hypot(VOLUME_SD * foreign_g, count_sd * foreign_g / max(count, 1.0))
     tubers_g = max(0.0, (load.weight_g if weight_g is None else weight_g) - doubt.hidden_g)
     low_g, high_g = max(0.0, foreign_g - half_g), foreign_g + half_g
@@ -68,8 +68,8 @@ def jacket_g(gross_g: float | None, net_g: float | None, foreign: ForeignTotal |
     return gross_g - net_g - (foreign.weight_g if foreign else 0.0)
 
 
-def _lump_density(densities: ForeignConfig) -> float:
-    """Of a body of which depth does not say whether it is a clod or a stone, g/ml."""
+def _clod_or_stone_g_ml(densities: ForeignConfig) -> float:
+    """Density of a body of which depth does not say whether it is a clod or a stone."""
     stones = densities.stone_share
     return stones * densities.stone_density + (1 - stones) * densities.clod_density
 

@@ -1,10 +1,10 @@
-"""What a refused track is: haulm by its shape, else a clod or a stone, which depth does not tell apart."""
+"""What a refused track is: haulm by its shape, else 'lump': a clod or a stone, which depth does not tell apart."""
 
 from __future__ import annotations
 
 from typing import Literal
 
-from conveyor.config_yield import LUMP_FILLED
+from conveyor.config_yield import CLOD_FILLED
 from conveyor.messages import Track
 from conveyor.reasons import TrackRefusal
 
@@ -22,8 +22,8 @@ def foreign_kind(reason: TrackRefusal | None, *, length_m: float, width_m: float
 
 
 def is_crumb(refused: Track, *, least_ml: float) -> bool:
-    """A lump smaller than a tuber of `least_ml`: it looks as large as one by the air under its flanks.
+    """A clod or stone smaller than a tuber of `least_ml`: it looks as large as one by the air under its flanks.
 
     A share of foreign matter is one of bodies of a tuber's size; crumbs would swell it.
     """
-    return refused.kind == "lump" and LUMP_FILLED * refused.visible_volume_ml < least_ml
+    return refused.kind == "lump" and CLOD_FILLED * refused.visible_volume_ml < least_ml

@@ -35,7 +35,7 @@ def body(number: int, *, kind: str = "lump", volume_ml: float = 100.0, log_odds:
 
 
 def with_others(story: Story, places: set[int]) -> Story:
-    """The story in which these of the tubers that are seen are lumps to every camera."""
+    """The story in which these of the tubers that are seen are clods to every camera."""
     seen = story.seen()
 
     def changed(entry: TrackEntry) -> TrackEntry:
@@ -71,7 +71,7 @@ def test_sums_come_back_and_add_up() -> None:
 
 
 def test_the_share_is_what_the_classifier_believes() -> None:
-    """Ten lumps among a hundred bodies; eight others were taken for tubers, and are told by how far below they lie."""
+    """Ten clods among a hundred bodies; eight others were taken for tubers, and are told by how far below they lie."""
     sums = LoadSums(50.0)
     for k in range(90):
         sums.add(replace(tuber(k + 1, 50.0, 160.0), log_odds=0.8 if k < 8 else 8.2))
@@ -122,7 +122,7 @@ def test_tickets_show_the_soil_jacket() -> None:
     assert jacket_g(None, 10_000.0, foreign) is None
 
 
-def test_two_cameras_see_a_lump_once_and_the_ledger_keeps_it(tmp_path: Path) -> None:
+def test_two_cameras_see_a_clod_once_and_the_ledger_keeps_it(tmp_path: Path) -> None:
     story = with_others(tell(11, n=12, cameras=2), {2, 7})
     path = tmp_path / "ledger.db"
     with Ledger(path) as ledger:

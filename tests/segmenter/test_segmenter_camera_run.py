@@ -114,12 +114,12 @@ def test_what_is_refused_as_no_tuber_is_logged_as_what_it_is(frames: list[Frame]
     last = log[-1].mark
     assert last is not None
     assert last.final
-    lumps = [track for track in tracks if track.kind == "lump"]
-    assert len(lumps) == last.tracks["foreign"] == last.tracks["discarded_distractor"] > 0
+    clods = [track for track in tracks if track.kind == "lump"]
+    assert len(clods) == last.tracks["foreign"] == last.tracks["discarded_distractor"] > 0
     assert len(tracks) == last.tracks["foreign"] + last.tracks["counted"] == len(BODIES)
-    assert all(t.log_odds is not None and t.views == () and t.views_sent == 0 for t in lumps)
-    assert all(t.visible_volume_ml > 10 and t.length_mm >= t.width_mm > 20 for t in lumps)
-    assert len(views) == 3 * (len(tracks) - len(lumps))
+    assert all(t.log_odds is not None and t.views == () and t.views_sent == 0 for t in clods)
+    assert all(t.visible_volume_ml > 10 and t.length_mm >= t.width_mm > 20 for t in clods)
+    assert len(views) == 3 * (len(tracks) - len(clods))
     opened = last.tracks["counted"] + last.tracks["open"] + last.tracks["discarded_distractor"]
     assert last.tracks["opened"] >= opened
 
