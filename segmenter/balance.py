@@ -38,8 +38,11 @@ class FrameBalance:
         if after_seq is not None and after_seq != self.newest_seq:
             self.ahead += 1
             return False
-        skipped = seq - self.newest_seq - 1 if self.newest_seq >= 0 else 0
-        self._book_overwritten(skipped)
+        if self.newest_seq >= 0:
+            self._book_overwritten(seq - self.newest_seq - 1)
+        else:  # what else was overwritten until now were no frames after this one
+            self._book_overwritten(max(0, seq - self.first_seq) if self.first_seq is not None else 0)
+            self._overwritten = 0
         self.newest_seq = seq
         self.known_range(seq, seq)
         return True
