@@ -31,6 +31,17 @@ class Section(BaseModel):
             raise ValueError('"" names no file and no folder: give a path, or leave the key out; "." is this folder')
         return value
 
+    @field_validator("*")
+    @classmethod
+    def _at_home(cls, value: object) -> object:
+        """`~` is the home of who runs the line, as in a shell, and no folder of that name."""
+        if not isinstance(value, Path):
+            return value
+        try:
+            return value.expanduser()
+        except RuntimeError as error:
+            raise ValueError(f"no home is known for '{value.parts[0]}': write the whole path") from error
+
 
 LEAST_BAUD, MOST_BAUD = 300, 4_000_000
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from conveyor.config_base import Endpoint, Metres, Section
 from conveyor.config_realsense import RealSenseConfig
@@ -92,11 +92,6 @@ class CameraConfig(Section):
         if self.source != "recording":
             return 1.0
         return None if self.waits or self.speed == 0 else self.speed
-
-    @field_validator("path")
-    @classmethod
-    def _at_home(cls, path: Path | None) -> Path | None:
-        return path.expanduser() if path else None
 
     @model_validator(mode="after")
     def _by_the_clock(self) -> Self:

@@ -197,6 +197,12 @@ def test_a_segmenter_keeps_its_log_on_disk_where_its_file_names_no_folder(tmp_pa
     assert load_config(stated).segmenter.state_dir == tmp_path / "kept"
 
 
+def test_a_tilde_is_home_in_every_section(tmp_path: Path) -> None:
+    """Only a camera's path knew it: a ledger went to a folder named ~ beside the file."""
+    line = load_config(write(tmp_path, '[cameras.front]\npath = "~/rec"\n[aggregator]\nout = "~/runs"'))
+    assert (line.cameras["front"].path, line.aggregator.out) == (Path.home() / "rec", Path.home() / "runs")
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -206,6 +212,7 @@ def test_a_segmenter_keeps_its_log_on_disk_where_its_file_names_no_folder(tmp_pa
         ('[gnss]\nsource = "serial:/dev/ttyACM0?baud=fast"', "gnss.source: .*allowed are serial:/dev/ttyACM0.baud="),
         ('[aggregator]\nout = ""', 'aggregator.out: "" names no file and no folder: give a path, or leave the key out'),
         ('[cameras.front]\npath = ""', "cameras.front.path: .*no file and no folder"),
+        ('[cameras.front]\npath = "~no one/rec"', "front.path: .*no home is known for '~no one': write the whole path"),
         ("[access]\nenabled = true", "config .*line.toml: access.enabled needs an endpoint with certificates"),
     ],
 )
