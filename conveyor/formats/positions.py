@@ -13,6 +13,7 @@ import os
 import zlib
 from codecs import BOM_UTF8
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -92,7 +93,8 @@ class PositionsWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with suppress(OSError):  # of a row that `write` has told of; closing tries it once more
+            self._file.close()
 
     def write(self, values: Iterable[object]) -> None:
         """Add one row, `COLUMNS` without n and crc, durably.

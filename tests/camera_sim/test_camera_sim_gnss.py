@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import socket
 import subprocess
@@ -89,6 +90,27 @@ def test_positions_are_kept_row_by_row_and_damage_is_an_error(tmp_path: Path) ->
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError), PositionsWriter(tmp_path / "file" / "positions.csv"):
         pass
+
+
+def test_a_full_disk_is_told_by_name_and_ends_with_a_whole_row(tmp_path: Path) -> None:
+    """Closing tried the row again, and what was told was an error without the file's name."""
+    path = tmp_path / "positions.csv"
+
+    def fill() -> None:
+        with PositionsWriter(path) as file:
+            while file.rows < 10:
+                file.write((10**18, 10**18, 52.7, 5.75, 4, 0.7, 14))
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300, limits[1]))
+    try:
+        with pytest.raises(StorageError, match=r"positions\.csv: File too large"):
+            fill()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with PositionsWriter(path) as file:
+        assert 1 < file.rows < 10
+    assert path.read_bytes().endswith(b"\n")
 
 
 def test_a_date_that_no_month_has_is_counted_and_not_taken() -> None:
