@@ -38,6 +38,7 @@ from tuberline.cli.address import LineAddress
 from tuberline.cli.doctor import bundle, doctor
 from tuberline.cli.health import health
 from tuberline.doctor import Finding, Level, machine, worst
+from tuberline.doctor.bundle import write_bundle
 from tuberline.doctor.examine import Live, examine, look
 from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
@@ -174,6 +175,8 @@ def test_certificates_are_watched_for_expiry_privacy_and_the_routers_name(tmp_pa
     }
     late = check_certificates(config, now=NOW + timedelta(days=23))
     assert any("camera.front.pem expired 3 days ago" in f.text and "--renew" in f.fix for f in late)
+    old = check_certificates(config, now=NOW + timedelta(days=3640))
+    assert ["--out ANOTHER_FOLDER" in f.fix for f in old if "ca.pem expires in 10 days" in f.text] == [True]
     assert check_certificates(LineConfig(), now=NOW) == []
 
 
@@ -273,6 +276,21 @@ def test_bundle_holds_what_helps_and_no_private_key(line: Path, camera: Node, tm
     assert json.loads(content["counters.json"])["camera/front"]["values"]["frames_published"] == 7
     assert json.loads(content["versions.json"])["tuberline"] == __version__
     assert not [name for name, data in content.items() if b"PRIVATE KEY" in data]
+
+
+def test_a_journal_that_takes_long_is_packed_as_far_as_it_came(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was a traceback, and no archive."""
+    (tmp_path / "journalctl").write_text("#!/bin/sh\necho first words\nexec sleep 60\n")
+    (tmp_path / "journalctl").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
+    write_bundle(tmp_path / "help.tar.gz", LineConfig(), reports={}, journal_within_s=1.0)
+    with tarfile.open(tmp_path / "help.tar.gz") as archive:
+        file = archive.extractfile("tuberline-line/logs/journal.txt")
+        assert file is not None
+        assert file.read().splitlines() == [
+            b"first words",
+            b"journalctl was not done after 1 s: what follows is missing",
+        ]
 
 
 @pytest.mark.graph

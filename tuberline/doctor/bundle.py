@@ -24,16 +24,20 @@ from conveyor.processors import usable
 
 LOG_TAIL_BYTES = 2_000_000
 JOURNAL_LINES = 5000
+JOURNAL_WITHIN_S = 20.0
 RESULT_LIMIT_BYTES = 20_000_000
 
 
-def write_bundle(path: Path, config: LineConfig, *, reports: Mapping[str, Any]) -> list[str]:
+def write_bundle(
+    path: Path, config: LineConfig, *, reports: Mapping[str, Any], journal_within_s: float = JOURNAL_WITHIN_S
+) -> list[str]:
     """Write the archive and return the names of its files.
 
     Args:
         path: the .tar.gz to write; replaced only when whole.
         config: the line.
         reports: further files, as values that JSON can hold.
+        journal_within_s: how long the journal is waited for; what it gave by then is packed.
 
     Raises:
         InputError: it cannot be written.
@@ -42,7 +46,7 @@ def write_bundle(path: Path, config: LineConfig, *, reports: Mapping[str, Any]) 
     names: list[str] = []
     try:
         with tarfile.open(draft, "w:gz") as archive:
-            for name, data in _members(config, reports):
+            for name, data in _members(config, reports, journal_within_s):
                 info = tarfile.TarInfo(f"tuberline-{config.name}/{name}")
                 info.size, info.mtime, info.mode = len(data), int(time.time()), 0o600
                 archive.addfile(info, io.BytesIO(data))
@@ -54,7 +58,7 @@ def write_bundle(path: Path, config: LineConfig, *, reports: Mapping[str, Any]) 
     return names
 
 
-def _members(config: LineConfig, reports: Mapping[str, Any]) -> Iterator[tuple[str, bytes]]:
+def _members(config: LineConfig, reports: Mapping[str, Any], journal_within_s: float) -> Iterator[tuple[str, bytes]]:
     yield "config.toml", dump_toml(config).encode()
     yield "versions.json", _json(_versions())
     yield "access.json", _json(access_control(config))
@@ -66,7 +70,7 @@ def _members(config: LineConfig, reports: Mapping[str, Any]) -> Iterator[tuple[s
             yield f"results/{name}", file.read_bytes()
     for log in sorted((config.aggregator.out / "logs").glob("*.log")):
         yield f"logs/{log.name}", _tail(log)
-    journal = _journal(config.name)
+    journal = _journal(config.name, journal_within_s)
     if journal:
         yield "logs/journal.txt", journal
 
@@ -91,11 +95,15 @@ def _tail(path: Path) -> bytes:
         return file.read()
 
 
-def _journal(line: str) -> bytes:
-    """The newest lines of this line's units, where systemd keeps them."""
+def _journal(line: str, within_s: float) -> bytes:
+    """The newest lines of this line's units, where systemd keeps them; a worn disk may take minutes for them."""
     if shutil.which("journalctl") is None:
         return b""
     units = ["--namespace=+tuberline", "-u", f"tuberline-*@{line}.service", "-u", f"tuberline-*@{line}:*.service"]
     command = ["journalctl", "--no-pager", "-q", "-n", str(JOURNAL_LINES), *units]
-    done = subprocess.run(command, capture_output=True, check=False, timeout=20)
-    return done.stdout
+    try:
+        return subprocess.run(command, capture_output=True, check=False, timeout=within_s).stdout
+    except subprocess.TimeoutExpired as late:
+        return (
+            late.stdout or b""
+        ) + f"journalctl was not done after {within_s:g} s: what follows is missing\n".encode()

@@ -53,7 +53,10 @@ def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
             found.append(fault("certificates", str(error), "make or copy it again: `tuberline certs make`"))
     for info in infos:
         left = info.days_left(now)
-        renew = "`tuberline certs make LINE.toml --renew` where ca.key is, copy the files, restart the nodes"
+        made = (
+            "--out ANOTHER_FOLDER`" if info.authority else "--renew` where ca.key is"
+        )  # an authority is never replaced
+        renew = f"`tuberline certs make LINE.toml {made}, copy the files, restart the nodes"
         if now < info.not_before:
             found.append(
                 fault("certificates", f"{info.path} is valid from {info.not_before:%Y-%m-%d} on", "set the clock")
