@@ -9,6 +9,7 @@ import pytest
 from aggregator.calibration.together import Together
 from aggregator.ledger.totals_by import ALL, Total
 from conveyor.zone import zone_told
+from tuberline.cli.class_table import foreign_line
 from tuberline.cli.ledger_totals import print_totals
 from tuberline.cli.load_table import print_load, print_loads
 
@@ -88,3 +89,15 @@ def test_no_label_and_no_figure_of_totals_is_cut(
     assert run.replace(" ", "") in "".join(labels).replace(" ", ""), told
     assert "…" not in told
     assert max(map(len, told.splitlines())) <= 80
+
+
+def test_what_was_refused_is_told_in_the_fields_words() -> None:
+    """It said 10 lump, 1 haulm: the words of the ledger."""
+    shares = dict.fromkeys(("percent", "percent_low", "percent_high"), 1.0)
+    weights = dict.fromkeys(("weight_percent", "weight_percent_low", "weight_percent_high"), 2.0)
+    for kinds, said in (
+        ({"lump": 10.0, "haulm": 1.0}, "; 10 clods or stones, 1 stalk of haulm"),
+        ({"lump": 1.0, "haulm": 2.0}, "; 1 clod or stone, 2 stalks of haulm"),
+        ({}, "; none refused"),
+    ):
+        assert foreign_line({**shares, **weights, "kinds": kinds}).endswith(said)

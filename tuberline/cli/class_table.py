@@ -8,6 +8,8 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+KINDS = {"lump": ("clod or stone", "clods or stones"), "haulm": ("stalk of haulm", "stalks of haulm")}
+"""One and several bodies of a kind that the ledger knows."""
 COLOURS = {"kept": "green", "open": "yellow", "broken": "red", "": ""}
 
 
@@ -57,7 +59,8 @@ def class_score_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def foreign_line(foreign: Mapping[str, Any]) -> str:
     """What of a load is no tuber, in one line; `foreign` as plain `ForeignTotal`."""
-    kinds = ", ".join(f"{n:.0f} {kind}" for kind, n in foreign["kinds"].items()) or "none refused"
+    counts = [(round(n), KINDS.get(kind, (kind, kind))) for kind, n in foreign["kinds"].items()]
+    kinds = ", ".join(f"{n} {one if n == 1 else many}" for n, (one, many) in counts) or "none refused"
     return (
         f"foreign matter: {foreign['percent']:.1f} % of the bodies ({foreign['percent_low']:.1f} to "
         f"{foreign['percent_high']:.1f}), {foreign['weight_percent']:.1f} % of the weight "
