@@ -111,7 +111,11 @@ def test_a_supervisors_folder_is_taken_away_when_it_is_dead_and_not_before(tmp_p
 def test_the_lock_is_held_by_the_supervisor_alone(tmp_path: Path) -> None:
     """A child that outlives it must not keep the folder."""
     folder = DirectFolder(memory=tmp_path)
-    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    code = "print(flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", code], close_fds=False, **pipes) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
         os.close(folder._lock)
         with (folder.path / LOCK).open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
