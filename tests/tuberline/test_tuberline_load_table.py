@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from aggregator.calibration.together import Together
 from aggregator.ledger.totals_by import ALL, Total
@@ -12,6 +14,7 @@ from conveyor.zone import zone_told
 from tuberline.cli.class_table import foreign_line
 from tuberline.cli.ledger_totals import print_totals
 from tuberline.cli.load_table import print_load, print_loads
+from tuberline.cli.report import print_summary
 
 SAID = {"trailer": "", "customer": "", "operator": "", "field": "North 4", "variety": "Agria", "undone": False}
 
@@ -101,3 +104,21 @@ def test_what_was_refused_is_told_in_the_fields_words() -> None:
         ({}, "; none refused"),
     ):
         assert foreign_line({**shares, **weights, "kinds": kinds}).endswith(said)
+
+
+def test_brackets_in_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    """A folder [today] vanished from the paths that a replay ends with, and [gnss] from a reason."""
+    grams = dict.fromkeys(("weight_g", "low_g", "high_g", "as_weighed_g"), 1000.0)
+    told = {
+        "count": 7,
+        "coverage": 1.0,
+        "histogram": [7],
+        "histogram_step_g": 50.0,
+        "calibrated_by": "3 [/bio]",
+    }
+    console = Console(width=80)
+    print_summary(console, {"totals": grams | told, "balanced": True}, out=Path("[today]"))
+    print_summary(console, {"totals": {}, "state": "nothing seen", "reason": "no [cameras.a]"}, out=Path("[today]"))
+    said = capsys.readouterr().out
+    assert all(text in said for text in ("3 [/bio]", "nothing seen: no [cameras.a]"))
+    assert said.count("files: [today]/ledger.db, [today]/summary.json") == 2

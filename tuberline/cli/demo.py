@@ -34,7 +34,11 @@ def demo(
         from conveyor.files import whole_output
         from tuberline.demo import demo_recording
 
-        console.print(f"simulating a two-lane belt under two overlapping cameras into {recording} ...", highlight=False)
+        console.print(
+            f"simulating a two-lane belt under two overlapping cameras into {recording} ...",
+            markup=False,
+            highlight=False,
+        )
         with whole_output(recording) as partial:
             demo_recording(partial)
     run_dir = next_run(out)
@@ -53,7 +57,7 @@ def demo(
     print_summary(console, summary, out=run_dir)
     print_score(console, result)
     if rrd:
-        console.print(f"what happened, frame by frame: rerun {rrd}", highlight=False)
+        console.print(f"what happened, frame by frame: rerun {rrd}", markup=False, highlight=False)
     else:
         console.print(f"for a Rerun recording of the run too, {install_hint('viewer')}", markup=False, highlight=False)
     console.print(f"the run took {took_s:.1f} s", highlight=False)

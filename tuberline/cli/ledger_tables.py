@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from rich.markup import escape
 from rich.table import Table
 
 from aggregator.ledger.audit import Audit
@@ -35,7 +36,7 @@ def score_table(score: Score) -> Table:
             ("places aligned", f"travel was estimated: scale {score.scale:.4f}, offset {score.offset_mm:+.1f} mm")
         )
     for name, text in rows:
-        table.add_row(name, text)
+        table.add_row(name, escape(text))
     return table
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from conveyor.apart import apart_told
@@ -32,7 +33,7 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
     """The load, its histogram, what was lost, and where the files are."""
     totals = summary["totals"]
     if summary.get("state") == "nothing seen":
-        console.print(f"[bold red]nothing seen[/]: {summary['reason']}", highlight=False)
+        console.print(f"[bold red]nothing seen[/]: {escape(str(summary['reason']))}", highlight=False)
     else:
         _print_load(console, summary, totals)
     apart = [CamerasApart(**one) for one in totals.get("apart", ())]
@@ -42,7 +43,8 @@ def print_summary(console: Console, summary: dict[str, Any], *, out: Path) -> No
         console.print(f"warning: {finding}", style="yellow", markup=False, highlight=False)
     for name, n in summary.get("restarts", {}).items():
         console.print(f"[yellow]{name} was restarted {n} times[/]")
-    console.print(f"files: {out / 'ledger.db'}, {out / 'summary.json'}, {out / 'tubers.csv'}", highlight=False)
+    files = ", ".join(str(out / name) for name in ("ledger.db", "summary.json", "tubers.csv"))
+    console.print(f"files: {files}", markup=False, highlight=False)
 
 
 def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any]) -> None:
@@ -53,7 +55,7 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     table = Table(show_header=False, box=None, padding=(0, 2))
     table.add_row("load as seen", f"[bold]{totals['weight_g'] / 1000:.3f} kg[/]  (90 %: {_range(totals, '')})")
     table.add_row("tubers", f"[bold]{totals['count']}[/]")
-    table.add_row("belt seen", seen + (f"  (not seen{unseen[1:]})" if unseen else ""))
+    table.add_row("belt seen", escape(seen) + (f"  (not seen{unseen[1:]})" if unseen else ""))
     layers = layers_in_words(totals.get("hidden", 0.0), totals.get("layered_m", 0.0), totals.get("belt_m"))
     if layers:
         table.add_row("layers", f"[yellow]{layers}[/]")
@@ -62,7 +64,7 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
             "load as estimated", f"{totals['estimated_weight_g'] / 1000:.3f} kg  (90 %: {_range(totals, 'estimated_')})"
         )
     for name, text in _calibration(totals):
-        table.add_row(name, text)
+        table.add_row(name, escape(text))
     table.add_row(
         "balance sheet", "[green]balanced[/]" if summary["balanced"] else "[red]DOES NOT BALANCE[/] (tuberline audit)"
     )
