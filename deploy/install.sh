@@ -134,7 +134,7 @@ live = any(camera['source'] != 'recording' or camera['starts_at_s'] for camera i
 others = [role for role in ('alarms', 'viewer') if line.get(role)]
 print(*(role for role in (*names, *others) if live or role != 'encoder'))"
 }
-facts=$(echo "$checked" | facts_of)
+facts=$(printf '%s\n' "$checked" | facts_of)
 line=$(echo "$facts" | sed -n 1p)
 installed=$destdir/etc/tuberline/lines/$line.toml
 # What runs here is told by the config that it will run with.
@@ -144,7 +144,7 @@ if [ -e "$installed" ] && ! cmp -s "$config" "$installed" && [ "$replace" = no ]
     keep=yes
     given="$installed, which is kept without --replace"
     checked=$("$program" config show "$installed" --json) || fail "fix $installed first, or give --replace"
-    facts=$(echo "$checked" | facts_of)
+    facts=$(printf '%s\n' "$checked" | facts_of)
 fi
 cameras=$(echo "$facts" | sed -n 2p)
 workers=$(echo "$facts" | sed -n 3p)
@@ -250,7 +250,7 @@ done
 # Two lines of one host: what only one of them could have is refused before anything is changed.
 if [ -n "$others" ]; then
     {
-        echo "$checked"
+        printf '%s\n' "$checked"
         for other in $others; do
             "$program" config show "$destdir/etc/tuberline/lines/$other.toml" --json ||
                 echo "install.sh: line '$other' is not compared with this one" >&2
