@@ -133,7 +133,6 @@ class Ledger:
         self._db.execute("PRAGMA synchronous = FULL")
         if acknowledged is None:  # no batch is there yet
             self._receipt.write(0)
-            self._receipt.write(0)
         if not self._db.execute("SELECT 1 FROM sqlite_master").fetchone():
             if acknowledged:
                 raise unmade(self.path)
