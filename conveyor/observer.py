@@ -77,13 +77,16 @@ class Observer:
         """The JSON answer of a queryable of this line.
 
         Raises:
-            LinkError: no one answered in time, or the answer is an error.
+            LinkError: no one answered in time, or the answer is an error or no JSON.
         """
         selector = topic.key(self.line) + (f"?{parameters}" if parameters else "")
         replies = self.session.get(selector, timeout=timeout_s, consolidation=zenoh.ConsolidationMode.NONE)
         for reply in replies:
             if reply.ok is not None:
-                return json.loads(reply.ok.payload.to_string())
+                try:
+                    return json.loads(reply.ok.payload.to_bytes())
+                except (ValueError, RecursionError) as error:
+                    raise LinkError(f"{selector}: the answer is no JSON: {error}") from error
             if reply.err is not None:
                 raise LinkError(f"{selector}: {reply.err.payload.to_string()}")
         raise LinkError(

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+import zenoh
 
 from conveyor import topics
 from conveyor.access import line_identities
@@ -27,6 +28,7 @@ from tests.conftest import wait_until
 from tests.viewer.viewer_line import camera_info, potatoes, totals
 from tuberline.cli import build_app
 from viewer.page.maps import FieldMaps
+from viewer.page.state import LineState
 from viewer.page.watch import LineWatch
 
 RUN = "load-7"
@@ -142,6 +144,30 @@ def test_another_run_has_a_way_of_its_own(link: LinkConfig) -> None:
         assert found["number"] > before, "browsers fetch it"
         wait_until(lambda: way("tuesday", 52.3) == [52.2, 52.3], what="its way", timeout_s=PATIENCE_S)
     watch.stop()
+
+
+@pytest.mark.graph
+def test_answers_that_are_none_leave_the_page_watching(link: LinkConfig) -> None:
+    """The thread that watches the line ended with the first of them, and the page showed it as it was then."""
+    config, looks = LineConfig(name="north", link=link), list[LineState]()
+    watch = LineWatch(link, line="north", tell=looks.append)
+    answers = iter(("no JSON", '"text"', "[7]", '[{"run": 7}]'))
+    asked = []
+
+    def answer(query: zenoh.Query) -> None:
+        of_loads = "what=loads" in str(query.parameters)
+        if not of_loads:
+            asked.append(next(answers, json.dumps([_past(1)])))
+        query.reply(query.key_expr, "[7]" if of_loads else asked[-1])
+        watch.ask_soon()
+
+    with Node("aggregator", "aggregator", config=config, run=RUN) as node:
+        held = node.session.declare_queryable(topics.QUERY_LOADS.key("north"), answer)
+        watch.start()
+        wait_until(lambda: len(asked) > 6 and bool(looks[-1].loads), what="the loads", timeout_s=PATIENCE_S)
+        held.undeclare()
+    watch.stop()
+    assert [load.run for load in looks[-1].loads] == ["load-1"]
 
 
 def _past(n: int) -> dict[str, Any]:

@@ -198,7 +198,7 @@ class LineWatch:
             self._loads = tuple(PastLoad(**load) for load in found)
             told = observer.query(topics.QUERY_LOADS, parameters=f"limit={TOLD};what=loads", timeout_s=LOADS_WITHIN_S)
             self._told = tuple(ToldLoad.of(load) for load in told)
-        except (LinkError, TypeError, KeyError) as error:
+        except (LinkError, TypeError, KeyError, AttributeError) as error:
             self._log.debug("the ledger's loads: %s", error)
 
     def _state_of(self, cameras: dict[str, CameraInfo], now_s: float, *, no_router: str = "") -> LineState:
