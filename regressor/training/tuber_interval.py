@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtri
 
 from conveyor.small_sample import holding_rank
 from regressor.weigh.interval import EDGES_G, LEVEL, MIN_IN_CLASS, IntervalRule
@@ -87,8 +87,8 @@ def _reach(residual: NDArray[np.float64], owner: NDArray[np.int64], level: float
     share = _shares(owner)
     tubers = round(float(share.sum()))
     if tubers < SEEN_TAILS:
-        spread = float(np.sqrt(share @ residual**2 / chi2.ppf(1 - CONFIDENCE, tubers)))
-        half = float(norm.ppf((1 + level) / 2)) * spread
+        spread = float(np.sqrt(share @ residual**2 / chdtri(tubers, CONFIDENCE)))
+        half = float(ndtri((1 + level) / 2)) * spread
         return -half, half
     count = _independent(residual, share, owner, level)
     # So many draws cut what may come into count + 1 parts of equal chance: both tails get what the rank leaves of them.

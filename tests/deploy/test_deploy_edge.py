@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
 import sysconfig
@@ -54,6 +56,23 @@ def test_no_node_of_a_line_needs_torch(python: Path, tmp_path: Path) -> None:
     code = f"import importlib.util, {', '.join(NEED_NO_TORCH)}; assert importlib.util.find_spec('torch') is None"
     done = run(python, "-c", code, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_nothing_of_ours_imports_what_images_leave_out() -> None:
+    """No image could be built since intervals from few tubers came to import scipy.stats."""
+    slim = runpy.run_path(str(DOCKER / "slim.py"))
+    left_out = {part.replace("/", ".") for part in slim["UNUSED"] if "*" not in part}
+    imported = {
+        (f"{node.module}.{name.name}" if isinstance(node, ast.ImportFrom) else name.name, str(file.relative_to(ROOT)))
+        for package in slim["OURS"]
+        for file in (ROOT / package).rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in node.names
+    }
+    assert {each for each in imported if any(f"{each[0]}.".startswith(f"{part}.") for part in left_out)} == set()
+    assert "scipy.stats" in left_out
+    assert ("scipy.spatial.cKDTree", "aggregator/scoring/align.py") in imported
 
 
 def test_it_weighs_what_a_host_with_torch_weighs(python: Path, tmp_path: Path) -> None:
