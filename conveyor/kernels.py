@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 from numba import njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.np import linalg
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -19,8 +22,69 @@ def kernel(**options: Any) -> Callable[[F], F]:
     Args:
         options: numba's, as `nogil`, `error_model` or `fastmath`.
     """
-    compiled: Callable[[F], F] = njit(cache=True, **options)
+
+    def compiled(function: F) -> F:
+        dispatcher: Any = njit(**options)(function)
+        with suppress(RuntimeError):  # no folder can be written: it is compiled in each process
+            dispatcher._cache = _Kept(function)
+        found: F = dispatcher
+        return found
+
     return compiled
+
+
+class _Files(IndexDataCacheFile):
+    """numba's files of one function, whole at every moment: the power may go at any of them."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """The index names what is on the disk and nothing else.
+
+        numba's own names it before: cut off then, a changed function was taken for compiled where an older one's code
+        lay under that name.
+        """
+        named = self._load_index()
+        if key not in named:
+            self._save_index(named)  # for an older file of the function, this is an empty one
+        name = named.get(key) or self._data_name(len(named) + 1)
+        self._save_data(name, data)
+        self._save_index({**named, key: name})
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[IO[bytes]]:
+        with super()._open_for_write(filepath) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+
+
+class _Kept(FunctionCache):
+    """What is kept of one function. Where it cannot be read or written the function is compiled, and nothing ends."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _Files(self.cache_path, self._impl.filename_base, stamp)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # pickle has no one word for damage
+            self._tell("read", error)
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception as error:  # a full disk, and what stood there is damaged too
+            self._tell("kept", error)
+
+    def _tell(self, what: str, error: Exception) -> None:
+        logging.getLogger("kernels").warning(
+            "%s: what was compiled of it in %s cannot be %s, so it is compiled again: %s",
+            self._impl.filename_base, self.cache_path, what, error,
+        )  # fmt: skip
 
 
 def _leave_blas() -> None:
@@ -69,8 +133,9 @@ def compiled_once(what: str) -> Iterator[None]:
 
     _nothing()
     with ExitStack() as stack:
-        if _nothing.stats.cache_misses:  # type: ignore[attr-defined]
+        folder = _nothing.stats.cache_path  # type: ignore[attr-defined]
+        if folder is not None and _nothing.stats.cache_misses:  # type: ignore[attr-defined]
             with suppress(OSError):  # where nothing can be kept each has to compile
-                lock = Path(_nothing.stats.cache_path) / f"compiling-{what}.lock"  # type: ignore[attr-defined]
+                lock = Path(folder) / f"compiling-{what}.lock"
                 fcntl.flock(stack.enter_context(lock.open("wb")), fcntl.LOCK_EX)
         yield

@@ -75,3 +75,64 @@ def test_of_processes_that_begin_together_one_compiles(tmp_path: Path) -> None:
         told.append(sorted(said.stdout.split()))
     assert told == [["0", "0", "1"], ["0", "0", "0"]]
     assert [*tmp_path.rglob("compiling-squares.lock")]
+
+
+CUT_OFF = """
+import os, resource, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from numba import config
+from numba.core.caching import IndexDataCacheFile
+from conveyor.kernels import load_compiler
+
+load_compiler()
+sys.dont_write_bytecode = True
+
+def start(before=lambda: None):
+    read, write = os.pipe()
+    if os.fork() == 0:
+        before()
+        from ours import squares
+        os.write(write, b"%d %d" % (squares(4), sum(squares.stats.cache_misses.values())))
+        os._exit(0)
+    os.close(write)
+    os.wait()
+    return os.read(read, 99).decode()
+
+def power_goes():
+    IndexDataCacheFile._save_data = lambda *_: os._exit(9)
+
+def disk_is_full():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+
+def no_folder():
+    config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = "/proc/none", "UserProvidedCacheLocator"
+
+def file(ending):
+    return next(Path(os.environ["NUMBA_CACHE_DIR"]).rglob(f"ours.squares-*{ending}"))
+
+def halve(ending):
+    os.truncate(file(ending), file(ending).stat().st_size // 2)
+
+assert (start(), start()) == ("30 1", "30 0"), "what was compiled is kept"
+for ending in (".nbi", ".nbc"):
+    for cut in (halve, lambda ending: os.truncate(file(ending), 0)):
+        cut(ending)
+        assert start(disk_is_full) == "30 1", "and cannot be mended"
+        assert (start(), start()) == ("30 1", "30 0"), ending
+ours = Path(sys.argv[1], "ours.py")
+ours.write_text(ours.read_text().replace("number * number", "number"))
+assert start(power_goes) == "", "an upgrade in place"
+assert (start(), start()) == ("10 1", "10 0"), "and not what the older one was compiled to"
+assert start(no_folder) == "10 1"
+"""
+
+
+def test_what_a_power_cut_left_of_compiled_kernels_is_compiled_again(tmp_path: Path) -> None:
+    """Each start ended at an empty file of numba's, for ever; one cut off within an upgrade ran the older code."""
+    (tmp_path / "ours.py").write_text(OURS, encoding="utf-8")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-c", CUT_OFF, str(tmp_path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert said.returncode == 0, said.stderr
+    assert "cannot be read, so it is compiled again: Ran out of input" in said.stderr
