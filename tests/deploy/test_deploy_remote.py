@@ -122,3 +122,12 @@ def test_make_refuses_what_nginx_would_misread(tmp_path: Path) -> None:
         )
         assert done.returncode == 2
         assert f"host '{host}'" in done.stderr
+
+
+def test_make_refuses_a_folder_that_nginx_cannot_enter(tmp_path: Path) -> None:
+    """It was to lie in /etc/tuberline, which install.sh closes: each request was answered by 500."""
+    command = [str(ROOT / "deploy/proxy/make"), "localhost", str(tmp_path / "closed/proxy"), "a", "b"]
+    (tmp_path / "closed").mkdir(mode=0o750)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"make: {tmp_path / 'closed'} may be entered by its owner alone" in done.stderr

@@ -116,9 +116,9 @@ PAGES: dict[str, Page] = {
         words={"10.0.0.1:9180": "127.0.0.1:9181"},
         shown={
             "tuberline watch tls/": HOSTS,
-            "deploy/proxy/make": PROXY,
+            "sudo deploy/proxy/make": PROXY,
             "printf": PROXY,
-            "nginx": PROXY,
+            "sudo nginx": PROXY,
             "TUBERLINE_SCREENSHOT": SUITE,
         },
     ),
