@@ -94,10 +94,15 @@ if [ "$uninstall" = yes ]; then
 fi
 [ $# -eq 1 ] || fail "give one LINE.toml; see --help"
 config=$1
+case $switch_to in
+'' | /*) ;;
+*) fail "--program $switch_to: name it from / on, such as /opt/tuberline-0.2/bin/tuberline; units start it from a folder of their own" ;;
+esac
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
 checked=$("$program" config show "$config" --json) || fail "fix $config first"
 
-# put SOURCE TARGET MODE: copy where the content differs, and say so. A power cut leaves the old file or the new one.
+# put SOURCE TARGET MODE: copy where the content differs, and say so. A power cut leaves the old file or the new one:
+# without a sync a file system keeps its name and nothing of what is in it.
 put() {
     changed=no
     target=$destdir$2
@@ -109,6 +114,7 @@ put() {
     [ ! -e "$target" ] || verb=updated
     mkdir -p "$(dirname "$target")"
     install -m "$3" "$1" "$target.part"
+    sync "$target.part"
     mv -f "$target.part" "$target"
     changed=yes
     echo "$verb   $2"
@@ -271,6 +277,15 @@ if [ "$changed" = yes ] && [ -z "$destdir" ] && command -v udevadm >/dev/null; t
     udevadm control --reload && udevadm trigger --subsystem-match=usb --subsystem-match=video4linux || true
 fi
 [ -e "$destdir/etc/tuberline/environment" ] || put "$here/systemd/environment" /etc/tuberline/environment 644
+if [ -z "$destdir" ]; then
+    runs=${switch_to:-$(sed -n 's/^TUBERLINE=//p' /etc/tuberline/environment | tail -n 1)}
+    runs=${runs:-/opt/tuberline/bin/tuberline}
+    case $runs in
+    /home/* | /root/* | /run/user/*) fail "$runs: units see no home; install Tuberline into /opt (docs/deploy.md)" ;;
+    esac
+    runuser -u tuberline -- "$runs" --version >/dev/null ||
+        fail "units start $runs, which the user tuberline cannot run: install it for all to read (umask 022), or name another with --program"
+fi
 for file in node prune; do
     put "$here/lib/$file" "/usr/local/lib/tuberline/$file" 755
 done
@@ -329,6 +344,7 @@ fi
 put "$nodes" "/etc/systemd/system/tuberline@$line.target.d/nodes.conf" 644
 
 if [ -z "$destdir" ]; then
+    sync # with the program, which was perhaps installed a moment ago: who sees "started" may switch off
     systemctl daemon-reload
     systemctl enable --quiet "tuberline@$line.target" prune-tuberline.timer
     echo "enabled   tuberline@$line.target prune-tuberline.timer"

@@ -24,10 +24,12 @@ ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer
 pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
 
 
-def install(destdir: Path, *options: str, config: Path | None = None) -> subprocess.CompletedProcess[str]:
+def install(
+    destdir: Path, *options: str, config: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(DEPLOY / "install.sh"), *options, str(config or DEPLOY / "examples" / "site.toml")],
-        env={**os.environ, "DESTDIR": str(destdir), "TUBERLINE": str(TUBERLINE)},
+        env={**os.environ, "DESTDIR": str(destdir), "TUBERLINE": str(TUBERLINE), **environment},
         capture_output=True,
         text=True,
         check=False,
@@ -128,9 +130,14 @@ def test_each_host_gets_its_own_certificates_and_never_the_authoritys_key(tmp_pa
     from tuberline.cli.certs import make
 
     make(DEPLOY / "examples" / "site.toml", out=tmp_path / "certs")
-    root = tmp_path / "root"
-    done = install(root, "--roles", "camera=left,regressor=barn,loader", "--certs", str(tmp_path / "certs"))
+    root, synced = tmp_path / "root", tmp_path / "synced"
+    (tmp_path / "sync").write_text(f'#!/bin/sh\n[ ! -e "${{1%.part}}" ] && echo "$1" >>{synced}; exec /bin/sync "$@"\n')
+    (tmp_path / "sync").chmod(0o755)
+    options = ("--roles", "camera=left,regressor=barn,loader", "--certs", str(tmp_path / "certs"))
+    done = install(root, *options, PATH=f"{tmp_path}:{os.environ['PATH']}")
     assert done.returncode == 0, done.stderr
+    written = {f"{root / name}.part" for name in contents(root)}
+    assert set(synced.read_text().splitlines()) == written, "before it has its name: a power cut left 44 empty files"
     assert "loader@" not in done.stdout, "a loader is a certificate, not a unit"
     folder = root / "etc/tuberline/certs"
     stems = ("operator", "camera.left", "regressor", "loader")
@@ -157,6 +164,7 @@ def test_an_upgrade_is_one_line_of_one_file(tmp_path: Path) -> None:
         (("--roles", "camera=top"), "camera 'top' is not in"),
         (("--roles", "camera=left,loader"), "role loader is a certificate: give --certs DIR"),
         (("--program", "/nowhere/tuberline"), "/nowhere/tuberline is not there: install Tuberline into"),
+        (("--program", os.path.relpath(TUBERLINE)), "name it from / on, such as /opt/tuberline-0.2/bin/tuberline"),
         (("--frobnicate",), "unknown option --frobnicate"),
         (("--certs", "/nowhere"), "/nowhere/operator.pem is not there"),
     ],
