@@ -97,6 +97,20 @@ def test_what_was_written_just_now_stays(tmp_path: Path) -> None:
     assert left(tmp_path) == ["copy", "field-20260914T070000Z.mcap"]
 
 
+def test_a_wrong_clock_keeps_no_room_and_removes_nothing_by_age(tmp_path: Path) -> None:
+    """What was dated later than now was taken for being written, and the ledger's disk filled. And systemd removed what
+    was 30 days old, without a word: all of them at once, when the clock was set right."""
+    recordings(tmp_path, "new.mcap", "old.mcap")
+    for name, hours in (("later.mcap", 9000), ("latest.mcap", 9001)):
+        (tmp_path / name).write_bytes(b"x" * 10_000)
+        os.utime(tmp_path / name, (time.time() + hours * HOUR_S,) * 2)
+    done = prune(tmp_path)
+    assert left(tmp_path) == ["latest.mcap"]
+    assert done.stdout.index("old.mcap") < done.stdout.index("new.mcap") < done.stdout.index("later.mcap")
+    aged = (ROOT / "deploy/systemd/tmpfiles.conf").read_text(encoding="utf-8").splitlines()
+    assert {line.split()[-1] for line in aged if not line.startswith("#")} == {"-"}
+
+
 def test_names_with_blanks_line_ends_and_signs_are_taken_as_they_are(tmp_path: Path) -> None:
     """A name with a line end was never found, and prune went round forever; one with a sign was a pattern to it."""
     odd = ("-rf", "two words.mcap", "[a-z]*.mcap", "*", "a+b/", "back\\slash", " blank ", "ümlaut.mcap")
