@@ -43,7 +43,7 @@ from tuberline.doctor.examine import Live, examine, look
 from tuberline.doctor.gpu import check_gpu
 from tuberline.doctor.line import ClockWatch, check_clocks, check_nodes, check_versions
 from tuberline.doctor.link import check_certificates, check_port
-from tuberline.doctor.machine import check_disk, check_locked_memory, check_processors, check_usb
+from tuberline.doctor.machine import check_clock, check_disk, check_locked_memory, check_processors, check_usb
 from tuberline.doctor.weights import check_tickets
 
 NOW = datetime(2026, 5, 1, tzinfo=UTC)
@@ -130,6 +130,21 @@ def test_what_a_disk_refuses_is_told_with_what_helps(
     found = only(check_disk(tmp_path, what="the ledger"))
     assert (found.level, found.text) == (Level.FAULT, f"{tmp_path} cannot be written: {os.strerror(number)}")
     assert found.fix.startswith(fix)
+
+
+def test_a_clock_before_what_was_written_here_is_told(tmp_path: Path) -> None:
+    """A computer without a clock of its own starts in 1970: a line counted, and its loads stood under that day."""
+    assert only(check_clock(tmp_path, now_s=time.time())).level is Level.OK
+    (tmp_path / "ledger.db").touch()
+    os.utime(tmp_path / "ledger.db", (4e9, 4e9))
+    assert only(check_clock(tmp_path, now_s=4e9 - 3000)).level is Level.OK
+    late = only(check_clock(tmp_path, now_s=4e9 - 9000))
+    assert (late.level, late.text) == (
+        Level.WARNING,
+        f"it says 2096-10-02 04:36 UTC, and {tmp_path / 'ledger.db'} was written 2.5 hours later",
+    )
+    assert "was written" in only(check_clock(tmp_path / "none", now_s=30)).text
+    assert late.fix.startswith("set it (`timedatectl set-time`")
 
 
 def test_processors_and_locked_memory() -> None:

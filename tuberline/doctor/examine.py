@@ -71,8 +71,10 @@ def examine(
     findings = machine.check_disk(config.aggregator.out, what="the ledger")
     if config.segmenter.state_dir:
         findings += machine.check_disk(config.segmenter.state_dir, what="the camera log")
+    now = datetime.now(UTC)
+    findings += machine.check_clock(config.aggregator.out, now_s=now.timestamp())
     findings += machine.check_processors(config) + machine.check_locked_memory() + machine.check_usb(config)
-    findings += check_places(config) + link.check_certificates(config, now=datetime.now(UTC))
+    findings += check_places(config) + link.check_certificates(config, now=now)
     on_work("weighing the reference clouds", 1, 4)
     findings += _weights(config) + check_tickets(config) + check_gpu(config)
     on_work("listening to the line", 2, 4)

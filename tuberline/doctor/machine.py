@@ -1,4 +1,4 @@
-"""Checks of the machine itself: disk, processors, locked memory, USB."""
+"""Checks of the machine itself: disk, clock, processors, locked memory, USB."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import resource
 import shutil
 import tempfile
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from conveyor.config import LineConfig
@@ -17,6 +18,8 @@ from tuberline.doctor.finding import Finding, fault, ok, warning
 
 LITTLE_DISK_GB, NO_DISK_GB = 5.0, 0.5
 SLOW_SYNC_MS = 250.0
+CLOCK_BEHIND_S = 3600.0
+"""More than a summer time that was taken for a fault; by less no load changes its day."""
 USB3_MBIT = 5000
 INTEL_USB = "8086"
 
@@ -61,6 +64,18 @@ def _sync_ms(folder: Path) -> float:
         file.flush()
         os.fsync(file.fileno())
         return 1e3 * (time.perf_counter() - begun)
+
+
+def check_clock(ledger: Path, *, now_s: float) -> list[Finding]:
+    """The clock is not before what was written here: many field computers have none that runs while they are off."""
+    written = [file for file in (Path(__file__), ledger / "ledger.db") if file.exists()]
+    newest = max(written, key=lambda file: file.stat().st_mtime)
+    behind_s, at = newest.stat().st_mtime - now_s, datetime.fromtimestamp(now_s, UTC)
+    if behind_s < CLOCK_BEHIND_S:
+        return [ok("clock", f"{at:%Y-%m-%d %H:%M} UTC, later than what was written here")]
+    text = f"it says {at:%Y-%m-%d %H:%M} UTC, and {newest} was written {behind_s / 3600:.1f} hours later"
+    fix = "set it (`timedatectl set-time`, or from a time server): loads stand under its day, certificates go by it"
+    return [warning("clock", text, fix)]
 
 
 def check_processors(config: LineConfig, *, cores: int | None = None) -> list[Finding]:
