@@ -6,6 +6,7 @@ memory when a publisher restarts and lose frames silently under container limits
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import queue
@@ -101,9 +102,9 @@ def open_router(link: LinkConfig, *, access_control: dict[str, Any] | None = Non
     try:
         return zenoh.open(_config(router_settings(link, access_control=access_control)))
     except zenoh.ZError as error:
-        raise LinkError(
-            f"cannot listen on {', '.join(endpoints)}: {short_reason(error)}; is a router running there?"
-        ) from error
+        away = f"os error {errno.EADDRNOTAVAIL})" in str(error)
+        hint = "this machine has no such address now" if away else "is a router running there?"
+        raise LinkError(f"cannot listen on {', '.join(endpoints)}: {short_reason(error)}; {hint}") from error
 
 
 def client_settings(link: LinkConfig, *, name: str, timeout_ms: int | None = None) -> dict[str, Any]:

@@ -340,6 +340,16 @@ def test_uninstalling_takes_the_units_and_leaves_what_was_written(tmp_path: Path
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed: units unchecked")
+def test_no_unit_waits_for_a_network() -> None:
+    """A line of one machine began two minutes late where no address came: make boot shows it."""
+    units = [file.read_text(encoding="utf-8") for file in (DEPLOY / "systemd").rglob("*") if file.is_file()]
+    ordered = {
+        word for text in units for line in re.findall("^(?:After|Wants)=(.*)", text, re.M) for word in line.split()
+    }
+    assert "network.target" in ordered, "who stops while the network is there says goodbye"
+    assert not ordered & {"network-online.target", "time-sync.target"}
+
+
 def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
     units = tmp_path / "units"
     shutil.copytree(installed / "etc/systemd/system", units)
