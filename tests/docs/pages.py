@@ -53,7 +53,10 @@ PAGES: dict[str, Page] = {
     "docs/config.md": Page(given=("line_file",)),
     "docs/deploy.md": Page(
         shown={
-            "python3 -m venv /opt": MACHINE,
+            "sudo python3 -m venv": MACHINE,
+            "sudo /opt/tuberline": MACHINE,
+            "sudo ln": MACHINE,
+            "pip wheel": MACHINE,
             "sudo deploy/install.sh": MACHINE,
             "docker build": MACHINE,
             "cd deploy/docker": MACHINE,
