@@ -99,7 +99,16 @@ case $switch_to in
 *) fail "--program $switch_to: name it from / on, such as /opt/tuberline-0.2/bin/tuberline; units start it from a folder of their own" ;;
 esac
 command -v "$program" >/dev/null || fail "$program is not there: install Tuberline into /opt/tuberline (docs/deploy.md)"
-checked=$("$program" config show "$config" --json) || fail "fix $config first"
+# As units will read it, from a folder in which nothing else lies.
+beside=$(mktemp -d)
+nodes=$(mktemp)
+trap 'rm -rf "$beside" "$nodes"' EXIT
+cp "$config" "$beside/" 2>/dev/null || fail "$config cannot be read"
+copy=$beside/$(basename "$config")
+checked=$("$program" config show "$copy" --json 2>"$nodes") || {
+    sed "s|$copy|$config|g" "$nodes" >&2
+    fail "fix $config first"
+}
 
 # put SOURCE TARGET MODE: copy where the content differs, and say so. A power cut leaves the old file or the new one:
 # without a sync a file system keeps its name and nothing of what is in it.
@@ -235,6 +244,8 @@ case ,$roles in
 esac
 [ -n "$units$stems" ] || fail "--roles $roles leaves nothing to run for line '$line'"
 
+[ "$keep" = yes ] || echo "$checked" | python3 -S "$here/lib/paths.py" "$destdir" "$beside" "$units" || exit 2
+
 files=
 if [ -n "$certs" ]; then
     files=ca.pem # the authority's key stays where it was made
@@ -322,8 +333,6 @@ if [ -n "$token" ]; then
     own tuberline:tuberline "$destdir/etc/tuberline/page-token"
 fi
 
-nodes=$(mktemp)
-trap 'rm -f "$nodes"' EXIT
 # An upgrade's one step: a machine that loses its power before it runs the old program again, after it the new one.
 if [ -n "$switch_to" ]; then
     [ -n "$destdir" ] || sync # its files are on the disk before they are called

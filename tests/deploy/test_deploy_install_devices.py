@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.test_deploy_systemd import DEPLOY, TUBERLINE, contents, install
+from tests.deploy.test_deploy_systemd import DEPLOY, LEDGER, TUBERLINE, contents, install
 
 pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
 
@@ -17,8 +17,10 @@ SECTIONS = {
     "alarms": '[alarms]\nchannels = ["https://farm.example/alarms"]\n',
     "viewer": "[viewer]\n",
 }
-LIVE = 'name = "field"\n[cameras.left]\nsource = "realsense"\nserial = "000000000001"\nbelt_distance_m = 0.46\n'
-RECORDED = 'name = "field"\n[cameras.left]\npath = "/recording"\n'
+LIVE = (
+    'name = "field"\n[cameras.left]\nsource = "realsense"\nserial = "000000000001"\nbelt_distance_m = 0.46\n' + LEDGER
+)
+RECORDED = f'name = "field"\n{LEDGER}[cameras.left]\npath = "/recording"\n'
 
 
 def config(folder: Path, *sections: str, cameras: str = LIVE) -> Path:

@@ -20,6 +20,8 @@ from tuberline.cli import build_app
 DEPLOY = ROOT / "deploy"
 TUBERLINE = Path(sys.executable).with_name("tuberline")
 ROLES = "router,aggregator,camera=left,segmenter,regressor,regressor=barn,viewer=office,metrics,alarms,page"
+LEDGER = '[aggregator]\nout = "/var/lib/tuberline/field/ledger"\n'
+"""Of a line that units can run."""
 
 pytestmark = pytest.mark.skipif(not TUBERLINE.exists(), reason=f"{TUBERLINE} is not installed")
 
@@ -89,9 +91,9 @@ def test_installing_again_changes_nothing_and_says_so(installed: Path, site: Pat
 
 def test_an_installed_config_is_not_overwritten_unless_asked(tmp_path: Path) -> None:
     first = tmp_path / "first.toml"
-    first.write_text('name = "field"\n[cameras.left]\n')
+    first.write_text(f'name = "field"\n[cameras.left]\n{LEDGER}')
     second = tmp_path / "second.toml"
-    second.write_text('name = "field"\n[cameras.left]\n[regressor]\nprocesses = 1\n')
+    second.write_text(f'name = "field"\n[cameras.left]\n{LEDGER}[regressor]\nprocesses = 1\n')
     root = tmp_path / "root"
     install(root, config=first)
     said = install(root, config=second).stdout
@@ -106,7 +108,7 @@ def test_an_installed_config_is_not_overwritten_unless_asked(tmp_path: Path) -> 
 def test_what_runs_is_told_by_the_config_that_is_kept(tmp_path: Path) -> None:
     """A second install with one camera less stopped that camera, though the config kept on the host still had it."""
     (two := tmp_path / "two.toml").write_text(
-        'name = "site"\n[cameras.front]\npath = "/f"\n[cameras.rear]\npath = "/r"\n'
+        f'name = "site"\n[cameras.front]\npath = "/f"\n[cameras.rear]\npath = "/r"\n{LEDGER}'
     )
     (other := tmp_path / "other.toml").write_text(two.read_text().replace("rear", "side"))
     nodes = tmp_path / "root/etc/systemd/system/tuberline@site.target.d/nodes.conf"
