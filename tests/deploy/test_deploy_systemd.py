@@ -355,6 +355,7 @@ def test_no_unit_waits_for_a_network() -> None:
 def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
     units = tmp_path / "units"
     shutil.copytree(installed / "etc/systemd/system", units)
+    shutil.copy(DEPLOY / "proxy/proxy-tuberline.service", units)
     for unit in units.glob("*.service"):
         here = str(installed / "usr/local/lib/tuberline")
         unit.write_text(unit.read_text().replace("/usr/local/lib/tuberline", here))
@@ -372,7 +373,8 @@ def test_systemd_accepts_every_unit(installed: Path, tmp_path: Path) -> None:
 
     templates = sorted(unit.name.replace("@.", "@field.") for unit in units.glob("*@.service"))
     assert len(templates) == 12
-    for unit in (*templates, "tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer"):
+    others = ("tuberline@field.target", "prune-tuberline.service", "prune-tuberline.timer", "proxy-tuberline.service")
+    for unit in (*templates, *others):
         assert verify(unit) == ""
     common = units / "tuberline-.service.d" / "10-common.conf"
     common.write_text(common.read_text() + "WatchdogSex=1\n")
