@@ -58,6 +58,7 @@ def without_an_address(machine: Machine) -> None:
     network = machine.disk / "etc/systemd/network/10-host0.network"
     network.write_text("[Match]\nName=host0\n[Network]\nDHCP=yes\n", encoding="utf-8")
     machine.run("systemctl", "enable", WAITS)
+    machine.run("systemctl", "add-wants", "multi-user.target", "network-online.target")
 
 
 def has_not_waited(machine: Machine) -> str:
