@@ -244,7 +244,7 @@ case ,$roles in
 esac
 [ -n "$units$stems" ] || fail "--roles $roles leaves nothing to run for line '$line'"
 
-[ "$keep" = yes ] || echo "$checked" | python3 -S "$here/lib/paths.py" "$destdir" "$beside" "$units" || exit 2
+[ "$keep" = yes ] || printf '%s\n' "$checked" | python3 -S "$here/lib/paths.py" "$destdir" "$beside" "$units" || exit 2
 
 files=
 if [ -n "$certs" ]; then

@@ -92,7 +92,7 @@ def test_without_roles_what_the_file_has_runs(
 
 def test_what_a_shell_would_read_as_an_escape_is_a_part_of_the_name(tmp_path: Path) -> None:
     """dash's echo made a tab of the \\t in the file's JSON, and Python a traceback of the tab."""
-    file = config(tmp_path, "gnss", cameras=LIVE + '[aggregator]\ncultivar = "Agria\\tnew"\n')
+    file = config(tmp_path, "gnss", cameras=LIVE + 'cultivar = "Agria\\tnew"\n')
     done = install(tmp_path / "root", config=file)
     assert (done.returncode, done.stderr) == (0, "")
     assert devices(tmp_path / "root") == {"gnss"}
