@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from aggregator.core.balance import Equation, camera_equations, ledger_equations
 from aggregator.ledger.check import view_faults
-from aggregator.ledger.reader import RunRow, read_marks, read_sums
+from aggregator.ledger.reader import RunRow, moment_of, read_marks, read_sums, run_being_written
 from aggregator.ledger.schema import TUBER
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
@@ -30,6 +30,8 @@ class Audit:
     """Entries of a camera's log that could not be read: what they said is lost."""
     faults: tuple[str, ...] = ()
     """What is damaged in the ledger; an audit of sums alone looks for none."""
+    stopped: bool = False
+    """Not finished, and no line is writing it; an audit of sums alone does not look. It may go on later."""
 
     @property
     def balanced(self) -> bool:
@@ -43,6 +45,7 @@ class Audit:
         return {
             "run": self.run,
             "finished": self.finished,
+            "stopped": self.stopped,
             "balanced": self.balanced,
             "faults": list(self.faults),
             "cameras": {camera: sheet(mark) for camera, mark in self.marks.items()},
@@ -76,7 +79,8 @@ def audit_run(view: LedgerView, run: RunRow) -> Audit:
     """The balance sheet of `run`, finished or not, after every row of the ledger was verified and added up."""
     faults = tuple(view_faults(view))
     try:
-        return audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
+        found = audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
+        return replace(found, stopped=not run.finished and moment_of(run, run_being_written(view)).over)
     except LedgerError as error:
         return Audit(run.run, run.finished, dict.fromkeys(run.cameras), {}, {}, faults=(*faults, str(error)))
 

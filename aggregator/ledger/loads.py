@@ -5,18 +5,26 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from aggregator.ledger.reader import RunRow, read_runs, read_summary, read_sums
+from aggregator.ledger.reader import RunRow, moment_of, read_runs, read_summary, read_sums, run_being_written
 from aggregator.ledger.verified import LedgerView
 
 
 def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
-    """Runs of a ledger, the newest first: when begun, what they came to, whether they ended.
+    """Runs of a ledger, the newest first: when begun, what they came to, whether they ended ('final') or were stopped.
 
-    A run without a summary (it goes on, or its process was killed) is told by its sums: no interval then, and no
-    coverage.
+    A run without a summary (it goes on, was stopped, or its process was killed) is told by its sums: no interval then,
+    and no coverage.
     """
-    newest = read_runs(view)[::-1][:limit]
-    return [{"run": known.run, "started_unix_s": known.started_ns / 1e9, **_came_to(view, known)} for known in newest]
+    newest, written = read_runs(view)[::-1][:limit], run_being_written(view)
+    return [
+        {
+            "run": known.run,
+            "started_unix_s": known.started_ns / 1e9,
+            "stopped": not known.finished and moment_of(known, written).over,
+            **_came_to(view, known),
+        }
+        for known in newest
+    ]
 
 
 def _came_to(view: LedgerView, known: RunRow) -> dict[str, Any]:

@@ -12,8 +12,10 @@ from aggregator.core.load_orders import decide
 from aggregator.core.reasons import Unseen
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.at_rest import order_at_rest
+from aggregator.ledger.audit import audit_run
 from aggregator.ledger.check import check_file
 from aggregator.ledger.loads import last_loads
+from aggregator.ledger.reader import read_runs, reading
 from aggregator.ledger.writer import Ledger
 from conveyor.geometry import Intrinsics
 from conveyor.messages import CameraInfo, LoadOrder, Mark, TrackEntry, Travel
@@ -152,6 +154,9 @@ def test_the_newest_run_is_the_one_begun_last_though_the_clock_was_set_back(tmp_
             decided = {"run": run, "now_ns": started_s * SECOND_NS, "line": line, "place_x_m": lambda _: 0.0}
             ledger.say(decide(order, ledger.loads, **decided))  # type: ignore[arg-type]
         assert [row.run for row in ledger.runs()] == ["morning", "noon"]
-        assert [told["run"] for told in last_loads(ledger.view, limit=9)] == ["noon", "morning"]
+        told = [(run["run"], run["stopped"]) for run in last_loads(ledger.view, limit=9)]
+        assert told == [("noon", False), ("morning", True)], "the page called a run that was over 'open'"
     assert order_at_rest(path, LoadOrder("n", "note", by="test", note="wet")).name == "noon"
+    with reading(path) as view:
+        assert [audit_run(view, run).stopped for run in read_runs(view)] == [True, True]
     assert check_file(path) == []

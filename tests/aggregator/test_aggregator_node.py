@@ -199,7 +199,8 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
         check=False,
     )
     assert audited.returncode == 0, audited.stdout
-    assert json.loads(audited.stdout)["finished"] is False
+    told = json.loads(audited.stdout)
+    assert (told["finished"], told["stopped"]) == (False, True)
 
 
 def test_a_node_of_another_version_is_told_and_stands_in_the_summary(

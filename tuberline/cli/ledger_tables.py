@@ -66,9 +66,10 @@ def camera_table(audit: Audit) -> Table:
         if mark is None:
             table.add_row(camera, "never heard", "", "", "")
         else:
-            state = "ended" if mark.final else "running"
+            state = "ended" if mark.final else "stopped" if audit.stopped else "running"
             table.add_row(camera, state, *(_sheet(sheet) for sheet in (mark.frames, mark.views, mark.tracks)))
-    table.add_row("all", "finished" if audit.finished else "open", "", "", _sheet(dict(audit.tracks)))
+    state = "finished" if audit.finished else "stopped" if audit.stopped else "open"
+    table.add_row("all", state, "", "", _sheet(dict(audit.tracks)))
     return table
 
 

@@ -155,7 +155,7 @@ export class LineCard {
     return [
       when(past.started_unix_s), past.weight_g === null ? t("nothing_seen") : weight(past.weight_g),
       past.low_g === null ? "–" : t("range", { low: load(past.low_g, scale), high: load(past.high_g, scale) }),
-      number(past.count), percent(past.coverage), past.run, t(past.final ? "run.complete" : "run.open"),
+      number(past.count), percent(past.coverage), past.run, t(`run.${past.final ? "complete" : past.stopped ? "stopped" : "open"}`),
     ];
   }
 
