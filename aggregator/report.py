@@ -74,6 +74,7 @@ class Reporter:
         self._earlier: dict[int, tuple[tuple[int, int], list[HeightSums]]] = {}
         self._contract = read_contract(settings.contract) if settings.contract else None
         self._apart: tuple[int, float, tuple[CamerasApart, ...]] = (-APART_EVERY, -math.inf, ())
+        self._seen_before: dict[str, Seen] = {}
         self._devices_before: dict[str, list[Device]] | None = None
         self._over = False
         self.sheets: Mapping[str, Mapping[str, int]] = {}
@@ -114,9 +115,10 @@ class Reporter:
         """What cameras looked at, by run: of this run as it goes on, of others as they ended."""
         cameras, own = self._core.cameras, self._core.run
         runs = dict.fromkeys(run for load in self._ledger.loads.loads.values() for run, _ in load.spans)
-        found = {run: Seen(self._ledger.sums(run).sights, Moment(over=True)) for run in runs if run != own}
-        found[own] = Seen(cameras.sights, self._moment(now_s))
-        return found
+        for run in runs:
+            if run != own and run not in self._seen_before and (row := self._ledger.run_row(run)) is not None:
+                self._seen_before[run] = Seen.at_rest(row, self._ledger.sums(run))
+        return {**self._seen_before, own: Seen(cameras.sights, self._moment(now_s))}
 
     def ticket_remark(self, event: LoadEvent, now_s: float) -> str:
         """What is to be said of a ticket that was entered, in words; '' where nothing is."""

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.coverage import Moment
 from aggregator.core.load_orders import answer, decide, refusal
 from aggregator.core.loads import LoadEvent
 from aggregator.ledger.line_tickets import with_own
@@ -50,7 +49,7 @@ def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
 def _remark(path: Path, ledger: Ledger, event: LoadEvent) -> str:
     """What is to be said of a ticket that was entered; all runs are over."""
     runs = dict.fromkeys(run for load in ledger.loads.loads.values() for run, _ in load.spans)
-    seen = {run: Seen(ledger.sums(run).sights, Moment(over=True)) for run in runs}
+    seen = {row.run: Seen.at_rest(row, ledger.sums(row.run)) for row in ledger.runs() if row.run in runs}
     stated = stated_beside(path)
 
     def tickets() -> list[Ticket]:

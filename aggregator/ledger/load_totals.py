@@ -27,8 +27,10 @@ from aggregator.ledger.reader import (
     read_sums,
     reading,
     run_being_written,
+    sights_of,
 )
 from aggregator.ledger.stated import Stated, belt_of_run, stated_beside
+from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
 
@@ -52,6 +54,11 @@ class Seen:
 
     sights: Mapping[str, CameraSight]
     moment: Moment
+
+    @classmethod
+    def at_rest(cls, run: RunRow, sums: RunSums) -> Seen:
+        """Of a run that is over."""
+        return cls(sights_of(run, sums), Moment(over=True))
 
 
 def parts_of(ledger: Sums, run: str, load: int, seen: Seen) -> list[tuple[LoadSums, Coverage]]:
@@ -168,8 +175,7 @@ class ReadLoads:
         """What the cameras of each run looked at: it is over, but for the one that a line is writing."""
         found, written = {}, run_being_written(self._view)
         for name, run in self.runs.items():
-            sights = read_sums(self._view, name).sights
-            found[name] = Seen({c: sights.get(c, CameraSight()) for c in run.cameras}, moment_of(run, written))
+            found[name] = Seen(sights_of(run, read_sums(self._view, name)), moment_of(run, written))
         return found
 
     def whole(self, run: RunRow) -> LoadCounted:

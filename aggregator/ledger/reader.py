@@ -244,10 +244,14 @@ def moment_of(run: RunRow, written: str | None) -> Moment:
     return Moment(over=run.finished or run.run != written)
 
 
+def sights_of(run: RunRow, sums: RunSums) -> dict[str, CameraSight]:
+    """What each camera of a run looked at; one that never sent a mark looked at nothing, which is not no camera."""
+    return {camera: sums.sights.get(camera, CameraSight()) for camera in run.cameras}
+
+
 def coverage_of(run: RunRow, sums: RunSums, moment: Moment | None = None) -> Coverage:
     """What of a run's belt was seen, as its ledger knows it; `moment` as by `moment_of`, else the run is over."""
-    sights = {camera: sums.sights.get(camera, CameraSight()) for camera in run.cameras}
-    return coverage(sights, seen_by=sums.load.seen_by, moment=moment or Moment(over=True))
+    return coverage(sights_of(run, sums), seen_by=sums.load.seen_by, moment=moment or Moment(over=True))
 
 
 def entry_checksum(payload: bytes) -> int:

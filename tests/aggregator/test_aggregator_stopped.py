@@ -13,7 +13,7 @@ import pytest
 
 from aggregator.core.coverage import Moment, at_rest, coverage
 from aggregator.core.sight import CameraSight
-from aggregator.ledger.load_totals import ReadLoads
+from aggregator.ledger.load_totals import ReadLoads, Seen
 from aggregator.ledger.reader import coverage_of, moment_of, read_runs, read_sums, reading, run_being_written
 from aggregator.ledger.receipt import is_being_written
 from aggregator.ledger.writer import Ledger
@@ -93,6 +93,9 @@ def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_pa
         with reading(path) as view:
             assert run_being_written(view) == "next"
             assert (ReadLoads(view).whole(run).coverage or 0.0) < 0.9, "the stopped run was told as one that goes on"
+        new = ledger.run_row("next")
+        assert new is not None
+        assert Seen.at_rest(new, ledger.sums("next")).sights.keys() == set(run.cameras), "cameras that never looked"
 
 
 def test_a_ledger_knows_of_a_run_that_it_was_stopped_until_it_goes_on(tmp_path: Path) -> None:
