@@ -18,13 +18,17 @@ Floats = NDArray[np.float64]
 CONTRADICTS_SD = 3.5
 """A ticket this many standard deviations from what the others (or, alone, the prior) allow is named."""
 
+DOUBTFUL_SD = 2.0
+"""A ticket farther than this from what all others say counts as if it were just so far: its variance grows."""
+
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
     """A ticket and what the others say of it.
 
     Attributes:
-        expected_g: by the correction of the others. apart, sd: ln of ticket over that, and what it may be.
+        expected_g: by the correction of the others, those among them that others contradict counted for little.
+            apart, sd: ln of ticket over that, and what it may be.
     """
 
     ticket: Ticket
@@ -52,16 +56,21 @@ class LeftOut:
         )
 
 
-def left_out_z(tickets: Sequence[Ticket], prior: Prior) -> Floats:
-    """(tickets,) standard deviations that each lies from what the others say."""
-    return np.array([entry.z for entry in _each_left_out(tuple(tickets), prior)])
+@lru_cache(maxsize=32)
+def doubts(tickets: tuple[Ticket, ...], prior: Prior) -> Floats:
+    """(tickets,) by what each ticket's variance is multiplied for what the others, taken as they are, say of it."""
+    alike = np.ones(len(tickets))
+    z = np.array([_left_out(tickets, n, prior, alike).z for n in range(len(tickets))])
+    return np.maximum(1.0, (z / DOUBTFUL_SD) ** 2)
 
 
 def leave_one_out(tickets: Sequence[Ticket], model: str, prior: Prior) -> tuple[LeftOut, ...]:
     """Every ticket of `model` against the others in use; those set aside against all in use."""
     known = usable(tickets, model)
     aside = sorted((t for t in tickets if t.model == model and t.set_aside), key=lambda t: t.key)
-    return (*_each_left_out(known, prior), *(_left_out((*known, ticket), len(known), prior) for ticket in aside))
+    doubt = np.append(_doubts_of_others(known, prior), 1.0)
+    judged = (_left_out((*known, ticket), len(known), prior, doubt) for ticket in aside)
+    return (*_each_left_out(known, prior), *judged)
 
 
 def contradicting(tickets: Sequence[Ticket], model: str, *, stated_offset_mm: float) -> list[LeftOut]:
@@ -84,12 +93,18 @@ def contradicting_all(tickets: Sequence[Ticket]) -> list[LeftOut]:
 
 @lru_cache(maxsize=32)
 def _each_left_out(tickets: tuple[Ticket, ...], prior: Prior) -> tuple[LeftOut, ...]:
-    return tuple(_left_out(tickets, n, prior) for n in range(len(tickets)))
+    doubt = _doubts_of_others(tickets, prior)
+    return tuple(_left_out(tickets, n, prior, doubt) for n in range(len(tickets)))
 
 
-def _left_out(tickets: Sequence[Ticket], n: int, prior: Prior) -> LeftOut:
+def _doubts_of_others(tickets: tuple[Ticket, ...], prior: Prior) -> Floats:
+    """As `doubts`; but of two tickets that contradict each other none says which one is wrong: each is believed."""
+    return doubts(tickets, prior) if len(tickets) > 2 else np.ones(len(tickets))
+
+
+def _left_out(tickets: Sequence[Ticket], n: int, prior: Prior, doubt: Floats) -> LeftOut:
     ticket = tickets[n]
-    others = fit((*tickets[:n], *tickets[n + 1 :]), prior, cultivar=ticket.cultivar)
+    others = fit((*tickets[:n], *tickets[n + 1 :]), prior, cultivar=ticket.cultivar, doubt=np.delete(doubt, n))
     apart, variance = difference(ticket, others)
     return LeftOut(ticket, ticket.ticket_g / float(np.exp(apart)), apart, float(np.sqrt(variance)))
 

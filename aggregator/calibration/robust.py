@@ -8,17 +8,13 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aggregator.calibration.correction import Correction, Prior, fit, prior_sds, usable
 from aggregator.calibration.evidence import gather, sum_tickets
-from aggregator.calibration.leave_one_out import left_out_z
+from aggregator.calibration.leave_one_out import doubts
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
 from conveyor.statistics import NORMAL_90
-
-DOUBTFUL_SD = 2.0
-"""A ticket farther than this from what all others say counts as if it were just so far: its variance grows."""
 
 NUMBERS = (0, 1, 2, 3, 5, 10)
 TYPICAL_TICKET_SD = 0.005
@@ -27,19 +23,14 @@ TYPICAL_TICKET_SD = 0.005
 def correction_of(tickets: Sequence[Ticket], model: str, prior: Prior, *, cultivar: str = "") -> Correction:
     """The correction that the tickets of `model` give for tubers of `cultivar`; without tickets it is the prior.
 
-    A ticket that the others contradict counts for little (`DOUBTFUL_SD`) and widens what is left.
+    A ticket that the others contradict counts for little (`leave_one_out.DOUBTFUL_SD`) and widens what is left.
     """
     return _correction_of(usable(tickets, model), model, prior, cultivar)
 
 
 @lru_cache(maxsize=32)
 def _correction_of(tickets: tuple[Ticket, ...], model: str, prior: Prior, cultivar: str) -> Correction:
-    return fit(tickets, prior, cultivar=cultivar, doubt=_doubt(tickets, prior), model=model)
-
-
-def _doubt(tickets: tuple[Ticket, ...], prior: Prior) -> NDArray[np.float64]:
-    """(tickets,) by what each ticket's variance is multiplied for what the others say of it."""
-    return np.maximum(1.0, (left_out_z(tickets, prior) / DOUBTFUL_SD) ** 2)
+    return fit(tickets, prior, cultivar=cultivar, doubt=doubts(tickets, prior), model=model)
 
 
 def expected_accuracy(
@@ -65,7 +56,7 @@ def expected_accuracy(
     scale_g = weight_g * now.factor[0] * (1.0 + per_mm * now.offset_mm[0])
     more = Ticket("", model, scale_g, TYPICAL_TICKET_SD * scale_g, weight_g, 0.0, 1.0, per_mm_g=per_mm * weight_g)
     more = replace(more, stated_offset_mm=prior.stated_offset_mm, cultivar=cultivar)
-    widths, doubt = {}, _doubt(known, prior)
+    widths, doubt = {}, doubts(known, prior)
     for number in numbers:
         tickets = (*known, *[more] * number)
         found = gather(tickets, now.mean, now.cultivars, np.concatenate([doubt, np.ones(number)]))

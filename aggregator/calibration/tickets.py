@@ -226,7 +226,7 @@ def read_tickets(path: Path) -> tuple[Ticket, ...]:
     """The tickets in the JSON file at `path`, of this format or that of version 0.1.
 
     Raises:
-        InputError: unreadable, of another format, or with a ticket that cannot be one.
+        InputError: unreadable, of another format, with a ticket that cannot be one, or with two of the same.
     """
     raw = read_json(path, what="tickets")
     version = raw.get("format") if isinstance(raw, dict) else None
@@ -236,7 +236,15 @@ def read_tickets(path: Path) -> tuple[Ticket, ...]:
             f"version reads formats {OLD_FORMAT} and {FORMAT}"
         )
     names = tuple(Ticket.__dataclass_fields__)[: 7 if version == OLD_FORMAT else None]
-    return tuple(_ticket(item, names, f"tickets {path}: ticket {n}") for n, item in enumerate(raw["tickets"]))
+    found = [_ticket(item, names, f"tickets {path}: ticket {n}") for n, item in enumerate(raw["tickets"])]
+    first: dict[tuple[str, str, str], int] = {}
+    for n, ticket in enumerate(found if version == FORMAT else ()):
+        if first.setdefault(ticket.key, n) < n:
+            raise InputError(
+                f"tickets {path}: ticket {n} is of {ticket.name}, as ticket {first[ticket.key]} is: the scale would "
+                "count twice; keep one of the two"
+            )
+    return tuple(found)
 
 
 _TEXTS = ("run", "model", "kind", "part", "cultivar", "set_aside")

@@ -126,6 +126,9 @@ def test_a_figure_that_is_none_is_named(tmp_path: Path) -> None:
     path.write_text(json.dumps(raw))
     with pytest.raises(InputError, match="ticket_sd_g is 'much'"):
         read_tickets(path)
+    write_tickets(path, (ticket(0.95), ticket(0.96)))  # a line that was copied by hand counted twice
+    with pytest.raises(InputError, match=r"ticket 1 is of load of run .*, as ticket 0 is: .* would count twice"):
+        read_tickets(path)
 
 
 def test_a_file_of_version_0_1_is_read_as_loads(tmp_path: Path) -> None:
