@@ -35,7 +35,7 @@ class GnssNode:
 
     def run(self) -> None:
         """Read, keep and publish; a receiver that is gone is opened again, with back-off, forever."""
-        with PositionsWriter(self._path) as file, self._node as node:
+        with self._node as node, PositionsWriter(self._path) as file:
             out = ReliablePublisher(node, topics.POSITION, receiver=node.name)
             for counter in COUNTED:
                 node.counters.add(counter, 0)

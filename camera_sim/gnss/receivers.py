@@ -84,7 +84,7 @@ class _Recorded:
             fix_ns, started_s = self._began = self._began or (fix.fix_ns, time.monotonic())
             left_s = (fix.fix_ns - fix_ns) / 1e9 - (time.monotonic() - started_s)
             if left_s > 0 and self._wait(left_s):
-                raise EOFError
+                return None
         return line
 
     @property

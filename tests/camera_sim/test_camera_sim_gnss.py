@@ -19,8 +19,8 @@ pytest.importorskip("pynmeagps")
 
 from camera_sim.gnss.receivers import open_receiver
 from camera_sim.gnss.simulated import simulated_drive
-from conveyor.config import LineConfig, LinkConfig, dump_toml
-from conveyor.errors import ConfigError, DeviceError, InputError, StorageError
+from conveyor.config import AggregatorConfig, LineConfig, LinkConfig, dump_toml
+from conveyor.errors import PERMANENT, ConfigError, DeviceError, InputError, StorageError
 from conveyor.formats.nmea import NmeaFixes
 from conveyor.formats.positions import COLUMNS, PositionsWriter, read_positions
 from conveyor.geometry import EARTH_M_PER_DEG
@@ -156,6 +156,16 @@ def test_a_source_that_is_none_or_not_there_is_told() -> None:
         open_receiver("serial:/dev/no-such-port", wait=lambda s: False)
 
 
+def test_a_recorded_file_that_is_stopped_has_not_ended(tmp_path: Path) -> None:
+    """A stopped node told that its positions had ended, in the middle of them."""
+    path = tmp_path / "drive.nmea"
+    path.write_bytes(rmc("100000.00", "140926") + gga("100000.00") + gga("100030.00"))
+    source = open_receiver(f"file:{path}", wait=lambda s: True)
+    assert [source.read() is not None for _ in range(3)] == [True, True, False]
+    with pytest.raises(EOFError):
+        source.read()
+
+
 def test_a_simulated_machine_drives_row_by_row() -> None:
     drive = simulated_drive("row_m=70&width_m=3&turn_s=10&hz=5")
     north_m = [round((drive.at(s)[0] - drive.lat) * EARTH_M_PER_DEG, 3) for s in (0, 25, 50, 60, 85, 110)]
@@ -203,6 +213,7 @@ def receiver(port: int, greeting: bytes, clocks: list[str]) -> Iterator[list[byt
 @pytest.mark.graph
 @pytest.mark.parametrize("scheme", ["tcp", "gpsd"])
 def test_a_receiver_that_hangs_up_is_asked_again_and_all_is_kept(link: LinkConfig, tmp_path: Path, scheme: str) -> None:
+    """A second process of its name was refused only after it had opened the positions of the first."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     config = LineConfig.model_validate(
@@ -225,6 +236,12 @@ def test_a_receiver_that_hangs_up_is_asked_again_and_all_is_kept(link: LinkConfi
                 wait_until(lambda: counted("positions") >= 6, what="positions of two connections")
             if scheme == "gpsd":
                 assert said[0].startswith(b'?WATCH={"enable":true,"nmea":true}')
+            else:
+                other = config.model_copy(update={"aggregator": AggregatorConfig(out=tmp_path / "other")})
+                (tmp_path / "other.toml").write_text(dump_toml(other))
+                second = [sys.executable, "-m", "tuberline", "gnss", "--config", tmp_path / "other.toml", "--run", "r"]
+                assert subprocess.run(second, check=False, capture_output=True, timeout=60).returncode == PERMANENT
+                assert not (tmp_path / "other").exists()
         node.send_signal(signal.SIGTERM)
         assert node.wait(30) == 0
     finally:
