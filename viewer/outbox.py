@@ -1,7 +1,8 @@
 """The bounded queue between the scene and a sink: putting never waits, whatever the sink does.
 
 Two kinds of room. Heavy entries (pictures, clouds) have one slot per path and the newest wins; light ones (weights,
-totals, log) a queue in order, whose oldest give way when it is full. Every loss is counted, and at any moment
+totals, log) a queue in order, whose oldest give way when it is full; not what always holds, or that another run begins:
+that is said once, and later entries cannot be drawn without it. Every loss is counted, and at any moment
 offered = taken + dropped_superseded + dropped_full + waiting.
 """
 
@@ -78,7 +79,8 @@ class Outbox:
         if not entry.heavy:
             if len(self._light) < self._light_capacity:
                 return "", 0
-            self._light.popleft()
+            # Of no moment: lenses, poses, another run. They are few, one for each path.
+            del self._light[next((n for n, waiting in enumerate(self._light) if waiting.moment is not None), 0)]
             return "full", 1
         if self._heavy.pop(entry.path, None) is not None:
             return "superseded", 1

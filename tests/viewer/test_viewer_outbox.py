@@ -9,7 +9,7 @@ import pytest
 
 from conveyor.counters import CounterSet
 from viewer.outbox import Outbox
-from viewer.scene.primitives import Entry, LogLine, Moment, NewRun, Number
+from viewer.scene.primitives import Entry, Lane, LogLine, Moment, NewRun, Number
 
 
 def light(n: int) -> Entry:
@@ -59,6 +59,22 @@ def test_a_new_run_discards_the_pictures_of_the_old_one() -> None:
     box.put(Entry("run", NewRun("two"), None))
     assert [e.primitive for e in box.take(0.0)] == [NewRun("two")]
     assert counters.get("x_dropped_superseded") == 1
+
+
+def test_what_always_holds_and_another_run_are_never_what_gives_way() -> None:
+    """They were the oldest, for a hub that was away: its pictures came without a lens, which ended Foxglove's sink; a
+    run was drawn into the recording of the one before.
+    """
+    box, counters = outbox(light_capacity=4)
+    kept = [Entry("/lane", Lane(), None), Entry("run", NewRun("two"), None)]
+    for entry in kept:
+        box.put(entry)
+    for n in range(5):
+        box.put(light(n))
+    batch = box.take(0.0)
+    assert batch[:2] == kept
+    assert [e.moment.captured_ns for e in batch if e.moment] == [3, 4]
+    assert counters.get("x_dropped_full") == 3
 
 
 def test_taking_wakes_up_for_an_entry_and_for_the_end() -> None:
