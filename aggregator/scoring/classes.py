@@ -8,6 +8,7 @@ from typing import Any
 from aggregator.ledger.class_list import classes_of_run
 from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import ledger_file, reading, the_run
+from aggregator.scoring.truth import truth_file
 from conveyor.contract import Contract
 from conveyor.errors import InputError
 from conveyor.messages.base import plain
@@ -22,7 +23,7 @@ def true_percents(truth: Path, contract: Contract) -> list[float]:
     Raises:
         InputError: the truth does not say how large its tubers are by that measure.
     """
-    key = TRUE_KEYS[contract.measure]
+    key, truth = TRUE_KEYS[contract.measure], truth_file(truth)
     told = read_json(truth, what="truth")
     try:
         tubers = [(float(row[key]), float(row["weight_g"])) for row in told["tubers"]]

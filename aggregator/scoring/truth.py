@@ -9,6 +9,7 @@ from typing import Any
 from conveyor.errors import InputError
 from conveyor.text_files import read_json
 
+TRUTH_FILE = "truth.json"
 LARGEST = 1e9
 """Beyond it is no place in metres, no weight in grams and no length in millimetres."""
 
@@ -24,12 +25,18 @@ class TrueTuber:
     length_mm: float
 
 
+def truth_file(path: Path) -> Path:
+    """The file itself, of a recording's folder the truth.json in it."""
+    return path / TRUTH_FILE if path.is_dir() else path
+
+
 def read_truth(path: Path) -> list[TrueTuber]:
-    """The tubers of `path`, in its order; further keys are allowed.
+    """The tubers of `path`, in its order; further keys are allowed. Of a folder, those of the truth.json in it.
 
     Raises:
         InputError: no such file, not JSON, or a key is missing or of the wrong kind; the text names it.
     """
+    path = truth_file(path)
     raw = read_json(path, what="truth")
     if not isinstance(raw, dict) or not isinstance(raw.get("tubers"), list):
         raise InputError(f"truth {path} has no list 'tubers'; see docs/formats.md")

@@ -142,9 +142,10 @@ def test_a_truth_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
     tubers = [{"id": 1, "place_x_m": 0, "place_y_m": 0, "weight_g": 5, "length_mm": 60}]
     path.write_text(json.dumps({"tubers": tubers}), encoding="utf-8-sig")
-    assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 60.0)]
     contract = Contract(measure="length", classes=(SizeClass(name="all"),))
-    assert true_percents(path, contract) == [100.0]
+    for named in (path, tmp_path):
+        assert read_truth(named) == [TrueTuber("1", 0.0, 0.0, 5.0, 60.0)], "of a folder its truth.json"
+        assert true_percents(named, contract) == [100.0]
 
 
 def test_a_folder_without_a_ledger_is_named(tmp_path: Path) -> None:

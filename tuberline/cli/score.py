@@ -24,7 +24,7 @@ def score(
     run_dir
         Folder of a run (with its ledger.db), or the ledger itself.
     truth
-        The recording's truth.json.
+        The recording's truth.json, or the folder that holds it.
     match_mm
         A counted tuber and a true one farther apart than this are two.
     run
