@@ -104,7 +104,7 @@ def _of_two_runs(one: bytes, other: bytes) -> bool:
 
 
 class McapSource:
-    """Frames of one camera in file order: a jump of the camera's clock does not reorder them.
+    """Frames of one camera by their numbers, in file order: a jump of the camera's clock does not reorder them.
 
     Recorders up to 0.1 went on in the same file when the line was started again. The second run's numbers, and the
     belt's travel, begin at 0 again there: `part` says which of a file's runs to read, from 1 on. Without it a second
@@ -159,12 +159,16 @@ class McapSource:
         return [FrameKey(message.sequence, message.log_time) for message in self._messages()]
 
     def _messages(self) -> Iterator[Any]:
-        """The camera's messages of one run, in file order: one that is late, or there twice, begins no other run."""
+        """The camera's messages of one run, their numbers rising: one that is late, or there twice, begins no other run
+        and is left out, as a recorder does. Of what is late the number is a gap.
+        """
         part, newest, first = 1, -1, None
         with open_mcap(self._path) as reader:
             for _, _, message in reader.iter_messages(topics=[topic_of(self._camera)], log_time_order=False):
                 first = message if first is None else first
-                if message.sequence <= newest and _of_two_runs(message.data, first.data):
+                if message.sequence <= newest:
+                    if not _of_two_runs(message.data, first.data):
+                        continue
                     part, first = part + 1, message
                     if self._part is None:
                         raise InputError(
@@ -174,7 +178,7 @@ class McapSource:
                             "--part 2 and so on"
                         )
                     newest = -1
-                newest = max(newest, message.sequence)
+                newest = message.sequence
                 if self._part in (None, part):
                     yield message
         if self._part is not None and self._part > part:
