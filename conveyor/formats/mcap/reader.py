@@ -36,6 +36,7 @@ DAMAGE = (
 )  # fmt: skip
 """What the MCAP library raises on files that are cut or damaged."""
 MCAP0_MAGIC = b"\x89MCAP0\r\n"
+USUAL_FPS, MOST_FPS = 30.0, 1000.0
 WRITTEN_WITHIN_S = 10.0
 """A recorder brings what it has to the disk every second (`McapFrameWriter`)."""
 
@@ -201,7 +202,7 @@ class McapSource:
             depth_scale_m=first.depth_scale_m,
             belt_distance_m=first.belt_distance_m,
             belt_from_camera=first.belt_from_camera,
-            fps=channel.fps or rate_of(times),
+            fps=channel.fps if channel.fps is not None and 0 < channel.fps <= MOST_FPS else rate_of(times),
             frames=channel.messages,
             resting_offset_mm=channel.resting_offset_mm,
             resting_sd_mm=channel.resting_sd_mm,
@@ -209,10 +210,13 @@ class McapSource:
 
 
 def rate_of(times_ns: list[int]) -> float:
-    """Frames per second from capture times: the median step; 30 where there are fewer than two."""
+    """Frames per second from capture times: the median step; 30 where there are fewer than two, or times that no camera
+    has: numbers, or another unit.
+    """
     steps = np.diff(np.asarray(times_ns, np.int64))
     steps = steps[steps > 0]
-    return float(round(1e9 / float(np.median(steps)), 3)) if len(steps) else 30.0
+    fps = float(round(1e9 / float(np.median(steps)), 3)) if len(steps) else 0.0
+    return fps if 0 < fps <= MOST_FPS else USUAL_FPS
 
 
 @contextmanager
