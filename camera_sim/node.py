@@ -16,8 +16,9 @@ from conveyor.camera_clock import CameraClock
 from conveyor.config import LineConfig
 from conveyor.config_camera import CameraConfig
 from conveyor.delivery import KeptPublisher, KeptSubscriber
-from conveyor.errors import TuberlineError, UnsendableError
+from conveyor.errors import TuberlineError
 from conveyor.formats import PolledSource, Refused, Source
+from conveyor.formats.source import within_ranges
 from conveyor.messages import CameraInfo, Frame, FrameProgress
 from conveyor.node import Node
 
@@ -109,11 +110,9 @@ class CameraNode:
     def _publish_after(self, after: int) -> None:
         """All frames above `after`, until none is in flight any more or the segmenter starts again."""
         for found in self._source.frames(run=self._node.run, after=after):
-            item = self._numbered_on(found)
+            item = within_ranges(self._numbered_on(found))
             if isinstance(item, Refused):
                 self._refuse(item)
-            elif fault := _fault(item):
-                self._refuse(Refused(item.seq, "out_of_range", f"frame {item.seq} of {item.camera}: {fault}"))
             else:
                 self._wait_for_turn(item)
                 if self._interrupted:
@@ -325,15 +324,6 @@ class CameraNode:
                 serial=d.serial,
             )
         )
-
-
-def _fault(frame: Frame) -> str:
-    """Why a frame of a recording or a device cannot be sent; empty where it can."""
-    try:
-        frame.check()
-    except UnsendableError as error:
-        return str(error)
-    return ""
 
 
 def run_camera(config: LineConfig, camera: str, run: str) -> None:

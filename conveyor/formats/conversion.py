@@ -14,6 +14,7 @@ from conveyor.formats import Refused, Source, camera_names, open_source
 from conveyor.formats.beside import recording_files
 from conveyor.formats.folder.writer import FolderWriter, write_line_file
 from conveyor.formats.merged import in_time
+from conveyor.formats.source import within_ranges
 from conveyor.formats.target import TargetFormat, target_format
 from conveyor.messages import Frame
 
@@ -79,7 +80,7 @@ def write_recording(
     chosen = target_format(target, form)
     with ExitStack() as stack:
         write = _WRITERS[chosen](stack, target, sources, files)
-        for item in in_time(sources, run="recorded"):
+        for item in map(within_ranges, in_time(sources, run="recorded")):
             if isinstance(item, Refused):
                 refused[item.reason] += 1
                 texts.append(item.text)
@@ -126,9 +127,14 @@ _WRITERS = {"folder": _to_folder, "mcap": _to_mcap, "ros2": _to_ros2}
 def _write_files(target: Path, files: Files, cameras: list[str]) -> None:
     for name, data in files.items():
         (target / name).write_bytes(data)
-    if "line.json" not in files:
+    if _named_in(files.get("line.json", b"")) != set(cameras):
         write_line_file(target, cameras, belt_speed_mps=None)
-    else:
-        known = json.loads(files["line.json"]).get("cameras", [])
-        if sorted(known) != sorted(cameras):
-            write_line_file(target, cameras, belt_speed_mps=None)
+
+
+def _named_in(line: bytes) -> set[str] | None:
+    """The cameras that a line.json names; None of what is none: one that came in an attachment was never read."""
+    try:
+        named = json.loads(line)["cameras"]
+        return set(named) if len(named) == len(set(named)) else None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None

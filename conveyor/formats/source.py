@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, UnsendableError
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 from conveyor.pose import pose_fault
@@ -61,6 +61,18 @@ class Refused:
     seq: int
     reason: str
     text: str
+
+
+def within_ranges(item: Frame | Refused) -> Frame | Refused:
+    """The frame, or why it is none that can be sent or written: bags hold times before 1970, say."""
+    if isinstance(item, Refused):
+        return item
+    try:
+        item.check()
+    except UnsendableError as error:
+        fault = str(error).removeprefix("not sent: ")
+        return Refused(item.seq, "out_of_range", f"frame {item.seq} of {item.camera}: {fault}")
+    return item
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from conveyor.errors import InputError, MessageError
 from conveyor.formats import Refused, camera_names, open_source
+from conveyor.formats.conversion import convert_recording
 from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.rosbag.bags import decode_ros, open_bag
 from conveyor.formats.rosbag.foxglove import from_json, from_protobuf
@@ -176,6 +177,20 @@ def test_a_broken_message_is_refused_by_its_number_and_the_rest_goes_on(tmp_path
     assert [item.seq for item in items] == [0, 1, 2, 3, 4]
     refused = {item.seq: item.reason for item in items if isinstance(item, Refused)}
     assert refused == {1: "undecodable", 2: "undecodable", 3: "encoding"}
+
+
+def test_a_frame_that_no_recording_can_hold_is_left_out_of_one_and_told(tmp_path: Path) -> None:
+    """A time before 1970 ended the conversion as a fault of the program, or made a folder that could not be read."""
+    bag = _bag(tmp_path, [image(0), image(1, stamp=-55_000_000_000), image(2)])
+    for target in ("r.mcap", "r"):
+        done = convert_recording(bag, tmp_path / target)
+        assert (done.frames, done.refused) == (2, {"out_of_range": 1})
+        assert "frame 1 of camera: Frame.captured_ns: Input should be greater than or equal to 0" in done.texts[0]
+        assert [frame.seq for frame in _frames(tmp_path / target)] == [0, 2]
+    channels = {DEPTH: (IMAGE, "cdr", [image(0)]), DEPTH_INFO: (INFO, "cdr", [info()])}
+    broken = {"/rear/depth/compressedDepth": (COMPRESSED, "cdr", [b"no image"])}
+    with pytest.raises(InputError, match=r"the first message on /rear/depth/compressedDepth cannot be used"):
+        open_source(write_mcap(tmp_path / "bag.mcap", channels | broken))
 
 
 def test_every_cut_of_a_message_is_an_error_of_ours() -> None:

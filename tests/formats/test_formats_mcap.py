@@ -291,3 +291,17 @@ def test_a_rate_that_no_camera_has_is_none(small_recording: Path, tmp_path: Path
         writer.add_camera(frame.camera, fps=1e9)
         writer.write(frame)
     assert open_source(tmp_path / "r.mcap").description.fps == 30.0
+
+
+def test_a_time_that_ros_cannot_say_and_a_line_file_that_is_none(small_recording: Path, tmp_path: Path) -> None:
+    """Both ended a conversion in a traceback: a camera's clock beyond 2038, and an attachment that no one had read."""
+    frame = next(item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame))
+    for name, line in (("list", b'["front"]'), ("cut", b'{"cameras": [')):
+        with McapFrameWriter(tmp_path / f"{name}.mcap") as writer:
+            writer.write(replace(frame, captured_ns=2**31 * 10**9))
+            writer.attach("line.json", line)
+        assert convert_recording(tmp_path / f"{name}.mcap", tmp_path / name).frames == 1
+        assert json.loads((tmp_path / name / "line.json").read_text())["cameras"] == [frame.camera]
+    pytest.importorskip("rosbags")
+    with pytest.raises(InputError, match=r"captured at 2147483648 s; a ROS 2 time ends at 2147483647 s, in 2038"):
+        convert_recording(tmp_path / "list.mcap", tmp_path / "ros.mcap", form="ros2")

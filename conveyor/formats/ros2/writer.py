@@ -23,6 +23,8 @@ from conveyor.messages import Frame
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
 FLOAT = "std_msgs/msg/Float64"
+LAST_S = 2**31 - 1
+"""Of builtin_interfaces/msg/Time."""
 
 
 class Ros2McapWriter:
@@ -71,7 +73,11 @@ class Ros2McapWriter:
         self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=kind, data=data)
 
     def write(self, frame: Frame) -> None:
-        """Append `frame`: travel, mask, colour and calibration first, its depth last."""
+        """Append `frame`: travel, mask, colour and calibration first, its depth last.
+
+        Raises:
+            InputError: it was captured after what a ROS 2 time can say.
+        """
         topics = topics_of_camera(frame.camera)
         header = self._header(frame, topics)
         if frame.travel_m is not None:
@@ -93,6 +99,11 @@ class Ros2McapWriter:
 
     def _header(self, frame: Frame, topics: CameraTopics) -> Any:
         seconds, nanoseconds = divmod(frame.captured_ns, 1_000_000_000)
+        if seconds > LAST_S:
+            raise InputError(
+                f"{self._path}: frame {frame.seq} of camera '{frame.camera}' was captured at {seconds} s; a ROS 2 time "
+                f"ends at {LAST_S} s, in 2038: set the camera's clock, or write another format"
+            )
         stamp = self._type("builtin_interfaces/msg/Time")(sec=seconds, nanosec=nanoseconds)
         return self._type("std_msgs/msg/Header")(stamp=stamp, frame_id=topics.frame_id)
 

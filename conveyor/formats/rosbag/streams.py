@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.errors import InputError
+from conveyor.errors import InputError, MessageError
 from conveyor.formats.rosbag.bags import BagReader, Topic
 from conveyor.formats.rosbag.depth import SHORT_ENCODINGS, depth_encoding, unsupported
 from conveyor.formats.rosbag.messages import RosCompressed, RosImage
@@ -125,7 +125,10 @@ def _first_image(bag: BagReader, topic: Topic) -> RosImage | RosCompressed:
     stored = next(iter(bag.stored(topic.name)), None)
     if stored is None:
         raise InputError(f"topic {topic.name} has no message, though the bag's index counts {topic.messages}")
-    message = bag.decode(stored)
+    try:
+        message = bag.decode(stored)
+    except MessageError as error:
+        raise InputError(f"the first message on {topic.name} cannot be used: {error}") from error
     if not isinstance(message, RosImage | RosCompressed):
         raise InputError(f"topic {topic.name} holds {topic.type_name}, no images")
     return message
