@@ -11,7 +11,7 @@ import pytest
 
 from conveyor.errors import InputError
 from conveyor.formats.packs.belts import ARRAYS as BELT_ARRAYS
-from conveyor.formats.packs.belts import BeltPackWriter, PackedBelt, PackedFrame, belt_shards, read_belt
+from conveyor.formats.packs.belts import BeltPackWriter, PackedBelt, PackedFrame, belt_shards, pack_belt, read_belt
 from conveyor.formats.packs.views import ARRAYS, PackedView, ViewPackWriter, read_views, view_shards
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from regressor.training.labelled import read_labelled
@@ -105,6 +105,8 @@ def test_a_newer_view_pack_is_refused_by_name_and_number(tmp_path: Path) -> None
         (lambda a: a.update(belt_distance_m=np.zeros(7)), r"array 'belt_distance_m' has shape \(7,\); 2 rows"),
         (lambda a: a["depth_offset"].__setitem__(1, 3), r"view 0: 3 depths for a crop of 5x4"),
         (lambda a: a.update(notes=np.zeros(9)), r"array 'notes' has shape \(9,\); 2 rows"),
+        (lambda a: a.update(crop=np.full((2, 4), np.inf)), r"view 0: cannot convert float infinity"),
+        (lambda a: a.update(depth=np.array(3, np.uint16)), r"view 0: too many indices"),
     ],
 )
 def test_shards_that_contradict_themselves_are_refused(tmp_path: Path, change: object, text: str) -> None:
@@ -141,6 +143,10 @@ def test_a_belt_pack_comes_back_to_training(tmp_path: Path) -> None:
     assert [(frame.belt_number, frame.travel_m) for frame in pack_frames(tmp_path)] == [
         (0, 0.1), (0, 0.2), (1, 0.1), (1, 0.2)
     ]  # fmt: skip
+    for broken in ({"image_size": np.array([np.inf, 48])}, {"depth": np.array(1, np.uint8)}):
+        np.savez(tmp_path / "belts-00009.npz", **(pack_belt(_belt(0)) | broken))
+        with pytest.raises(InputError, match=r"belts-00009\.npz cannot be used: .*make the pack again"):
+            read_belt(tmp_path / "belts-00009.npz")
     (tmp_path / "meta.json").write_text('{"version": 7}')
     with pytest.raises(InputError, match=r"belt pack of version 7; .* reads up to version 1"):
         next(pack_frames(tmp_path))

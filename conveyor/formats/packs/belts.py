@@ -100,7 +100,7 @@ def read_belt(shard: Path) -> PackedBelt:
             kinds=tuple(str(kind) for kind in data["kinds"].tolist()),
             frames=tuple(PackedFrame(depth, labels, travel_m) for depth, labels, travel_m in images),
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
         raise InputError(f"shard {shard} cannot be used: {error}; make the pack again") from error
 
 

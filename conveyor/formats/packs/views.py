@@ -112,7 +112,7 @@ def read_views(shard: Path) -> Iterator[PackedView]:
     for i in range(count):
         try:
             yield _view(data, i)
-        except (ValueError, TypeError, InputError) as error:
+        except (ValueError, TypeError, IndexError, OverflowError, InputError) as error:
             raise InputError(f"shard {shard}, view {i}: {error}") from error
 
 
