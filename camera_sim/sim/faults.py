@@ -88,7 +88,7 @@ def plan_faults(rng: Generator, *, frames: int, fps: float, names: tuple[str, ..
 def _missing(rng: Generator, frames: int, share: float) -> frozenset[int]:
     """Numbers that never arrive: half of the frames lost alone, half in bursts of five; not the first or the last."""
     missing: set[int] = set()
-    while len(missing) < share * frames:
+    while frames > 2 and len(missing) < share * frames:
         start = int(rng.integers(1, max(2, frames - 6)))
-        missing |= set(range(start, start + (5 if rng.random() < 1 / 6 else 1)))
+        missing |= set(range(start, min(start + (5 if rng.random() < 1 / 6 else 1), frames - 1)))
     return frozenset(missing)

@@ -18,6 +18,7 @@ from camera_sim.sim.scenes import Layout, SceneSettings, tuber_of
 from camera_sim.sim.stereo import Field, NoiseBank, StereoNoise, measure
 from camera_sim.sim.stereo_faults import bowed_field
 from camera_sim.sim.world import Body, CameraPose, World, crossing_travel_m, render
+from conveyor.errors import InputError
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
 from conveyor.messages import Frame
@@ -31,7 +32,11 @@ FOREIGN_KEYS = ("kind", "weight_g", "volume_ml", "place_x_m", "place_y_m")
 
 
 class SimulatedSource:
-    """One camera over a simulated world. Frame n is the same whatever was rendered before it."""
+    """One camera over a simulated world. Frame n is the same whatever was rendered before it.
+
+    Raises:
+        InputError: the belt is done before the camera has taken a frame.
+    """
 
     def __init__(
         self,
@@ -52,6 +57,11 @@ class SimulatedSource:
         self._color = color
         self._key = (settings.seed, 20 + index)
         count = int((world.motion.duration_s - camera.phase_s) * camera.fps)
+        if count < 1:
+            raise InputError(
+                f"the belt is done after {world.motion.duration_s:.2f} s, before camera '{camera.name}' with "
+                f"{camera.fps:g} frames/s has taken one: give more tubers, a slower belt or more frames/s"
+            )
         self._faults = plan_faults(
             np.random.default_rng([*self._key, 0]), frames=count, fps=camera.fps, names=faults, dropped=layout.dropped
         )

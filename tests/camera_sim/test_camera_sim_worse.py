@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_sim.sim.faults import FAULTS, check_faults
+from camera_sim.sim.faults import FAULTS, check_faults, plan_faults
 from camera_sim.sim.optics import BASELINE_M
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
@@ -23,6 +23,21 @@ def _world(settings: SceneSettings, scene: str) -> tuple[World, list[SimulatedSo
     settings = replace(settings, scene=scene)
     world = build_world(settings, layout_named(scene))
     return world, simulated_sources(world, settings, layout_named(scene))
+
+
+def test_a_belt_too_short_for_a_frame_is_told_and_a_short_one_loses_what_there_is(
+    small_settings: SceneSettings,
+) -> None:
+    """The first was an IndexError; of the second frames were lost that never were, and it told of -1."""
+    with pytest.raises(InputError, match=r"the belt is done after 0\.\d+ s, before camera 'front' with 1 frames/s"):
+        _world(replace(small_settings, tubers=1, fps=1.0, speed_mps=5.0), "touching")
+    for frames in range(1, 12):
+        plans = [
+            plan_faults(np.random.default_rng(seed), frames=frames, fps=30.0, names=("dropped",), dropped=0.12)
+            for seed in range(20)
+        ]
+        assert all(0 < seq < frames - 1 for plan in plans for seq in plan.missing), "not the first or the last"
+        assert all(plan.missing for plan in plans) == (frames > 2)
 
 
 def test_moving_tubers_are_where_the_truth_says_when_they_cross(small_settings: SceneSettings) -> None:
