@@ -77,7 +77,7 @@ def _off_px(
     grown = cv2.dilate(piece, np.ones((2 * RING_PX + 1, 2 * RING_PX + 1), np.uint8))
     ring = (grown > 0) & (piece == 0)
     around = d[rows, columns][ring & (d[rows, columns] > 0) & (small[rows, columns] == 0)]
-    if len(around) < RING_SEEN * np.count_nonzero(ring):
+    if not len(around) or len(around) < RING_SEEN * np.count_nonzero(ring):
         return None
     low, middle, high = np.quantile(around, [0.1, 0.5, 0.9])
     if high - low > RING_EVEN_PX:

@@ -26,6 +26,7 @@ from conveyor.formats import open_source
 from conveyor.messages import Frame
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.profile.comb import KNOWN_BASELINES_M, find_comb
+from segmenter.profile.holes import islands
 from segmenter.profile.profile import CameraProfile, profile_frames
 from segmenter.profile.recording import profile_recording
 from segmenter.profile.verdict import judge
@@ -188,6 +189,11 @@ def test_a_plane_of_which_only_thin_lines_show_is_not_seen(recording: Path, caps
     verdicts = {finding["name"]: finding["verdict"] for finding in camera["findings"]}
     assert verdicts["error of 3 to 40 px and relief"] == "not seen"
     assert verdicts["bow of the field, slower than 40 px"] == "not seen"
+
+
+def test_an_island_without_surroundings_is_none() -> None:
+    """Of a picture no larger than an island the quantiles of nothing were asked for."""
+    assert len(islands(np.full((20, 30), 9.0, np.float32)).off_px) == 0
 
 
 def test_the_step_and_the_baseline_are_found_from_the_depths_alone(easy: list[Frame]) -> None:
