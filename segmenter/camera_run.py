@@ -53,8 +53,9 @@ class RunSettings:
     spare_grace_s: float | None = None
     """A weighed tuber waits this long for its other views; None: until they are answered or lost."""
     fewer_views: bool = False
-    free_share: float = 0.0
     """Weigh fewer views of each tuber while the regressors are busy all the time."""
+    free_share: float = 0.0
+    """Of the machine's processors, what second and later views leave free."""
     log_behind: bool = False
     """A thread of its own writes the log."""
     replays: bool = False

@@ -79,10 +79,8 @@ class RealSenseSource:
 
     def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
         """Frames as they come, until no one asks for more. The device's first frame is number `after` + 1, and what
-        could not be seen while it was away is a gap in the numbers.
-
-        Raises:
-            DeviceError: it came back with other intrinsics; a new run has to be begun.
+        could not be seen while it was away is a gap in the numbers. One that came back with other intrinsics is told,
+        and tried again until it has those of the run.
         """
         newest, last_s = after, time.monotonic()
         offset, before = None, -1

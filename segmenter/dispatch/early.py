@@ -1,8 +1,8 @@
 """Views that are weighed before their track is decided, so that a live tuber's weight is there when it is counted.
 
-A track is closed 75 mm past the row; the view on the row, which is the best one, and the one before it are settled as
-soon as the tuber has passed. What comes back waits here until the track closes with its choice of views, which is the
-same as without: an answer to a view that was not chosen after all is dropped.
+On a live line a track is closed 40 mm past the row (`setup.LIVE_DECIDE_M`); the view on the row, which is the best one,
+and the one before it are settled as soon as the tuber has passed. What comes back waits here until the track closes
+with its choice of views, which is the same as without: an answer to a view that was not chosen after all is dropped.
 """
 
 from __future__ import annotations
