@@ -28,7 +28,10 @@ class FrameDrop(Reason):
 
     BLIND = "blind", "too little of the image has depth: the lens is dark or covered"
     FROZEN = "frozen", "the same image again though the belt moved on"
-    CAMERA_CHANGED = "camera_changed", "its intrinsics, depth unit or pose are not those that the run began with"
+    CAMERA_CHANGED = (
+        "camera_changed",
+        "its intrinsics, depth unit or pose are not those of the first frame the segmenter saw",
+    )
     NO_BELT = "no_belt", "no belt is seen: none was yet and no distance is given, or something else is in its place"
     TOO_OLD = "too_old", "the frame waited longer than max_age_ms"
     OVERWRITTEN = "overwritten", "newer frames pushed it out of the ring"

@@ -10,7 +10,9 @@ from segmenter.frame.constants import FROZEN_M, GATE_STRIDE, LEAST_SEEN_OF_FRAME
 
 
 class FrameGate:
-    """Checks each frame against the run's first one and the last one that was processed.
+    """Checks each frame against the first one of the run that this process saw, whose geometry it works with, and the
+    last one that was processed. A process that goes on with the run takes the camera that it finds: a broken one may be
+    replaced within a run, and that is told by the ledger, which knows all cameras that it had.
 
     Attributes:
         changed: what of the newest frame is not as in the first one, with both values; empty where all is.
