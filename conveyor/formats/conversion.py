@@ -76,7 +76,7 @@ def write_recording(
     total = sum(one.description.frames or 0 for one in sources)
     refused: Counter[str] = Counter()
     texts: list[str] = []
-    done = 0
+    written: Counter[str] = Counter()
     chosen = target_format(target, form)
     with ExitStack() as stack:
         write = _WRITERS[chosen](stack, target, sources, files)
@@ -86,11 +86,12 @@ def write_recording(
                 texts.append(item.text)
             else:
                 write(item)
-                done += 1
-            on_frame(done + refused.total(), total)
+                written[item.camera] += 1
+            on_frame(written.total() + refused.total(), total)
     if chosen == "folder":
-        _write_files(target, files, [one.description.name for one in sources])
-    return Converted(done, dict(refused), tuple(texts[:10]))
+        names = [one.description.name for one in sources]
+        _write_files(target, files, [name for name in names if written[name]] or names)
+    return Converted(written.total(), dict(refused), tuple(texts[:10]))
 
 
 def _to_mcap(stack: ExitStack, target: Path, sources: Sequence[Source], files: Files) -> Callable[[Frame], None]:

@@ -72,9 +72,9 @@ def _camera_names(path: Path, kind: Kind) -> tuple[str, ...]:
 
         return bag_cameras(path)
     if kind == "ros2-export":
-        from conveyor.formats.ros2.reader import exported_cameras
+        from conveyor.formats.ros2.reader import cameras_with_frames
 
-        return tuple(sorted(exported_cameras(path)))
+        return tuple(cameras_with_frames(path))
     from conveyor.formats.potatotwin.reader import twin_cameras
 
     return twin_cameras(path)

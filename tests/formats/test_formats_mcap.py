@@ -305,3 +305,21 @@ def test_a_time_that_ros_cannot_say_and_a_line_file_that_is_none(small_recording
     pytest.importorskip("rosbags")
     with pytest.raises(InputError, match=r"captured at 2147483648 s; a ROS 2 time ends at 2147483647 s, in 2038"):
         convert_recording(tmp_path / "list.mcap", tmp_path / "ros.mcap", form="ros2")
+
+
+@pytest.mark.parametrize("target", ["folder", "mcap", "ros2"])
+def test_a_camera_of_which_nothing_could_be_read_spoils_no_conversion(
+    small_recording: Path, tmp_path: Path, target: TargetFormat
+) -> None:
+    """A folder named it, and was refused for it; of ROS 2 topics `info` ended in a traceback."""
+    pytest.importorskip("rosbags")
+    frame = next(item for item in open_source(small_recording).frames(run="r") if isinstance(item, Frame))
+    with McapFrameWriter(tmp_path / "two.mcap") as writer:
+        for camera in ("broken", "front"):
+            writer.write(replace(frame, camera=camera))
+    convert_recording(tmp_path / "two.mcap", tmp_path / "two")
+    next((tmp_path / "two" / "broken" / "depth").iterdir()).unlink()
+    out = tmp_path / ("out" if target == "folder" else "out.mcap")
+    done = convert_recording(tmp_path / "two", out, form=target)
+    assert (done.frames, done.refused) == (1, {"missing_file": 1})
+    assert [camera.name for camera in inspect_recording(out).cameras] == ["front"]

@@ -40,6 +40,15 @@ def exported_cameras(path: Path) -> dict[str, tuple[CameraTopics, CameraFile]]:
     return found
 
 
+def cameras_with_frames(path: Path) -> list[str]:
+    """Names of the cameras that have any, sorted: one whose frames could all not be read was announced alone."""
+    with open_mcap(path) as reader:
+        summary = reader.get_summary()
+    counts = summary.statistics.channel_message_counts if summary.statistics else {}
+    filled = {channel.topic for number, channel in summary.channels.items() if counts.get(number)}
+    return sorted(name for name, (topics, _) in exported_cameras(path).items() if topics.depth in filled)
+
+
 class Ros2ExportSource:
     """One camera of an exported recording: the same frames that were written, number by number."""
 
