@@ -67,8 +67,8 @@ WRITERS: dict[str, Callable[[Path, Any], None]] = {
 @pytest.mark.parametrize("ending", WRITERS)
 def test_frames_of_every_kind_come_back_pixel_by_pixel(ending: str, tmp_path: Path, k: Path) -> None:
     (tmp_path / "in").mkdir()
-    for n in range(11):  # frame 10 after frame 9, though its name sorts before
-        WRITERS[ending](tmp_path / "in" / f"frame_{n}{ending}", millimetres(n))
+    for n in range(11):  # frame 10 after frame 9, though its name sorts before; a digit that is no number is none
+        WRITERS[ending](tmp_path / "in" / f"frame_m\u00b2_{n}{ending}", millimetres(n))
     out = tmp_path / "out"
     import_frames(tmp_path / "in", intrinsics=k, depth_unit=0.001, fps=15, belt_distance_m=0.46, out=out)
     frames = frames_of(out)

@@ -118,7 +118,7 @@ def _choose(found: list[Found], where_none: str) -> list[Found]:
     sys.stderr.write(f"found:\n{listed}\n")
     while True:
         words = _ask("which? numbers with blanks between them [1]: ").split() or ["1"]
-        if all(word.isdigit() and 1 <= int(word) <= len(found) for word in words):
+        if all(word.isdecimal() and 1 <= int(word) <= len(found) for word in words):
             return [found[int(word) - 1] for word in dict.fromkeys(words)]
         sys.stderr.write(f"numbers from 1 to {len(found)}\n")
 

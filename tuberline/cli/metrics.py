@@ -23,7 +23,7 @@ def metrics(*, address: LineAddress = NO_ADDRESS, listen: str = "127.0.0.1:9108"
     from tuberline.metrics import serving
 
     host, _, port = listen.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(f"--listen {listen} is not HOST:PORT, e.g. 127.0.0.1:9108")
     link, name = address.link()
     stop = threading.Event()

@@ -140,6 +140,6 @@ def _token(file: Path | None) -> str:
 
 def _address(listen: str) -> tuple[str, int]:
     host, _, port = listen.rpartition(":")
-    if not host or not port.isdigit() or int(port) > 65535:
+    if not host or not port.isdecimal() or int(port) > 65535:
         raise ConfigError(f"--listen {listen} is not HOST:PORT, e.g. 127.0.0.1:9180")
     return host.strip("[]"), int(port)

@@ -37,10 +37,10 @@ class ServerAddress:
         Raises:
             ConfigError: neither of them.
         """
-        has_port = ":" in text or text.isdigit()
+        has_port = ":" in text or text.isdecimal()
         host, _, port = text.rpartition(":") if has_port else (text, "", str(DEFAULT_PORT))
         host = host or THIS_MACHINE
-        if not port.isdigit() or int(port) > 65535 or "/" in host:
+        if not port.isdecimal() or int(port) > 65535 or "/" in host:
             raise ConfigError(
                 f"foxglove '{text}' is not an address to serve at: give HOST:PORT, e.g. {THIS_MACHINE}:{DEFAULT_PORT}; "
                 "the app then opens ws://HOST:PORT"

@@ -159,4 +159,4 @@ def _choose(path: Path) -> str:
 def _by_number(path: Path) -> tuple[list[tuple[int, str]], str]:
     """Sorts frame 10 after frame 9."""
     parts = re.findall(r"\d+|\D+", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts], path.name
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts], path.name
