@@ -7,6 +7,7 @@ neighbour. Tracks that are decided go on absorbing what lies at their place unti
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from statistics import median
 
@@ -168,7 +169,7 @@ class Tracker:
         if not self._low_m + self.settings.edge_m < x_m < self._high_m - self.settings.edge_m:
             return None
         u, v = self.belt.project(x_m, track.place_y_m, track.height_m / 2)
-        return _label_at(instances.labels, u / instances.stride, v / instances.stride)
+        return label_at(instances.labels, u, v, instances.stride)
 
 
 def _hits(seq: int, instances: Instances, travel_m: float) -> list[Hit]:
@@ -196,7 +197,8 @@ def _hits(seq: int, instances: Instances, travel_m: float) -> list[Hit]:
     ]
 
 
-def _label_at(labels: NDArray[np.int32], column: float, row: float) -> int:
-    i, j = round(row), round(column)
+def label_at(labels: NDArray[np.int32], u: float, v: float, stride: int) -> int:
+    """The label of the cell of `stride` pixels that pixel (u, v) lies in; 0 beside the image."""
+    i, j = math.floor((v + 0.5) / stride), math.floor((u + 0.5) / stride)
     inside = 0 <= i < labels.shape[0] and 0 <= j < labels.shape[1]
     return int(labels[i, j]) if inside else 0
