@@ -19,6 +19,7 @@ from conveyor.observer import Observer
 from regressor.serve.messages import WeightsState
 from tests.aggregator.loaded_story import story
 from tests.aggregator.virtual_line import Aggregator
+from tests.conftest import wait_until
 from tuberline.cli.address import LineAddress
 from tuberline.cli.weights import list_
 from tuberline.doctor import Level
@@ -81,7 +82,7 @@ def test_a_regressor_that_forgot_what_it_was_given_is_told(
         with Observer(link, line="line") as observer:
             assert models_of_run(observer) == {}, "no one tells"
             queries = Queries(aggregator, tmp_path / "ledger.db", run="story", totals=totals)
-            assert models_of_run(observer) == weighed
+            wait_until(lambda: models_of_run(observer) == weighed, what="the aggregator's answer")
         assert weighed
         list_(address=LineAddress(connect=link.router))
         told = capsys.readouterr().out

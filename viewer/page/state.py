@@ -139,6 +139,15 @@ class PastLoad:
     high_g: float | None
     coverage: float | None
     final: bool
+    stopped: bool = False
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> PastLoad:
+        """What the page shows of it, whatever else an aggregator of another version tells; raises TypeError where
+        something is missing.
+        """
+        known = {each.name for each in fields(cls)}
+        return cls(**{name: value for name, value in told.items() if name in known})
 
 
 @dataclass(frozen=True, slots=True)

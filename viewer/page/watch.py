@@ -195,7 +195,7 @@ class LineWatch:
         self._asked_s = now_s
         try:
             found = observer.query(topics.QUERY_LOADS, parameters=f"limit={LOADS}", timeout_s=LOADS_WITHIN_S)
-            self._loads = tuple(PastLoad(**load) for load in found)
+            self._loads = tuple(PastLoad.of(load) for load in found)
             told = observer.query(topics.QUERY_LOADS, parameters=f"limit={TOLD};what=loads", timeout_s=LOADS_WITHIN_S)
             self._told = tuple(ToldLoad.of(load) for load in told)
         except (LinkError, TypeError, KeyError, AttributeError) as error:
