@@ -193,6 +193,10 @@ class LineTravel:
     through_ns: int | None = None
 
     @property
+    def _first(self) -> TravelCurve:
+        return next(iter(self.curves.values()))
+
+    @property
     def known(self) -> TravelKnown:
         """For the ledger."""
         return TravelKnown(self.head_start_m, tuple(self.turns))
@@ -229,18 +233,18 @@ class LineTravel:
                 if any(self._awaited(curve, to_ns) for curve in others):
                     return
                 for begin_ns, end_ns in pairwise(_samples_between(others, first.times_ns[to - 1], to_ns)):
-                    self._turn(first, begin_ns, end_ns)
+                    self._turn(begin_ns, end_ns)
             self.through_ns = to_ns
 
     def _awaited(self, curve: TravelCurve, t_ns: int) -> bool:
         """More may be told of `t_ns`; one that began long before or after the first runs on another clock."""
         if curve.closed or not curve.times_ns:
             return not curve.closed
-        began_apart_ns = abs(curve.first_ns - next(iter(self.curves.values())).first_ns)
+        began_apart_ns = abs(curve.first_ns - self._first.first_ns)
         return t_ns > curve.last_ns and began_apart_ns <= LONGEST_HEAD_START_NS
 
-    def _turn(self, first: TravelCurve, from_ns: int, to_ns: int) -> None:
-        newest_ns, ahead_m = self.turns[-1] if self.turns else (None, 0.0)
+    def _turn(self, from_ns: int, to_ns: int) -> None:
+        first, (newest_ns, ahead_m) = self._first, self.turns[-1] if self.turns else (None, 0.0)
         best = best_seeing(self.curves, from_ns, to_ns)
         if best is None or best is first or (newest_ns is not None and to_ns <= newest_ns):
             return
@@ -252,10 +256,9 @@ class LineTravel:
 
     def _ahead_m(self, t_ns: int, *, wait: bool) -> float | None:
         """At `t_ns`, metres, and what it was last beyond that; None where it is to be known and is not yet."""
-        first = next(iter(self.curves.values()))
         if wait and len(self.curves) > 1 and (self.through_ns is None or t_ns > self.through_ns):
-            followed = not first.times_ns or self.through_ns == first.times_ns[-1]
-            if not (first.closed and followed):
+            followed = not self._first.times_ns or self.through_ns == self._first.last_ns
+            if not (self._first.closed and followed):
                 return None
         if not self.turns:
             return 0.0
