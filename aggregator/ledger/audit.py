@@ -8,7 +8,7 @@ from typing import Any
 
 from aggregator.core.balance import Equation, camera_equations, ledger_equations
 from aggregator.ledger.check import view_faults
-from aggregator.ledger.reader import RunRow, moment_of, read_marks, read_sums, run_being_written
+from aggregator.ledger.reader import RunRow, is_stopped, read_marks, read_sums, run_being_written
 from aggregator.ledger.schema import TUBER
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
@@ -80,7 +80,7 @@ def audit_run(view: LedgerView, run: RunRow) -> Audit:
     faults = tuple(view_faults(view))
     try:
         found = audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
-        return replace(found, stopped=not run.finished and moment_of(run, run_being_written(view)).over)
+        return replace(found, stopped=is_stopped(run, run_being_written(view)))
     except LedgerError as error:
         return Audit(run.run, run.finished, dict.fromkeys(run.cameras), {}, {}, faults=(*faults, str(error)))
 

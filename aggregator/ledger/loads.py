@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from aggregator.ledger.reader import RunRow, moment_of, read_runs, read_summary, read_sums, run_being_written
+from aggregator.ledger.reader import RunRow, is_stopped, read_runs, read_summary, read_sums, run_being_written
 from aggregator.ledger.verified import LedgerView
 
 
@@ -20,7 +20,7 @@ def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
         {
             "run": known.run,
             "started_unix_s": known.started_ns / 1e9,
-            "stopped": not known.finished and moment_of(known, written).over,
+            "stopped": is_stopped(known, written),
             **_came_to(view, known),
         }
         for known in newest

@@ -53,9 +53,8 @@ def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
             found.append(fault("certificates", str(error), "make or copy it again: `tuberline certs make`"))
     for info in infos:
         left = info.days_left(now)
-        made = (
-            "--out ANOTHER_FOLDER`" if info.authority else "--renew` where ca.key is"
-        )  # an authority is never replaced
+        # An authority is never replaced.
+        made = "--out ANOTHER_FOLDER`" if info.authority else "--renew` where ca.key is"
         renew = f"`tuberline certs make LINE.toml {made}, copy the files, restart the nodes"
         if now < info.not_before:
             found.append(

@@ -172,12 +172,10 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
 
 def _runs(file: Path) -> list[RunFacts]:
     with reading(file) as view:
-        runs, written = all_runs(view, file), run_being_written(view)
-        going_on = set() if written is None else {written, runs[-1].run}  # the newest may have written nothing yet
-        found = []
-        for run in runs:
+        written, found = run_being_written(view), []
+        for run in all_runs(view, file):
             sums, summary = read_sums(view, run.run), summary_told(view, run.run)
-            end = _end(run, sums, goes_on=run.run in going_on, summed_up=bool(summary))
+            end = _end(run, sums, goes_on=run.run == written, summed_up=bool(summary))
             found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models()))
         return found
 
