@@ -14,6 +14,8 @@ DEPTH_DRIFT = "depth_drift"
 """Its disparity had drifted; the depth was corrected by the gauge."""
 DEPTH_DRIFT_BEYOND = "depth_drift_beyond"
 """Its disparity had drifted by more than is corrected: the weight is wrong."""
+RODS_UNSEEN = "rods_unseen"
+"""Rods of a known pitch are its gauge, and were looked for in vain: its depth is as well known as without one."""
 
 OFF_FROM_MM, OFF_TO_MM = 3, 15
 """How far off the belt is seen before it is told, and what is no belt any more but an alarm."""

@@ -25,6 +25,9 @@ that only tells what changed since the run began leaves the drift before it."""
 FACTOR_SD = math.hypot(DENSITY_SD, SCALE_SD, DRIFT_SD)
 """Of all that multiplies a load's weight: 3.8 %."""
 
+UNGAUGED_SD = math.sqrt(DRIFT_SD**2 - GAUGED_DRIFT_SD**2)
+"""Beside that of a line whose rods are its gauge, of the tubers for which they were looked for in vain."""
+
 OTHER_CAMERA_SD = 0.05
 """The same beside that for a camera unlike a good one, by its noise and holes: 4.9 % in 161 recordings of `harsh`
 (`regressor.training.calibration.load_shares`): their scale, their drift, and the soil under which half of these tubers

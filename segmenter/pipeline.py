@@ -67,7 +67,8 @@ class Segmenter:
         if self._running is None:
             self._running = self._waiting.with_belt(belt, seen)
         self._off.step(self._belts.check)
-        self._running.flags = self.gauge.flags() if self.gauge.reading is not None else self._off.flags()
+        off = () if self.gauge.reading is not None else self._off.flags()
+        self._running.flags = (*self.gauge.flags(), *off)
         result = self._running.step(seen, belt)
         self._gate.processed(frame, instances=result.instances)
         return result

@@ -12,7 +12,7 @@ from aggregator.core.foreign import ForeignBody, ForeignSums
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.layers import LayerSums
 from aggregator.core.size_bins import SizeBins
-from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, belt_off_mm
+from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -29,8 +29,9 @@ class LoadSums:
     `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
     `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
     saw which are noisier than those the weights were trained for, or unlike good ones; `off_g_mm` its sum
-    times the millimetres by which the belt was seen off its calibration, with no gauge to say why. `heights` is None
-    where some of the tubers were summed up by a version that kept no heights.
+    times the millimetres by which the belt was seen off its calibration, with no gauge to say why; `ungauged_g` the
+    part of it of cameras that did not find the rods that are their gauge. `heights` is None where some of the tubers
+    were summed up by a version that kept no heights.
     """
 
     histogram_step_g: float
@@ -42,6 +43,7 @@ class LoadSums:
     per_mm_g: float = 0.0
     noisy_g: float = 0.0
     off_g_mm: float = 0.0
+    ungauged_g: float = 0.0
     seen_by: Counter[frozenset[str]] = field(default_factory=Counter)
     merged: int = 0
     late: int = 0
@@ -66,6 +68,7 @@ class LoadSums:
         self.per_mm_g += tuber_g_per_mm(tuber)
         self.noisy_g += tuber.weight_g if {CAMERA_NOISE, CAMERA_UNLIKE} & set(tuber.flags) else 0.0
         self.off_g_mm += tuber.weight_g * belt_off_mm(tuber.flags)
+        self.ungauged_g += tuber.weight_g if RODS_UNSEEN in tuber.flags else 0.0
         self.seen_by[frozenset(tuber.cameras)] += 1
         self.merged += len(tuber.tracks) > 1
         self.late += "late" in tuber.flags
@@ -99,6 +102,7 @@ class LoadSums:
         self.layers.take(other.layers)
         self.noisy_g += other.noisy_g
         self.off_g_mm += other.off_g_mm
+        self.ungauged_g += other.ungauged_g
         self.sizes.take(other.sizes)
         self.foreign.take(other.foreign)
         if self.heights is None or other.heights is None:
@@ -126,10 +130,14 @@ class LoadSums:
         """Sum of the tubers' weights, grams."""
         return sum(weight_g for _, weight_g in self.weighed.values())
 
-    def camera_doubt(self) -> tuple[float, float]:
-        """(share of the weight seen by cameras unlike good ones, mean mm the belt was off, cause unknown)."""
+    def camera_doubt(self) -> tuple[float, float, float]:
+        """(share of the weight seen by cameras unlike good ones, mean mm the belt was off, cause unknown, share of the
+        weight seen by cameras that did not find the rods that are their gauge).
+        """
         whole_g = self.as_weighed_g
-        return (self.noisy_g / whole_g, self.off_g_mm / whole_g) if whole_g > 0 else (0.0, 0.0)
+        if whole_g <= 0:
+            return 0.0, 0.0, 0.0
+        return self.noisy_g / whole_g, self.off_g_mm / whole_g, self.ungauged_g / whole_g
 
     @property
     def mean_square_g2(self) -> float | None:
@@ -170,6 +178,7 @@ class LoadSums:
             "per_mm_g": self.per_mm_g,
             "noisy_g": self.noisy_g,
             "off_g_mm": self.off_g_mm,
+            "ungauged_g": self.ungauged_g,
             "seen_by": sorted([sorted(cameras), n] for cameras, n in self.seen_by.items()),
             "merged": self.merged,
             "late": self.late,

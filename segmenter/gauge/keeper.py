@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED
+from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED, RODS_UNSEEN
 from conveyor.gauge import Gauge
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Frame
@@ -55,6 +55,11 @@ class GaugeKeeper:
         return self._without(frame, 0.0 if self.reading is None else self.reading.correction_per_m)
 
     @property
+    def _unseen(self) -> bool:
+        """Many looks have not found it once."""
+        return self._tried >= REFERENCE_LOOKS and not self._looks
+
+    @property
     def moved(self) -> bool:
         """The mount moved, as far as the gauge knows."""
         return self.reading is not None and self.reading.cause in (Cause.MOUNT, Cause.BOTH)
@@ -74,7 +79,7 @@ class GaugeKeeper:
     def flags(self) -> tuple[str, ...]:
         """What is wrong with the camera, for the tubers that pass now."""
         if self.reading is None:
-            return ()
+            return (RODS_UNSEEN,) if self._unseen and self._gauge is not None and self._gauge.kind == "rods" else ()
         cause = self.reading.cause
         drifted = DEPTH_DRIFT_BEYOND if self.reading.beyond else DEPTH_DRIFT
         return (
@@ -84,7 +89,7 @@ class GaugeKeeper:
 
     def gauges(self) -> dict[str, float]:
         """The levels that are known; 'gauge_unseen' is 1 where many looks have not found it once."""
-        unseen = {"gauge_unseen": float(not self._looks)} if self._tried >= REFERENCE_LOOKS else {}
+        unseen = {"gauge_unseen": float(self._unseen)} if self._tried >= REFERENCE_LOOKS else {}
         if self.reading is None:
             return unseen
         return unseen | {

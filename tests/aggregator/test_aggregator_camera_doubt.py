@@ -8,9 +8,10 @@ from dataclasses import replace
 import pytest
 
 from aggregator.calibration.apply import OFF_SD_PER_MM
+from aggregator.calibration.correction import Prior, prior_told
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, belt_off_flag
+from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_flag
 from conveyor.load_spread import OTHER_CAMERA_SD
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
@@ -27,9 +28,9 @@ def _load(*flags: tuple[str, ...]) -> LoadSums:
     return sums
 
 
-def _half_width(sums: LoadSums) -> float:
-    low_g, high_g = LoadTotals(sums).interval_g()
-    return (high_g - low_g) / 2 / LoadTotals(sums).weight_g
+def _half_width(sums: LoadSums, prior: Prior | None = None) -> float:
+    low_g, high_g = LoadTotals(sums, prior=prior).interval_g()
+    return (high_g - low_g) / 2 / LoadTotals(sums, prior=prior).weight_g
 
 
 def test_noise_beyond_the_trained_range_widens_by_its_share() -> None:
@@ -48,6 +49,17 @@ def test_a_belt_off_for_no_known_cause_covers_a_drift_at_any_distance() -> None:
         assert 4 / distance_m <= NORMAL_90 * OFF_SD_PER_MM * 1000, "4 d / z of a volume, d and z in metres"
 
 
+def test_rods_that_no_camera_found_are_worth_no_more_than_no_gauge() -> None:
+    rods, none = (prior_told({"gauge": gauge}) for gauge in ("rods", "none"))
+    for flags, prior in (((), rods), ((RODS_UNSEEN,), none)):
+        as_told = LoadTotals(_load(flags), prior=rods).calibrated().low_sd_g
+        assert as_told == pytest.approx(LoadTotals(_load(()), prior=prior).calibrated().low_sd_g, rel=1e-9), flags
+    seen, half, unseen = (
+        _half_width(_load(*flags), rods) for flags in (((), ()), ((), (RODS_UNSEEN,)), ((RODS_UNSEEN,),))
+    )
+    assert seen < half < unseen
+
+
 def test_the_parts_still_add_up_and_name_the_camera() -> None:
     message = LoadTotals(_load((CAMERA_NOISE, *belt_off_flag(0.006)))).message(
         "r", coverage=1.0, cameras={}, final=True
@@ -62,6 +74,8 @@ def test_the_parts_still_add_up_and_name_the_camera() -> None:
 def test_sums_that_are_kept_come_back_and_old_ones_without_a_camera_do_too() -> None:
     sums = _load((CAMERA_NOISE,), belt_off_flag(0.003))
     assert LoadSums.from_plain(sums.plain()).same_as(sums)
-    assert sums.camera_doubt() == (0.5, 1.5)
-    old = {name: value for name, value in _load(()).plain().items() if name not in ("noisy_g", "off_g_mm")}
+    assert sums.camera_doubt() == (0.5, 1.5, 0.0)
+    old = {
+        name: value for name, value in _load(()).plain().items() if name not in ("noisy_g", "off_g_mm", "ungauged_g")
+    }
     assert LoadSums.from_plain(old).same_as(_load(()))

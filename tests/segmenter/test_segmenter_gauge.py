@@ -9,7 +9,14 @@ import pytest
 
 from benchmarks.gauge_worlds import Disturbed, GaugeWorld, gauge_world
 from conveyor.belt_findings import belt_findings
-from conveyor.camera_flags import DEPTH_DRIFT, DEPTH_DRIFT_BEYOND, MOUNT_MOVED, belt_off_flag, belt_off_mm
+from conveyor.camera_flags import (
+    DEPTH_DRIFT,
+    DEPTH_DRIFT_BEYOND,
+    MOUNT_MOVED,
+    RODS_UNSEEN,
+    belt_off_flag,
+    belt_off_mm,
+)
 from conveyor.config import parse_config
 from conveyor.errors import ConfigError, InputError
 from conveyor.gauge import Gauge, GaugeKind
@@ -168,8 +175,10 @@ def test_no_gauge_and_no_calibrated_belt_change_nothing() -> None:
     for _ in range(REFERENCE_LOOKS):
         loose.look(replace(frame, belt_distance_m=None))
     assert "has not been seen once" in belt_findings("front", loose.gauges())["gauge_unseen"]
+    assert loose.flags() == (RODS_UNSEEN,), "the load's interval takes them for no gauge"
     loose.look(frame)
     assert belt_findings("front", loose.gauges()) == {}, "it came into view"
+    assert loose.flags() == ()
 
 
 def test_a_web_is_checked_by_its_rods_and_the_ground_between_is_no_belt() -> None:

@@ -94,7 +94,7 @@ class DayFacts:
     classes: tuple[ClassTotal, ...]
     foreign: ForeignTotal | None
     calibrated_by: tuple[str, ...]
-    camera_doubt: tuple[float, float]
+    camera_doubt: tuple[float, float, float]
     late: int
     refused: tuple[str, ...]
     doubts: tuple[str, ...]

@@ -76,11 +76,13 @@ def _outside(load: LoadFacts, ticket_kg: float) -> str:
 
 
 def _weighing(facts: DayFacts) -> Iterator[str]:
-    noisy, off_mm = facts.camera_doubt
+    noisy, off_mm, ungauged = facts.camera_doubt
     if noisy > FEW:
         yield f"{100 * noisy:.0f} % of the weight was seen by a camera noisier than those the network was trained for."
     if off_mm > 1:
         yield f"The belt was seen {off_mm:.0f} mm off its calibration, in the mean."
+    if ungauged > FEW:
+        yield f"{100 * ungauged:.0f} % of the weight was seen by a camera that did not find its gauge, the rods."
     if facts.late:
         yield f"{facts.late} tubers came late to the ledger: they are counted, and some may be counted twice."
 
