@@ -12,10 +12,12 @@ from aggregator.core.foreign import ForeignBody, ForeignSums
 from aggregator.core.height_sums import HeightSums
 from aggregator.core.layers import LayerSums
 from aggregator.core.size_bins import SizeBins
-from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_mm
+from conveyor.camera_flags import BELT_DISTANCE, CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_mm
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
+UNLIKE = frozenset((CAMERA_NOISE, CAMERA_UNLIKE, BELT_DISTANCE))
+"""Flags of a tuber whose camera, or its distance, is unlike those that the weights were trained for."""
 RATE_WINDOW_S = 10.0
 RATE_TUBERS = 1000
 HISTOGRAM_CLASSES = 64
@@ -26,12 +28,11 @@ HISTOGRAM_CLASSES = 64
 class LoadSums:
     """Sums over committed tubers; the order of `add` changes nothing but the last digits.
 
-    `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By
-    `per_mm_g` that sum grows with each millimetre that all of them lie lower. `noisy_g` is the part of it that cameras
-    saw which are noisier than those the weights were trained for, or unlike good ones; `off_g_mm` its sum
-    times the millimetres by which the belt was seen off its calibration, with no gauge to say why; `ungauged_g` the
-    part of it of cameras that did not find the rods that are their gauge. `heights` is None where some of the tubers
-    were summed up by a version that kept no heights.
+    `weighed` maps (method, model) to the number of tubers and the sum of their weights, grams. By `per_mm_g` that sum
+    grows with each millimetre that all of them lie lower. `noisy_g` is the part of it with flags of `UNLIKE`;
+    `off_g_mm` its sum times the millimetres by which the belt was seen off its calibration, with no gauge to say why;
+    `ungauged_g` the part of it of cameras that did not find the rods that are their gauge. `heights` is None where some
+    of the tubers were summed up by a version that kept no heights.
     """
 
     histogram_step_g: float
@@ -66,7 +67,7 @@ class LoadSums:
         self.high_variance_g2 += ((tuber.high_g - tuber.weight_g) / NORMAL_90) ** 2
         self.squares_g2 += tuber.weight_g**2
         self.per_mm_g += tuber_g_per_mm(tuber)
-        self.noisy_g += tuber.weight_g if {CAMERA_NOISE, CAMERA_UNLIKE} & set(tuber.flags) else 0.0
+        self.noisy_g += tuber.weight_g if UNLIKE.intersection(tuber.flags) else 0.0
         self.off_g_mm += tuber.weight_g * belt_off_mm(tuber.flags)
         self.ungauged_g += tuber.weight_g if RODS_UNSEEN in tuber.flags else 0.0
         self.seen_by[frozenset(tuber.cameras)] += 1
@@ -131,8 +132,8 @@ class LoadSums:
         return sum(weight_g for _, weight_g in self.weighed.values())
 
     def camera_doubt(self) -> tuple[float, float, float]:
-        """(share of the weight seen by cameras unlike good ones, mean mm the belt was off, cause unknown, share of the
-        weight seen by cameras that did not find the rods that are their gauge).
+        """(share of the weight with flags of `UNLIKE`, mean mm the belt was off, cause unknown, share of the weight
+        seen by cameras that did not find the rods that are their gauge).
         """
         whole_g = self.as_weighed_g
         if whole_g <= 0:

@@ -2,9 +2,9 @@
 
 Inputs (B clouds): `groups` (B, 256, 3) float32: 64 neighbours, 64 first-stage and 128 second-stage centroids, centred,
 metres, as `regressor.network.fast.groups_tensor` lays them out; `height_m` (B,) float32 above the resting level;
-`features` (B, 35) float64 of the visible surface; `belt_sd_m` and `noise_px` (B,) float64. Outputs, (B,) float64
-grams: `weight_g` with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of, `network_g`
-and `volume_g`.
+`features` (B, 35) float64 of the visible surface; `belt_sd_m`, `noise_px` and `belt_distance_m` (B,) float64. Outputs,
+(B,) float64 grams: `weight_g` with its 90 % interval `low_g` and `high_g` as a ledger has them, and what it is made of,
+`network_g` and `volume_g`.
 Clouds whose radius binds (`grouping.GatheredGroups`) are not for this form.
 """
 
@@ -36,7 +36,8 @@ PREPARATION = (
     "the camera, farthest-point sampling from the first point gives 64 neighbours, the first 64 centroids and the "
     "first 128 centroids, one after the other. height_m: of the highest point above the level where undersides lie. "
     "features: of the visible surface, in the order that 'features' names. belt_sd_m: standard deviation of that "
-    "level. noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known."
+    "level. noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known. "
+    "belt_distance_m: from the camera to the belt; the interval is wider where that is out of 'ranges'."
 )
 OUTPUTS_TOLD = (
     "grams, one per cloud. weight_g with its 90 % interval low_g to high_g as a ledger has a single view; network_g is "
@@ -91,6 +92,7 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
         torch.ones(count, len(NAMES), dtype=torch.float64),
         torch.zeros(count, dtype=torch.float64),
         torch.zeros(count, dtype=torch.float64),
+        torch.ones(count, dtype=torch.float64),
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     # No gradients: a training's steps go through edges in a way that no graph holds.

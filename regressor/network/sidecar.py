@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -100,8 +101,11 @@ class Sidecar(_Part):
 
     @property
     def interval_rule(self) -> IntervalRule | None:
-        """The calibrated interval, if there is one."""
-        return IntervalRule.from_json(self.interval) if self.interval else None
+        """The calibrated interval, if there is one; calibrated as far away as trained where it does not say."""
+        if self.interval is None:
+            return None
+        rule = IntervalRule.from_json(self.interval)
+        return rule if rule.farthest_m is not None else replace(rule, farthest_m=self.belt_distance_m.high)
 
     @property
     def fitted_volume_rule(self) -> VolumeRule | None:

@@ -5,7 +5,7 @@ Run at the end of a training and again at any time on other views (`tuberline ca
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,8 @@ MIN_TUBERS = 20
 MIN_RECORDINGS = 20
 LEAST_BIAS = 0.01
 DISTANCE_STEP_M, SITE_STEP_M = 0.05, 0.0005
+DISTANCE_MARGIN_M = 0.02
+"""Beyond the nearest and the farthest belt of some views: what is no farther away counts as one of theirs."""
 VARIED_SHARE, VARIED = 0.05, 1.2
 """Of the views that must know their level better or worse, and by how much, for a slope over that to be fitted."""
 
@@ -105,6 +107,7 @@ def calibration(
     else:
         interval = calibrate_tubers(weight_g, data.weight_g, terms, data.tuber, belt_slope=belt_slope)
     chance = interval.unlike(data.noise_px, data.features)
+    interval = replace(interval, farthest_m=round(float(data.belt_distance_m.max()) + DISTANCE_MARGIN_M, 4))
     low_g, high_g = interval.bounds_g(weight_g, terms, chance)
     own, per_mm, other = load_shares(weight_g, data, chance)
     return Calibration(

@@ -26,7 +26,7 @@ from regressor.network.sidecar import InputSpec, Range, Sidecar
 from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
 from regressor.training.begun import digest_of
-from regressor.training.calibration import calibration
+from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
 from regressor.training.labelled import part_of
 from regressor.training.loop import load_state, run_training
@@ -224,7 +224,7 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             height_embedding=training.settings.height_embedding,
             max_height_m=training.settings.max_height_m,
         ),
-        belt_distance_m=_range(data.belt_distance_m, 0.02),
+        belt_distance_m=_range(data.belt_distance_m, DISTANCE_MARGIN_M),
         weight_g=_range(data.weight_g, 0.0),
         length_mm=_range(data.features[:, 2], 0.0),
         worlds=worlds,

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from conveyor.statistics import NORMAL_90
 from regressor.network.sidecar import Sidecar
 from regressor.weigh.blend import MOST_CORRECTION, BlendRule
-from regressor.weigh.interval import IntervalRule
+from regressor.weigh.interval import FARTHER, IntervalRule
 from regressor.weigh.quadratic import UNITS, QuadraticRule
 from regressor.weigh.surface import NAMES
 from regressor.weigh.unlike import HOLES, LEAST_PX, MANY_HOLES, MUCH_PX, TYPICAL_PX, CameraRule
@@ -27,7 +27,7 @@ from regressor.weigh.view_features import TYPICAL_PX as TYPICAL_NOISE_PX
 from regressor.weigh.viewscale import OWN_ERROR, TYPICAL_G, ScaleRule
 from regressor.weigh.volume import TYPICAL_RULE, VolumeRule, limits_of
 
-INPUTS = ("groups", "height_m", "features", "belt_sd_m", "noise_px")
+INPUTS = ("groups", "height_m", "features", "belt_sd_m", "noise_px", "belt_distance_m")
 OUTPUTS = ("weight_g", "low_g", "high_g", "network_g", "volume_g")
 
 
@@ -44,21 +44,27 @@ class WeighingGraph(nn.Module):
         self.eval()
 
     def forward(
-        self, groups: Tensor, height_m: Tensor, features: Tensor, belt_sd_m: Tensor, noise_px: Tensor
+        self,
+        groups: Tensor,
+        height_m: Tensor,
+        features: Tensor,
+        belt_sd_m: Tensor,
+        noise_px: Tensor,
+        belt_distance_m: Tensor,
     ) -> tuple[Tensor, ...]:
         """(B,) grams each, in the order of `OUTPUTS`.
 
         Args:
             groups: (B, 256, 3) float32, as `groups_tensor` lays them out. height_m: (B,) float32 above the resting
                 level. features: (B, 35) float64 in the order of `surface.NAMES`. belt_sd_m, noise_px: (B,) float64; a
-                noise of 0 is one that is not known.
+                noise of 0 is one that is not known. belt_distance_m: (B,) float64, from the camera to the belt.
         """
         network_g = self.network(groups, height_m.clamp(0.0, self._highest_m)).double()
         view = view_features(features, noise_px, belt_sd_m)
         volume_g = volume_rule(self._volume, view)
         weight_g = blended(self._blend, network_g, volume_g, view)
         terms = view_terms(weight_g, network_g, volume_g, features, height_m.double(), belt_sd_m)
-        low_g, high_g = self._bounds(weight_g, terms, features, noise_px)
+        low_g, high_g = self._bounds(weight_g, terms, features, noise_px, belt_distance_m)
         # A network that fails is not believed: the visible volume weighs alone.
         fine = network_g > 0
         factor = math.exp(NORMAL_90 * max(self._volume.residual_ln_sd, 0.05))
@@ -70,9 +76,12 @@ class WeighingGraph(nn.Module):
             volume_g,
         )
 
-    def _bounds(self, weight_g: Tensor, terms: Tensor, features: Tensor, noise_px: Tensor) -> tuple[Tensor, Tensor]:
+    def _bounds(
+        self, weight_g: Tensor, terms: Tensor, features: Tensor, noise_px: Tensor, distance_m: Tensor
+    ) -> tuple[Tensor, Tensor]:
         rule = self._interval
-        idle = 0.0 * (noise_px + terms[:, 0])  # an input that nothing reads would not be one of the exported graph's
+        # An input that nothing reads would not be one of the exported graph's.
+        idle = 0.0 * (noise_px + terms[:, 0] + distance_m)
         if rule is None:
             return 0.7 * weight_g + idle, 1.3 * weight_g
         below, above = reach(rule, weight_g, terms)
@@ -80,7 +89,9 @@ class WeighingGraph(nn.Module):
             unlike = camera_rule(rule.camera, noise_px, features)
             others = reach(rule.other, weight_g, terms)
             below, above = below + unlike * (others[0] - below), above + unlike * (others[1] - above)
-        return (weight_g + below + idle).clamp(min=0.0), weight_g + above
+        farthest_m = math.inf if rule.farthest_m is None else rule.farthest_m
+        wider = (distance_m / farthest_m).clamp(min=1.0) ** FARTHER
+        return (weight_g + wider * below + idle).clamp(min=0.0), weight_g + wider * above
 
 
 def view_features(features: Tensor, noise_px: Tensor, level_sd_m: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE
+from conveyor.camera_flags import BELT_DISTANCE, CAMERA_NOISE, CAMERA_UNLIKE
 from conveyor.camera_range import camera_range
 from conveyor.errors import UnsendableError
 from conveyor.geometry import TYPICAL_BELT_SD_M
@@ -161,7 +161,7 @@ class Weigher:
         weight_g = float(self._blend.weights_g(*parts, features)[0])
         terms = _terms(cloud, weight_g, network_g, by_volume_g, level_sd_m)
         unlike = self._unlike(cloud)
-        low, high = self._bounds(weight_g, terms, unlike)
+        low, high = self._bounds(weight_g, terms, unlike, cloud.belt_distance_m)
         camera = (CAMERA_UNLIKE,) if unlike > SURELY_UNLIKE else ()
         form = self.form.flags if self._together is None else (BATCHED,)
         return Weighed(
@@ -199,18 +199,20 @@ class Weigher:
         noise_px = np.array([np.nan if cloud.noise_px is None else cloud.noise_px])
         return float(self._interval.unlike(noise_px, cloud.surface.as_array()[None])[0])
 
-    def _bounds(self, weight_g: float, terms: NDArray[np.float64], unlike: float) -> tuple[float, float]:
+    def _bounds(
+        self, weight_g: float, terms: NDArray[np.float64], unlike: float, distance_m: float
+    ) -> tuple[float, float]:
         if self._interval is None:
             # Nothing is calibrated (an imported checkpoint): the paper's RMSE of a tenth, said generously.
             return 0.7 * weight_g, 1.3 * weight_g
-        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None], np.array([unlike]))
+        low, high = self._interval.bounds_g(np.array([weight_g]), terms[None], np.array([unlike]), distance_m)
         return float(low[0]), float(high[0])
 
     def _out_of_range(self, cloud: PreparedCloud, network_g: float, by_volume_g: float) -> tuple[str, ...]:
         sidecar, factor = self.sidecar, self.sidecar.disagreement_factor
         checks = {
             "height_clamped": 0.0 <= cloud.height_m <= sidecar.input.max_height_m,
-            "belt_distance": sidecar.belt_distance_m.holds(cloud.belt_distance_m),
+            BELT_DISTANCE: sidecar.belt_distance_m.holds(cloud.belt_distance_m),
             "size": sidecar.length_mm.holds(cloud.surface.length_mm),
             "weight": sidecar.weight_g.holds(network_g),
             "volume_disagrees": 1 / factor <= network_g / by_volume_g <= factor,

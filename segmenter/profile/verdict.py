@@ -62,8 +62,8 @@ def _distance(profile: CameraProfile, belt_m: tuple[float, float]) -> Finding:
         f"{profile.plane_m:.3f} m",
         told,
         "inside" if belt_m[0] <= profile.plane_m <= belt_m[1] else "outside",
-        "every weight is flagged `belt_distance`, and intervals are not known to hold: hang the camera within that "
-        "range, or calibrate by a bucket",
+        "every weight is flagged `belt_distance`; intervals are wider for it, and not known to hold: hang the camera "
+        "within that range, or calibrate by a bucket",
     )
 
 

@@ -11,7 +11,7 @@ from aggregator.calibration.apply import OFF_SD_PER_MM
 from aggregator.calibration.correction import Prior, prior_told
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from conveyor.camera_flags import CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_flag
+from conveyor.camera_flags import BELT_DISTANCE, CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_flag
 from conveyor.load_spread import OTHER_CAMERA_SD
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
@@ -36,7 +36,14 @@ def _half_width(sums: LoadSums, prior: Prior | None = None) -> float:
 def test_noise_beyond_the_trained_range_widens_by_its_share() -> None:
     plain = _half_width(_load((), ()))
     both = (CAMERA_NOISE, CAMERA_UNLIKE)
-    for flags, share in (((), 0.0), (("cut",), 0.0), ((CAMERA_NOISE,), 0.5), ((CAMERA_UNLIKE,), 0.5), (both, 0.5)):
+    for flags, share in (
+        ((), 0.0),
+        (("cut",), 0.0),
+        ((CAMERA_NOISE,), 0.5),
+        ((CAMERA_UNLIKE,), 0.5),
+        (both, 0.5),
+        ((BELT_DISTANCE,), 0.5),
+    ):
         wide = _half_width(_load((), flags))
         assert wide == pytest.approx(math.hypot(plain, NORMAL_90 * OTHER_CAMERA_SD * share), rel=1e-6), flags
 

@@ -17,7 +17,7 @@ import tuberline
 from conveyor.errors import InputError
 from regressor.network.checkpoint import load_checkpoint, state_of
 from regressor.network.export import export_onnx
-from regressor.network.sidecar import Sidecar
+from regressor.network.sidecar import Range, Sidecar
 from regressor.weigh.blend import SEEN, BlendRule
 from regressor.weigh.quadratic import QuadraticRule
 from regressor.weigh.surface import NAMES
@@ -70,7 +70,8 @@ def corrected(sidecar: Sidecar) -> Sidecar:
         "high": (6.0,) * few,
         "products": tuple(rng.normal(0, 0.01, few * (few + 1) // 2).tolist()),
     }
-    return sidecar.model_copy(update={"blend": blend.to_json(), "volume_rule": {**sidecar.volume_rule, **squares}})
+    rules = {"blend": blend.to_json(), "volume_rule": {**sidecar.volume_rule, **squares}}
+    return sidecar.model_copy(update={**rules, "belt_distance_m": Range(low=0.1, high=0.8 * BELT_M)})
 
 
 @pytest.mark.parametrize(
@@ -111,6 +112,7 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
         "features": (["batch", 35], "tensor(double)"),
         "belt_sd_m": (["batch"], "tensor(double)"),
         "noise_px": (["batch"], "tensor(double)"),
+        "belt_distance_m": (["batch"], "tensor(double)"),
     }
     about = onnx.get_modelmeta().custom_metadata_map
     assert (about["name"], about["weights_sha256"]) == (sidecar.name, sidecar.sha256)

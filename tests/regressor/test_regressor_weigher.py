@@ -23,7 +23,7 @@ from regressor.network.stored import load_weights
 from regressor.serve.form import fastest, form_of
 from regressor.studies.evaluate import load_bias
 from regressor.training.calibration import fused_share
-from regressor.weigh.interval import IntervalRule, calibrate
+from regressor.weigh.interval import FARTHER, IntervalRule, calibrate
 from regressor.weigh.prepare import prepare_view
 from regressor.weigh.viewscale import view_terms
 from regressor.weigh.weigher import Weigher, weigh_view, weigh_views
@@ -161,6 +161,22 @@ def test_out_of_range_is_flagged(weigher: Weigher) -> None:
     )
     answer = Weigher(load_weights()[0], narrow).weigh(prepare_view(ellipsoid_view(AXES)))
     assert set(answer.flags) == {"belt_distance", "size", "weight"}
+
+
+def test_farther_away_than_calibrated_an_interval_grows_with_the_distance(weigher: Weigher) -> None:
+    state, sidecar = load_weights()
+    cloud = prepare_view(ellipsoid_view(AXES))
+    near = weigher.weigh(cloud)
+    far_m = cloud.belt_distance_m / 1.4
+    for told in (
+        {"belt_distance_m": Range(low=0.1, high=far_m)},
+        {"interval": {**(sidecar.interval or {}), "farthest_m": far_m}},
+    ):
+        far = Weigher(state, sidecar.model_copy(update=told)).weigh(cloud)
+        assert far.weight_g == near.weight_g
+        wider = 1.4**FARTHER
+        assert far.weight_g - far.low_g == pytest.approx(wider * (near.weight_g - near.low_g), abs=0.01)
+        assert far.high_g - far.weight_g == pytest.approx(wider * (near.high_g - near.weight_g), abs=0.01)
 
 
 def test_without_a_network_the_visible_volume_weighs() -> None:

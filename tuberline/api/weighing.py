@@ -98,6 +98,7 @@ class NetworkInputs:
         standing_m: height_m before it is clamped.
         noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known, as of
             a cloud whose points are no pixels of a camera.
+        belt_distance_m: from the camera to the belt.
     """
 
     points: NDArray[np.float32]
@@ -106,6 +107,7 @@ class NetworkInputs:
     features: NDArray[np.float64]
     standing_m: float
     noise_px: float = 0.0
+    belt_distance_m: float = 0.0
 
     def feed(self, *, belt_sd_mm: float = 2.0, resting_sd_mm: float = 0.0) -> dict[str, NDArray[np.floating]]:
         """The inputs of a network of `tuberline export-onnx`, by name, for a batch of one; concatenate them for more.
@@ -126,6 +128,7 @@ class NetworkInputs:
             "features": self.features[None],
             "belt_sd_m": np.array([np.hypot(belt_sd_mm, resting_sd_mm) / 1000]),
             "noise_px": np.array([self.noise_px]),
+            "belt_distance_m": np.array([self.belt_distance_m]),
         }
 
 
@@ -266,6 +269,7 @@ def prepare(
         groups=groups_tensor(groups) if isinstance(groups, SharedGroups) else None,
         features=prepared.surface.as_array(),
         standing_m=prepared.height_m,
+        belt_distance_m=prepared.belt_distance_m,
         noise_px=prepared.noise_px or 0.0,
     )
 

@@ -78,7 +78,7 @@ def _outside(load: LoadFacts, ticket_kg: float) -> str:
 def _weighing(facts: DayFacts) -> Iterator[str]:
     noisy, off_mm, ungauged = facts.camera_doubt
     if noisy > FEW:
-        yield f"{100 * noisy:.0f} % of the weight was seen by a camera noisier than those the network was trained for."
+        yield f"{100 * noisy:.0f} % of the weight was seen by a camera unlike those the network was trained for."
     if off_mm > 1:
         yield f"The belt was seen {off_mm:.0f} mm off its calibration, in the mean."
     if ungauged > FEW:
