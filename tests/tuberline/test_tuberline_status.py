@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 from dataclasses import replace
@@ -17,6 +18,7 @@ from conveyor.node import Node
 from tests.aggregator.loaded_story import story
 from tests.aggregator.virtual_line import Aggregator
 from tuberline.cli.address import LineAddress
+from tuberline.cli.graph import line_graph, print_graph
 from tuberline.cli.live import line_table
 from tuberline.cli.status import status
 
@@ -72,3 +74,19 @@ def test_totals_of_an_aggregator_that_left_are_the_last_ones() -> None:
     assert said not in shown(replace(TOTALS, final=True), "segmenter/left"), "it has done its work"
     assert said not in shown(TOTALS), "nobody answers at all"
     assert "waiting for the first tuber" in shown(None), "of a line that starts"
+
+
+@pytest.mark.parametrize("state", ["nothing seen", "starting", "counting"])
+def test_what_a_peer_says_is_no_markup(state: str) -> None:
+    """One message with a bracket ended `status` and `graph` with a traceback, and the table of `run` for good."""
+    out, word = io.StringIO(), "[/red] [x]"
+    node = Counters("camera", "left", "r1", 7, f"edge {word}", word, 3.0, {}, {"clock_unix_s": 0.0}, word)
+    totals = replace(TOTALS, state=state, reason=f"no picture {word}", coverage=None)
+    found = line_graph("line", {}, {"camera/left": node}, alive={"camera/left"}, now_unix_s=0.0)
+    with contextlib.redirect_stdout(out):
+        print_graph(found)
+    assert f"host edge {word}  version {word}" in out.getvalue()
+    Console(file=out, width=200, color_system=None).print(
+        line_table(totals, {"camera/left": node}, alive={"camera/left"})
+    )
+    assert (out.getvalue().count(word), f"no picture {word}" in out.getvalue()) == (5, True)

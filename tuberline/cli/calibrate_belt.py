@@ -66,12 +66,13 @@ def calibrate_belt(recording: Path, /, *, frames: Annotated[int, within(1, 100_0
 
 def _table(results: Sequence[BeltCalibration], verdicts: Sequence[Verdict]) -> Table:
     """One column per camera, and the limits."""
+    from rich.markup import escape
     from rich.table import Table
 
     from conveyor.formats.inspection import FARTHEST_M, NEAREST_M
     from segmenter.calibration_verdict import LIMITS
 
-    table = Table("", *(r.camera for r in results), "good", "refused")
+    table = Table("", *(escape(r.camera) for r in results), "good", "refused")
     table.add_row("frames", *(f"{r.frames} of {r.asked}" for r in results), "", "")
     distances = [f"{r.belt_distance_m:.4f} m" for r in results]
     table.add_row("belt distance", *distances, "", f"outside {NEAREST_M:g} to {FARTHEST_M:g} m")

@@ -86,9 +86,10 @@ def calibrate_cameras(
 
 def _table(placed: Sequence[PlacedCamera]) -> Table:
     """One column per camera."""
+    from rich.markup import escape
     from rich.table import Table
 
-    table = Table("", *(one.seen.camera for one in placed))
+    table = Table("", *(escape(one.seen.camera) for one in placed))
     table.add_row("load that crossed", *(str(len(one.seen.tracks)) for one in placed))
     table.add_row("belt distance", *(f"{one.seen.distance_m:.4f} m" for one in placed))
     table.add_row("tilt", *(_tilt(one) for one in placed))
@@ -98,7 +99,7 @@ def _table(placed: Sequence[PlacedCamera]) -> Table:
     )
     table.add_row("across", *(_where(one, one.place.across_m, "across_sd_m") for one in placed))
     table.add_row("along", *(_where(one, one.place.along_m, "along_sd_m") for one in placed))
-    table.add_row("beside camera", *(one.beside or "-" for one in placed))
+    table.add_row("beside camera", *(escape(one.beside or "-") for one in placed))
     table.add_row(
         "tubers that both see", *("-" if one.offset is None else str(len(one.offset.pairs)) for one in placed)
     )

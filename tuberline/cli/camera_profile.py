@@ -85,12 +85,13 @@ def profile(
 
 def _print(camera: ProfiledCamera, model: str) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     p = camera.profile
     unit = f"{1000 * p.depth_scale_m:g} mm"
-    title = f"{p.camera}: {p.frames} frames" + (f", {p.blank} more without depth: not seen" if p.blank else "")
-    table = Table("property", "measured", f"{model} trained for", "", title=title, title_justify="left")
+    title = f"{escape(p.camera)}: {p.frames} frames" + (f", {p.blank} more without depth: not seen" if p.blank else "")
+    table = Table("property", "measured", f"{escape(model)} trained for", "", title=title, title_justify="left")
     for finding in camera.findings:
         colour = VERDICTS[finding.verdict]
         table.add_row(finding.name, finding.measured, finding.trained, f"[{colour}]{finding.verdict}[/]")

@@ -145,6 +145,7 @@ def _print(infos: list[CertificateInfo], *, json: bool) -> None:
     if not infos:
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table("file", "name", "expires", "days left", "hosts")
@@ -154,10 +155,10 @@ def _print(infos: list[CertificateInfo], *, json: bool) -> None:
         left = info.days_left(now)
         colour = "red" if left < 0 else "yellow" if left < LATE_DAYS else "green"
         table.add_row(
-            info.path.name,
-            info.common_name,
+            escape(info.path.name),
+            escape(info.common_name),
             info.not_after.strftime("%Y-%m-%d"),
             f"[{colour}]{left:.0f}[/]",
-            ", ".join(info.hosts),
+            escape(", ".join(info.hosts)),
         )
     Console().print(table)

@@ -100,7 +100,7 @@ def graph(
     elif dot:
         sys.stdout.write(dot_text(found))
     else:
-        _print(found)
+        print_graph(found)
 
 
 def line_graph(
@@ -204,9 +204,11 @@ def _by_sender(edges: Iterable[GraphEdge]) -> dict[tuple[str, str], list[GraphEd
     return found
 
 
-def _print(found: Graph) -> None:
+def print_graph(found: Graph) -> None:
+    """Nodes, then what they send to whom, for a person."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console(highlight=False)
@@ -214,7 +216,7 @@ def _print(found: Graph) -> None:
         console.print(f"[red]no process of line '{found.line}' is running[/]: start it, or correct --line")
         return
     usual = {what: _usual(found.nodes, what) for what in ("host", "version", "run")}
-    console.print("  ".join(f"{what} {value}" for what, value in usual.items()))
+    console.print("  ".join(f"{what} {value}" for what, value in usual.items()), markup=False)
     others = {
         node.name: [v for what, value in usual.items() if (v := getattr(node, what)) not in ("", value)]
         for node in found.nodes
@@ -228,7 +230,7 @@ def _print(found: Graph) -> None:
         colour = "green" if node.state == "ok" else "red"
         nodes.add_row(
             short_name(node.name),
-            f"[{colour}]{node.state}[/]",
+            f"[{colour}]{escape(node.state)}[/]",
             "-" if node.age_s is None else duration(node.age_s) if node.age_s >= 10 else f"{node.age_s:.1f} s",
             "-" if node.frame_age_ms is None else f"{node.frame_age_ms:.0f} ms",
             Items(f"{key} {n:g}" for key, n in node.drops.items()),

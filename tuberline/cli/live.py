@@ -122,9 +122,9 @@ def totals_panel(totals: Totals | None, nothing: str = "") -> Panel:
         return Panel(nothing or "waiting for the first tuber ...", title="load")
     title = f"load · run {totals.run}" + (" · final" if totals.final else "")
     if totals.state == "nothing seen":
-        return Panel(f"[bold red]nothing seen[/]: {totals.reason}", title=title)
+        return Panel(f"[bold red]nothing seen[/]: {escape(totals.reason)}", title=title)
     if totals.state == "starting" and not totals.count:
-        return Panel(f"starting, not counting: {totals.reason}", title=title)
+        return Panel(f"starting, not counting: {escape(totals.reason)}", title=title)
     text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
     if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
@@ -133,9 +133,9 @@ def totals_panel(totals: Totals | None, nothing: str = "") -> Panel:
     if exchanged := exchanged_in_words(totals.exchanged):
         text += f"\n[yellow]{escape(exchanged)}[/]"
     if totals.belt_unknown:
-        text += f"\n[yellow]{totals.reason}[/]"
+        text += f"\n[yellow]{escape(totals.reason)}[/]"
     if totals.state == "starting":
-        text += f"   [yellow]starting: {totals.reason}[/]"
+        text += f"   [yellow]starting: {escape(totals.reason)}[/]"
     lit = classes_line(totals.load.classes if totals.load else totals.classes)
     text += f"\n{lit}" if lit else ""
     if totals.load is not None:
@@ -183,7 +183,7 @@ def nodes_tables(
         colour = "green" if state == "ok" else "red"
         table.add_row(
             short_name(name),
-            f"[{colour}]{state}[/]",
+            f"[{colour}]{escape(state)}[/]",
             duration(counters.uptime_s),
             Items(_did(name, counters, pace if name in alive else None)),
         )

@@ -72,7 +72,7 @@ def _print_load(console: Console, summary: dict[str, Any], totals: dict[str, Any
     for line in histogram_lines(tuple(totals["histogram"]), step_g=totals["histogram_step_g"]):
         console.print(line, highlight=False)
     if (foreign := totals.get("foreign")) and (foreign["kinds"] or foreign["percent"] >= WORTH_TELLING_PERCENT):
-        console.print(foreign_line(foreign), highlight=False)
+        console.print(foreign_line(foreign), markup=False, highlight=False)
     if totals.get("classes"):
         console.print(class_table(totals["contract"], totals["classes"]))
 

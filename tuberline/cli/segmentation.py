@@ -76,6 +76,7 @@ def segment(
         sys.stdout.write(json_module.dumps([r.as_dict() for r in results], indent=2) + "\n")
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table("camera", "frames", "counted", "discarded", "travel m", "looked at", "ms/frame")
@@ -83,7 +84,13 @@ def segment(
         discarded = ", ".join(f"{n} {reason}" for reason, n in sorted(r.discarded.items())) or "none"
         seen = f"{r.looked_at_m / r.travelled_m:.1%}" if r.travelled_m else "-"
         table.add_row(
-            r.camera, str(r.frames), str(len(r.tracks)), discarded, f"{r.travelled_m:.2f}", seen, f"{r.step_ms:.1f}"
+            escape(r.camera),
+            str(r.frames),
+            str(len(r.tracks)),
+            discarded,
+            f"{r.travelled_m:.2f}",
+            seen,
+            f"{r.step_ms:.1f}",
         )
     console = Console(stderr=True)
     console.print(table)

@@ -122,7 +122,7 @@ def _print_states(found: dict[str, WeightsState]) -> None:
     table = Table("regressor", "host", "order", "weighs with", "kept for a roll-back")
     for name, state in found.items():
         order = f"{state.n}" if state.n else "config"
-        table.add_row(name, state.host, order, state.model, state.previous_model or "-")
+        table.add_row(name, *map(escape, (state.host, order, state.model, state.previous_model or "-")))
     console = Console()
     console.print(table)
     for name, state in found.items():
@@ -138,7 +138,8 @@ def _print_changed(changed: Changed) -> None:
     console = Console()
     if changed.reports:
         report = changed.reports[0]
-        table = Table("reference cloud", "true g", f"{report.now_model} g", f"{report.model} g", "difference")
+        models = (f"{escape(model)} g" for model in (report.now_model, report.model))
+        table = Table("reference cloud", "true g", *models, "difference")
         for old, new in zip(report.now_answers, report.answers, strict=True):
             percent = 100 * (new.weight_g / old.weight_g - 1)
             table.add_row(
