@@ -34,6 +34,7 @@ class Receiver:
     def __init__(self, port: int = 0) -> None:
         self.taken: list[dict[str, Any]] = []
         self.asked: list[dict[str, str]] = []
+        self.paths: list[str] = []
         self.answer = 204
         receiver = self
 
@@ -41,6 +42,7 @@ class Receiver:
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["Content-Length"]))
                 receiver.asked.append(dict(self.headers.items()))
+                receiver.paths.append(self.path)
                 if receiver.answer < 300:
                     receiver.taken.append(json.loads(body))
                 self.send_response(receiver.answer)

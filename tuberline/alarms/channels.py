@@ -19,6 +19,8 @@ from tuberline.alarms.message import AlarmMessage
 
 log = logging.getLogger("alarms")
 
+OWN = ("http", "https", "mqtt", "mqtts")
+"""What is sent without apprise."""
 MOST_CHANNELS = 16
 WITHIN_S = 10.0
 """A server that takes longer is tried again."""
@@ -71,7 +73,7 @@ class Address:
     def shown(self) -> str:
         """Scheme and host; of a service's address, whose host may be a token, the scheme alone."""
         parts = self.parts
-        if parts.scheme not in ("http", "https", "mqtt", "mqtts"):
+        if parts.scheme not in OWN:
             return f"{parts.scheme}://..."
         return f"{parts.scheme}://{parts.hostname}" + (f":{parts.port}" if parts.port else "")
 
@@ -88,6 +90,16 @@ def open_channels(config: AlarmsConfig) -> tuple[Channel, ...]:
     Raises:
         ConfigError: an address that cannot be used, or whose library is not installed; shows no secret.
     """
+    addresses, tls = check_addresses(config)
+    return tuple(_channel(address, where=where, tls=tls) for address, where in addresses)
+
+
+def check_addresses(config: AlarmsConfig) -> tuple[list[tuple[Address, str]], ssl.SSLContext]:
+    """The addresses of a line, each with where it stands, and what encrypts; loads no channel's library.
+
+    Raises:
+        ConfigError: as for `open_channels`, but for those that apprise alone can read.
+    """
     urls = [(url, "alarms.channels") for url in config.channels]
     if config.channels_file is not None:
         urls += [(url, str(config.channels_file)) for url in read_channels_file(config.channels_file)]
@@ -95,19 +107,28 @@ def open_channels(config: AlarmsConfig) -> tuple[Channel, ...]:
         raise ConfigError(f"alarms: {len(urls)} channels are given; allowed are 1 to {MOST_CHANNELS}")
     if len({url for url, _ in urls}) < len(urls):
         raise ConfigError("alarms: one address is given twice; everything would be sent there twice")
-    tls = tls_context(config.root_ca)
-    return tuple(_channel(url, where=where, tls=tls) for url, where in urls)
+    return [(_checked(url, where=where), where) for url, where in urls], tls_context(config.root_ca)
 
 
-def _channel(url: str, *, where: str, tls: ssl.SSLContext) -> Channel:
+def _checked(url: str, *, where: str) -> Address:
     address = Address(url)
     try:
         scheme, host = address.parts.scheme, address.parts.hostname
         _ = address.parts.port
-    except ValueError as error:
-        raise ConfigError(f"{where}: an address cannot be read: {error}") from error
-    if scheme in ("http", "https", "mqtt", "mqtts") and not host:
+        if scheme in OWN:
+            (host or "").encode("idna")
+    except ValueError as error:  # whose text may hold a part of the password
+        raise ConfigError(
+            f"{where}: an address cannot be read; it is SCHEME://HOST:PORT/PATH, the port a number from 0 to 65535, an "
+            "IPv6 address in brackets, no part of the host's name longer than 63 letters, a password percent-encoded"
+        ) from error
+    if scheme in OWN and not host:
         raise ConfigError(f"{where}: '{address.shown}' names no host; write e.g. {scheme}://server/tuberline/alarms")
+    return address
+
+
+def _channel(address: Address, *, where: str, tls: ssl.SSLContext) -> Channel:
+    scheme = address.parts.scheme
     if scheme in ("http", "https"):
         from tuberline.alarms.webhook import Webhook
 

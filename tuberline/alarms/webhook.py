@@ -9,12 +9,14 @@ import ssl
 import urllib.error
 import urllib.request
 from typing import Any
-from urllib.parse import urlunsplit
+from urllib.parse import quote, urlunsplit
 
 from conveyor import __version__
 from tuberline.alarms.channels import WITHIN_S, Address, ChannelError, RefusedError
 from tuberline.alarms.message import AlarmMessage
 
+PLAIN = "/%:@!$&'()*+,;=?~"
+"""What stands in an address as it is; umlauts and blanks are written by their bytes, as browsers do."""
 NEVER = frozenset({400, 413, 415, 422})
 """Answers that say that this message is wrong; others (a wrong path, a wrong key) are corrected at the server."""
 
@@ -27,7 +29,8 @@ class Webhook:
         parts = address.parts
         host = f"[{parts.hostname}]" if ":" in (parts.hostname or "") else parts.hostname
         at = f"{host}:{parts.port}" if parts.port else f"{host}"
-        self._url = urlunsplit((parts.scheme, at, parts.path or "/", parts.query, ""))
+        path, query = quote(parts.path or "/", safe=PLAIN), quote(parts.query, safe=PLAIN)
+        self._url = urlunsplit((parts.scheme, at, path, query, ""))
         self._headers = {"Content-Type": "application/json", "User-Agent": f"tuberline/{__version__}"}
         if address.login is not None:
             self._headers["Authorization"] = "Basic " + base64.b64encode(":".join(address.login).encode()).decode()
@@ -47,7 +50,7 @@ class Webhook:
             raise kind(f"it answers {error.code} {error.reason}") from error
         except urllib.error.URLError as error:
             raise ChannelError(str(error.reason)) from error
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, ValueError, http.client.HTTPException) as error:
             raise ChannelError(str(error) or type(error).__name__) from error
 
 

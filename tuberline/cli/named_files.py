@@ -48,10 +48,10 @@ def _looks(line: LineConfig) -> Iterator[tuple[str, Callable[[], object]]]:
         yield "segmenter.weights", partial(check_there, line.segmenter.weights)
     for name, camera in sorted(line.cameras.items()):
         yield f"cameras.{name}.camera", partial(_check_camera, camera, name)
-    if line.alarms is not None and line.alarms.channels_file is not None:
-        from tuberline.alarms.channels import read_channels_file
+    if line.alarms is not None:
+        from tuberline.alarms.channels import check_addresses
 
-        yield "alarms.channels_file", partial(read_channels_file, line.alarms.channels_file)
+        yield "alarms", partial(check_addresses, line.alarms)
     if line.gnss is not None:
         from camera_sim.gnss.receivers import check_receiver
 
