@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
+import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -91,6 +94,38 @@ def test_a_full_disk_holds_no_message_up_and_is_made_good_later(
         put(box, 200)
     with Outbox(tmp_path, channels=["a"], keep=1000) as box:
         assert drained(box, "a") == [f"box-{n}-begin" for n in range(1, 201)]
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 200 kB; skipped, loudly, where none can be mounted."""
+    mount = ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(tmp_path)]
+    done = subprocess.run(mount, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"a disk that is full at the start is not tested: {done.stderr.strip()}")
+    yield tmp_path
+    subprocess.run(["umount", "-l", str(tmp_path)], check=True)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_disk_that_is_full_at_the_start_keeps_no_message_back(known: bool, small: Path) -> None:
+    """`tuberline alarms` that began again on a full disk ended each time, and nobody was told of the disk."""
+    if known:
+        with Outbox(small, channels=["a"], keep=10) as box:
+            put(box, 1)
+    with (small / "ballast").open("wb", buffering=0) as ballast, suppress(OSError):
+        while True:
+            ballast.write(bytes(4096))
+    with Outbox(small, channels=["a"], keep=10) as box:
+        put(box, 2)
+        with pytest.raises(TakenError):
+            Outbox(small, channels=["a"], keep=10).__enter__()
+        assert (head := box.head("a")) is not None
+        assert head[1].id == ("box-1-begin" if known else "box-2-begin")
+        (small / "ballast").unlink()
+        put(box, 3)
+    with Outbox(small, channels=["a"], keep=10) as box:
+        assert drained(box, "a") == [f"box-{n}-begin" for n in ((1, 2, 3) if known else (2, 3))]
 
 
 def test_a_damaged_file_is_set_aside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -26,12 +26,11 @@ log = logging.getLogger("alarms")
 
 FOLDER, FILE = "alarms", "alarms.db"
 """Where messages wait, in the aggregator's folder unless the config names another."""
-TABLES = """
-CREATE TABLE IF NOT EXISTS facts (name TEXT PRIMARY KEY, value TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS active (key TEXT PRIMARY KEY, begun TEXT NOT NULL, begun_unix_s REAL NOT NULL);
-CREATE TABLE IF NOT EXISTS waiting (channel TEXT NOT NULL, n INTEGER NOT NULL, message TEXT NOT NULL,
-                                    PRIMARY KEY (channel, n));
-"""
+TABLES = {
+    "facts": "name TEXT PRIMARY KEY, value TEXT NOT NULL",
+    "active": "key TEXT PRIMARY KEY, begun TEXT NOT NULL, begun_unix_s REAL NOT NULL",
+    "waiting": "channel TEXT NOT NULL, n INTEGER NOT NULL, message TEXT NOT NULL, PRIMARY KEY (channel, n)",
+}
 Change = tuple[str, tuple[object, ...]]
 
 
@@ -167,7 +166,8 @@ class Outbox:
 
     def _write_anew(self) -> None:
         with self._db:
-            for table in ("facts", "active", "waiting"):
+            for table, columns in TABLES.items():
+                self._db.execute(f"CREATE TABLE IF NOT EXISTS {table} ({columns})")
                 self._db.execute(f"DELETE FROM {table}")
             facts: dict[str, object] = {"prefix": self._prefix, "number": self._number, "recent": self._recent}
             facts |= {f"lost {channel}": lost for channel, lost in self._lost.items()}
@@ -185,6 +185,8 @@ class Outbox:
             queue.clear()
 
     def _read(self) -> None:
+        if self._db.execute("SELECT count(*) FROM sqlite_master").fetchone() == (0,):
+            return  # new, perhaps on a full disk
         facts = {name: json.loads(value) for name, value in self._db.execute("SELECT name, value FROM facts")}
         self._prefix = facts.get("prefix", self._prefix)
         self._number = facts.get("number", 0)
@@ -258,15 +260,23 @@ def _set_aside(path: Path, error: Exception) -> None:
     log.error("%s is damaged (%s): set aside as %s; what it held is not sent", path, error, aside.name)
 
 
+def _lock(db: sqlite3.Connection) -> None:
+    """Take the lock, which is kept. That needs no room; where a new file finds none, the lock is taken all the same."""
+    try:
+        db.execute("BEGIN EXCLUSIVE")
+        db.execute("COMMIT")
+    except sqlite3.OperationalError as error:
+        if error.sqlite_errorcode != sqlite3.SQLITE_FULL:
+            raise
+
+
 def _connected(path: Path) -> sqlite3.Connection:
     db = sqlite3.connect(path, check_same_thread=False, timeout=1.0)
     try:
         db.execute("PRAGMA locking_mode = EXCLUSIVE")
-        db.executescript(TABLES)
         if db.execute("PRAGMA quick_check").fetchone() != ("ok",):
             raise sqlite3.DatabaseError("its pages do not fit together")
-        with db:
-            db.execute("INSERT OR REPLACE INTO facts VALUES ('opened', 'true')")  # takes the lock
+        _lock(db)
     except BaseException:
         with contextlib.suppress(sqlite3.Error):
             db.close()
