@@ -51,7 +51,8 @@ def whole_output(target: Path) -> Iterator[Path]:
     already, what was made is put into it. Where the block raises, all of it is removed.
 
     Raises:
-        InputError: the disk is full, or the place cannot be written; the text says which, why, and how to fix it.
+        InputError: the disk is full, or the place cannot be written, or a file that the block reads cannot be; the text
+            says which, why, and how to fix it.
     """
     scratch: Path | None = None
     try:
@@ -61,6 +62,8 @@ def whole_output(target: Path) -> Iterator[Path]:
         for made in sorted(scratch.iterdir()):
             _move(made, target.parent / made.name)
     except OSError as error:
+        if scratch is not None and error.filename is not None and str(scratch) not in str(error.filename):
+            raise InputError(told(error)) from error  # of what the block reads
         raise InputError(f"{target} cannot be written: {cause(error)}") from error
     except InputError as error:
         if scratch is None or str(scratch) not in str(error):

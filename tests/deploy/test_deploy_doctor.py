@@ -208,6 +208,8 @@ def test_nodes_versions_and_clocks() -> None:
     here = {"aggregator/aggregator", "camera/front", "segmenter/front", "regressor/r1"}
     nodes = {name: counters(name) for name in here}
     assert only(check_nodes(config, nodes, alive=here)).text == "4 nodes alive, none stalled"
+    heard = {name: report for name, report in nodes.items() if name != "regressor/r1"}
+    assert only(check_nodes(config, heard, alive=here)).text.startswith("regressor/r1 is there, and no report")
     nodes["segmenter/front"] = counters("segmenter/front", status="stalled")
     found = [f.text for f in check_nodes(config, nodes, alive=here - {"camera/front", "regressor/r1"})]
     assert found == ["camera/front is not there", "no regressor is there", "segmenter/front is stalled (pid 7 on edge)"]

@@ -17,8 +17,13 @@ import numpy as np
 import pytest
 
 from aggregator.ledger.files import write_whole
+from conveyor.config import dump_toml, parse_config
 from conveyor.errors import InputError, StorageError
 from conveyor.files import check_place, told, unwritable, whole_output
+from tuberline.cli.config import check
+from tuberline.doctor import Level
+from tuberline.doctor.bundle import write_bundle
+from tuberline.doctor.examine import examine
 from tuberline.export.binary_files import write_xlsx
 from tuberline.export.table import Column, Table
 from tuberline.replayer import prepare_out
@@ -229,6 +234,8 @@ def test_whole_output_moves_all_or_nothing(tmp_path: Path) -> None:
         (partial / "deep" / "new").write_text("new")
         assert [path.name for path in (tmp_path / "there").iterdir()] == ["kept"]
     assert {path.name for path in (tmp_path / "there").rglob("*")} == {"kept", "deep", "new"}
+    with pytest.raises(InputError, match=r"^/none/there: No such"), whole_output(tmp_path / "there"):
+        Path("/none/there").read_bytes()  # it was said of what is written
     with whole_output(tmp_path / "a" / "b.mcap") as partial:
         partial.write_text("frames")
         partial.with_suffix(".truth.json").write_text("truth")
@@ -266,3 +273,24 @@ def test_every_sentence_has_path_cause_and_mend() -> None:
         "port 9180: Address already"
     )
     assert told(OSError("odd")) == "a file or device: odd"
+
+
+def test_folders_that_cannot_be_looked_into_are_findings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One that this user may not enter ended `doctor`, `bundle` and `config check`; a disk that fails `alarms`."""
+    closed = tmp_path / ("x" * 300)  # no system call takes it, as root can enter all others
+    config = parse_config(
+        {
+            "cameras": {"left": {"path": str(closed / "belt")}},
+            "segmenter": {"state_dir": str(closed)},
+            "regressor": {"weights": str(closed / "net.safetensors")},
+            "aggregator": {"out": str(closed)},
+        },
+        where="test",
+    )
+    faults = {f.check for f in examine(config, offline=True) if f.level is Level.FAULT}
+    assert faults == {"disk of the ledger", "disk of the camera log", "weights", "camera left"}
+    packed = write_bundle(tmp_path / "help.tar.gz", config, reports={}, journal_within_s=0.1)
+    assert {"results/summary.json.unread", "results/tubers.csv.unread"} <= set(packed)
+    (tmp_path / "line.toml").write_text(dump_toml(config), encoding="utf-8")
+    check(tmp_path / "line.toml")
+    assert "is accepted, with 3 warnings" in capsys.readouterr().out

@@ -10,6 +10,7 @@ from conveyor.access import router_access
 from conveyor.config import LineConfig
 from conveyor.config_camera import CameraConfig
 from conveyor.errors import ConfigError, InputError, TuberlineError
+from conveyor.files import told
 
 
 def unreadable_files(line: LineConfig) -> list[str]:
@@ -22,9 +23,9 @@ def unreadable_files(line: LineConfig) -> list[str]:
     for key, read in _looks(line):
         try:
             read()
-        except TuberlineError as error:
-            told = str(error)
-            found.append(told if told.startswith(key) else f"{key}: {told}")
+        except (TuberlineError, OSError) as error:
+            words = told(error) if isinstance(error, OSError) else str(error)
+            found.append(words if words.startswith(key) else f"{key}: {words}")
     return found
 
 

@@ -11,6 +11,7 @@ import sys
 import tarfile
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from aggregator.ledger.files import RESULT_FILES
 from conveyor import __version__
 from conveyor.access import access_control
 from conveyor.config import LineConfig, dump_toml
-from conveyor.errors import InputError
+from conveyor.files import told, whole_output
 from conveyor.processors import usable
 
 LOG_TAIL_BYTES = 2_000_000
@@ -42,19 +43,13 @@ def write_bundle(
     Raises:
         InputError: it cannot be written.
     """
-    draft = path.with_name(path.name + ".new")
     names: list[str] = []
-    try:
-        with tarfile.open(draft, "w:gz") as archive:
-            for name, data in _members(config, reports, journal_within_s):
-                info = tarfile.TarInfo(f"tuberline-{config.name}/{name}")
-                info.size, info.mtime, info.mode = len(data), int(time.time()), 0o600
-                archive.addfile(info, io.BytesIO(data))
-                names.append(name)
-        draft.replace(path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise InputError(f"bundle {path} cannot be written: {error.strerror or error}") from error
+    with whole_output(path) as draft, tarfile.open(draft, "w:gz") as archive:
+        for name, data in _members(config, reports, journal_within_s):
+            info = tarfile.TarInfo(f"tuberline-{config.name}/{name}")
+            info.size, info.mtime, info.mode = len(data), int(time.time()), 0o600
+            archive.addfile(info, io.BytesIO(data))
+            names.append(name)
     return names
 
 
@@ -64,15 +59,26 @@ def _members(config: LineConfig, reports: Mapping[str, Any], journal_within_s: f
     yield "access.json", _json(access_control(config))
     for name, value in reports.items():
         yield name, _json(value)
-    for name in RESULT_FILES:
-        file = config.aggregator.out / name
-        if file.is_file() and file.stat().st_size <= RESULT_LIMIT_BYTES:
-            yield f"results/{name}", file.read_bytes()
-    for log in sorted((config.aggregator.out / "logs").glob("*.log")):
-        yield f"logs/{log.name}", _tail(log)
+    yield from _of_run(config.aggregator.out)
     journal = _journal(config.name, journal_within_s)
     if journal:
         yield "logs/journal.txt", journal
+
+
+def _of_run(out: Path) -> Iterator[tuple[str, bytes]]:
+    """Results and logs; of what this user may not read, or a worn disk does not give, the reason."""
+    names = [f"results/{name}" for name in RESULT_FILES]
+    with suppress(OSError):  # where the folder cannot be entered, its results tell why
+        names += [f"logs/{log.name}" for log in sorted((out / "logs").glob("*.log"))]
+    for name in names:
+        file = out / name.removeprefix("results/")
+        try:
+            if name.startswith("logs/"):
+                yield name, _tail(file)
+            elif file.is_file() and file.stat().st_size <= RESULT_LIMIT_BYTES:
+                yield name, file.read_bytes()
+        except OSError as error:
+            yield f"{name}.unread", f"{told(error, file)}\n".encode()
 
 
 def _json(value: Any) -> bytes:

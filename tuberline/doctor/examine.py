@@ -13,6 +13,7 @@ from typing import Any
 from conveyor import __version__
 from conveyor.config import LineConfig
 from conveyor.errors import InputError, TuberlineError
+from conveyor.files import told
 from conveyor.messages import Counters
 from conveyor.observer import Observer
 from tuberline.doctor.finding import Finding, fault, ok
@@ -127,13 +128,13 @@ def _running_weights(observer: Observer) -> list[Finding]:
 
 def _weights(config: LineConfig) -> list[Finding]:
     file = config.regressor.weights
-    if file is not None and not file.exists() and config.regressor.processes == 0:
-        return [ok("weights", f"{file} is not here; nor do regressors run here (regressor.processes = 0)")]
 
     def load() -> str:
         from regressor.serve.check import check_weights
         from regressor.weigh.weigher import Weigher
 
+        if file is not None and not file.exists() and config.regressor.processes == 0:
+            return f"{file} is not here; nor do regressors run here (regressor.processes = 0)"
         weigher = Weigher.load(file)
         worst_off = max(abs(a.weight_g / a.true_g - 1) for a in check_weights(weigher, config))
         where = file or "the shipped ones"
@@ -150,9 +151,9 @@ def _cameras(config: LineConfig, *, alive: set[str]) -> list[Finding]:
             continue
         try:
             found += _camera(config, name)
-        except TuberlineError as error:
+        except (TuberlineError, OSError) as error:
             fix = f"correct [cameras.{name}] in the config, or the recording or device it names"
-            found.append(fault(f"camera {name}", str(error), fix))
+            found.append(fault(f"camera {name}", _in_words(error), fix))
     return found
 
 
@@ -187,5 +188,9 @@ def _camera(config: LineConfig, name: str) -> list[Finding]:
 def _tried(check: str, work: Callable[[], str], fix: str) -> Finding:
     try:
         return ok(check, work())
-    except TuberlineError as error:
-        return fault(check, str(error), fix)
+    except (TuberlineError, OSError) as error:
+        return fault(check, _in_words(error), fix)
+
+
+def _in_words(error: Exception) -> str:
+    return told(error) if isinstance(error, OSError) else str(error)

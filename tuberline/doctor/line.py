@@ -62,6 +62,9 @@ def check_nodes(config: LineConfig, nodes: Mapping[str, Counters], *, alive: set
     if not any(name.startswith("regressor/") for name in alive):
         fix = "start one: `tuberline regressor --config LINE.toml --name r1 --run RUN`, RUN as `tuberline status` says"
         found.append(fault("nodes", "no regressor is there", fix))
+    for name in sorted(alive - nodes.keys()):
+        fix = "look again in some seconds; where it stays so, read its log, and see that it runs this version"
+        found.append(warning("nodes", f"{name} is there, and no report of it that can be read has come", fix))
     for name, counters in sorted(nodes.items()):
         if name in alive and counters.status != "ok":
             found.append(

@@ -8,6 +8,7 @@ import resource
 import shutil
 import tempfile
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,10 +29,10 @@ def check_disk(folder: Path, *, what: str) -> list[Finding]:
     """Room in `folder` (or the nearest that exists), and that a file written there is durable quickly."""
     check = f"disk of {what}"
     place = folder
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    free_gb = shutil.disk_usage(place).free / 1e9
     try:
+        while not place.exists() and place != place.parent:
+            place = place.parent
+        free_gb = shutil.disk_usage(place).free / 1e9
         sync_ms = _sync_ms(place)
     except OSError as error:
         return [fault(check, f"{place} cannot be written: {error.strerror or error}", _disk_fix(error, folder))]
@@ -68,9 +69,12 @@ def _sync_ms(folder: Path) -> float:
 
 def check_clock(ledger: Path, *, now_s: float) -> list[Finding]:
     """The clock is not before what was written here: many field computers have none that runs while they are off."""
-    written = [file for file in (Path(__file__), ledger / "ledger.db") if file.exists()]
-    newest = max(written, key=lambda file: file.stat().st_mtime)
-    behind_s, at = newest.stat().st_mtime - now_s, datetime.fromtimestamp(now_s, UTC)
+    written = {}
+    for file in (Path(__file__), ledger / "ledger.db"):
+        with suppress(OSError):  # none there, or none that this user may see
+            written[file] = file.stat().st_mtime
+    newest = max(written, key=written.__getitem__)
+    behind_s, at = written[newest] - now_s, datetime.fromtimestamp(now_s, UTC)
     if behind_s < CLOCK_BEHIND_S:
         return [ok("clock", f"{at:%Y-%m-%d %H:%M} UTC, later than what was written here")]
     text = f"it says {at:%Y-%m-%d %H:%M} UTC, and {newest} was written {behind_s / 3600:.1f} hours later"
