@@ -28,26 +28,24 @@ def models_of_run(observer: Observer) -> dict[str, int]:
 def check_tickets(config: LineConfig) -> list[Finding]:
     """Whether the tickets that the line names are of the weights that it is configured with."""
     from aggregator.calibration.tickets import read_tickets
+    from aggregator.ledger.ticket_doubts import of_other_weights
     from regressor.network.stored import SHIPPED, read_weights
 
     file = config.aggregator.tickets
     if file is None:
         return []
     try:
-        known = [ticket.model for ticket in read_tickets(file) if not ticket.set_aside]
+        tickets = read_tickets(file)
     except TuberlineError as error:
         return [fault("tickets", str(error), "correct aggregator.tickets, or leave it out")]
     try:
         model = read_weights(config.regressor.weights or SHIPPED)[1].model_id
     except TuberlineError:  # a finding of its own, see `weights`
         return []
-    if known and model not in known:
-        others = ", ".join(sorted(set(known)))
-        fix = "weigh a bucket again: `tuberline calibrate bucket RUN --kg ...`"
-        return [
-            warning("tickets", f"{file} has none of {model}, so nothing is calibrated; it has some of {others}", fix)
-        ]
-    return [ok("tickets", f"{file}: {known.count(model)} of {model} in use")]
+    for words in of_other_weights(tickets, [model]):
+        return [warning("tickets", f"{file}: {words}", "weigh a bucket: `tuberline calibrate bucket RUN --kg ...`")]
+    used = sum(ticket.model == model and not ticket.set_aside for ticket in tickets)
+    return [ok("tickets", f"{file}: {used} of {model} in use")]
 
 
 def check_running_weights(found: Mapping[str, WeightsState], models: Mapping[str, int]) -> list[Finding]:
