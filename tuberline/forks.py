@@ -261,6 +261,8 @@ def become(server: int, environment: Mapping[str, str], log: BinaryIO | None) ->
         os.dup2(log.fileno(), sys.stderr.fileno())
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ.update(environment, **{ENVIRONMENT: str(server)})
     gc.enable()
 
@@ -269,6 +271,8 @@ def main() -> None:
     """Serve; in a forked process: be the node."""
     for number in (signal.SIGINT, signal.SIGTERM):  # meant for the nodes; this process leaves with its supervisor
         signal.signal(number, signal.SIG_IGN)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda *_: None)
     importlib.import_module("tuberline.cli")  # every node needs it
     args = serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2:])
     if args is None:

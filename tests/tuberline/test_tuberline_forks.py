@@ -66,6 +66,11 @@ def test_a_node_has_its_own_name_environment_and_signals(forks: ForkServer, free
     router.send_signal(signal.SIGTERM)
     assert router.wait(10) == 0
     router = start_router(forks, free_port, log, TUBERLINE_LOG="json")
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # the tests themselves are to outlive their terminal
+        for pid in (server_of(router.pid), router.pid):
+            os.kill(pid, signal.SIGHUP)
+        assert router.wait(10) == 0, "a closed terminal killed all nodes of a line, and no summary was written"
+        router = start_router(forks, free_port, log, TUBERLINE_LOG="json")
     assert json.loads(log.read_text(encoding="utf-8").splitlines()[-1])["node"] == "router"
     router.kill()
     assert router.wait(10) == -signal.SIGKILL

@@ -12,16 +12,19 @@ AGAIN_AFTER_S = 0.05
 
 
 class Told(SystemExit):
-    """The command was told to end by SIGTERM."""
+    """The command was told to end by SIGTERM, or by its terminal, which was closed."""
 
 
 def leave_when_told() -> None:
-    """SIGTERM ends this command by `Told`, wherever it is; nodes have handlers of their own.
+    """SIGTERM ends this command by `Told`, wherever it is; nodes have handlers of their own. A terminal that is closed
+    (SIGHUP) is SIGTERM to them all, but where they are to outlive it (nohup).
 
     Python drops what is raised while it calls back for an object that is gone, and goes on: such a signal, SIGINT
     too, is given again.
     """
     signal.signal(signal.SIGTERM, _leave)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     sys.unraisablehook = _dropped
 
 

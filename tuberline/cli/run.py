@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -120,7 +121,10 @@ def raise_if_pointless(supervisor: Supervisor) -> None:
 
 
 def _show(supervisor: Supervisor, config: LineConfig, stop: threading.Event) -> None:
-    """The live table, until stopped."""
+    """The live table, until stopped, or until its terminal is closed: under nohup the line goes on.
+
+    Drawn by this thread: one that fails to draw would end the process, and with it the line.
+    """
     from rich.live import Live
 
     from tuberline.cli.live import line_table
@@ -131,9 +135,10 @@ def _show(supervisor: Supervisor, config: LineConfig, stop: threading.Event) -> 
             raise SystemExit(0)
 
     with (
+        suppress(OSError),
         observer_when_there(config.link, line=config.name, meanwhile=check) as observer,
-        Live(refresh_per_second=4) as live,
+        Live(auto_refresh=False) as live,
     ):
         while not (stop.wait(LOOK_EVERY_S) or supervisor.finished("aggregator")):
             raise_if_pointless(supervisor)
-            live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()))
+            live.update(line_table(observer.totals(), observer.nodes(), alive=observer.alive()), refresh=True)
