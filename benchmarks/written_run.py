@@ -34,6 +34,7 @@ def write_run(
     weight_g: NDArray[np.float64],
     sd_share: float = 0.08,
     stopped: bool = False,
+    line: str = "line",
 ) -> None:
     """Write ledger.db, summary.json and tubers.csv of a finished run of one camera into `folder`.
 
@@ -42,15 +43,15 @@ def write_run(
     Args:
         crossed_ns: (N,) when each tuber crossed, Unix nanoseconds, ascending.
         weight_g: (N,) as weighed; its 90 % interval is `sd_share` wide as a standard deviation.
-        stopped: its line was stopped before the camera ended, as a live one is.
+        stopped: its line was stopped before the camera ended, as a live one is. line: its name.
     """
     config = parse_config(
-        {"name": "line", "cameras": {CAMERA: {"path": "x"}}, "aggregator": {"out": str(folder)}}, where="written run"
+        {"name": line, "cameras": {CAMERA: {"path": "x"}}, "aggregator": {"out": str(folder)}}, where="written run"
     )
     folder.mkdir(parents=True, exist_ok=True)
     half = 1.645 * sd_share
     with Ledger(folder / "ledger.db") as ledger:
-        restored = ledger.open_run(run, line="line", cameras=(CAMERA,), version="1", started_ns=int(crossed_ns[0]))
+        restored = ledger.open_run(run, line=line, cameras=(CAMERA,), version="1", started_ns=int(crossed_ns[0]))
         core = Aggregation(
             run,
             cameras=(CAMERA,),

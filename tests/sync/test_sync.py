@@ -160,6 +160,16 @@ def test_a_run_that_began_before_the_others_counts_no_load_twice(empty: Postgres
         assert loads_there() == [("reset", 3), *expected]
 
 
+def test_loads_stay_with_the_line_that_they_passed(empty: Postgres, tmp_path: Path) -> None:
+    """A line that was named otherwise and kept its folder took all former loads along into its total."""
+    for line, run, kg in (("north", "monday", 1), ("barn", "tuesday", 2)):
+        write_run(tmp_path, run=run, crossed_ns=np.arange(10 * kg) * 10**9, weight_g=np.full(10 * kg, 100.0), line=line)
+    with connect(empty.url) as connection:
+        push(connection, tmp_path)
+        found = connection.execute("SELECT line, raw_kg FROM tuberline.totals_by_line ORDER BY raw_kg").fetchall()
+    assert found == [("north", pytest.approx(1.0)), ("barn", pytest.approx(2.0))]
+
+
 def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, tmp_path: Path) -> None:
     with connect(empty.url) as connection:
         push(connection, ledger)

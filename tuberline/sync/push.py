@@ -114,7 +114,7 @@ def push(connection: Any, path: Path) -> Pushed:
                 pushed.runs += 1
                 pushed.tubers += _tubers(connection, view, run, run_ids[-1])
             if run_ids:
-                pushed.loads = _loads(connection, view, run.line, run_ids)
+                pushed.loads = _loads(connection, view, run_ids)
     except psycopg.OperationalError as error:
         raise LinkError(f"the database went away: {_first_line(error)}; what was committed is there") from error
     except psycopg.Error as error:
@@ -170,7 +170,7 @@ def batched_tubers(view: LedgerView, run: RunRow, since: int) -> Iterator[tuple[
         yield batch
 
 
-def _loads(connection: Any, view: LedgerView, line: str, run_ids: Sequence[int]) -> int:
+def _loads(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> int:
     """All loads of a ledger in place of those the database had: a note or a ticket may have changed any of them.
 
     They go under the run that began first. Which one that is changes where a clock was set back: so those under any
@@ -184,7 +184,7 @@ def _loads(connection: Any, view: LedgerView, line: str, run_ids: Sequence[int])
         labels = load.labels
         rows.append(
             (
-                line,
+                ledger.runs[load.run].line,
                 run_ids[0],
                 place,
                 labels["load"],
