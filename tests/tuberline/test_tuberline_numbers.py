@@ -11,6 +11,7 @@ import pytest
 from cyclopts import App, Argument
 from cyclopts.exceptions import CycloptsError
 
+from conveyor.errors import InputError
 from tuberline.cli import build_app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,6 +50,20 @@ def refused(*words: str) -> str:
     with pytest.raises(CycloptsError) as error:
         build_app().parse_args(words, exit_on_error=False, print_error=False)
     return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ("init line.toml --ros-domain 5", "--ros-router"),
+        ("calibrate load RUN --load 3 --scale-error-kg 5 --run monday", "--run and --scale-error-kg"),
+        ("segment RECORDING --frame 5", "--picture"),
+        ("evaluate-segmentation RECORDING --method classical --weights net.onnx", "asks no network"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(words: str, named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        build_app()(words.split(), exit_on_error=False, print_error=False)
 
 
 def test_all_numbers_are_found() -> None:

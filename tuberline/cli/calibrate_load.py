@@ -50,6 +50,16 @@ def calibrate_load(
         raise InputError(
             "give the run's net weight with --ticket-kg, or a load of the ledger that has a ticket, --load"
         )
+    of_run = {
+        "--run": options.run,
+        "--scale-error-kg": scale_error_kg,
+        "--resting-offset-mm": options.resting_offset_mm,
+    }
+    if load and (named := [option for option, value in of_run.items() if value is not None]):
+        raise InputError(
+            f"{' and '.join(named)}: the ledger knows this of load '{load}' and of its ticket; leave it out (a scale's "
+            "error: `tuberline load ticket --scale-error-kg`)"
+        )
     if ticket_kg is None:
         ticket = ticket_of_load(run_dir, load, cultivar=options.cultivar)
     else:

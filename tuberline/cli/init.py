@@ -24,7 +24,7 @@ def init(
     recording: tuple[Path, ...] = (),
     realsense: bool = False,
     ros_router: str | None = None,
-    ros_domain: Annotated[int, within(0, 232)] = 0,
+    ros_domain: Annotated[int, within(0, 232)] | None = None,
     belt_distance_m: BeltDistance | None = None,
 ) -> None:
     """Write a line's file, with remarks, for what it finds: RealSense cameras, recordings, ROS 2 depth topics.
@@ -44,7 +44,7 @@ def init(
     ros_router
         Endpoint of a ROS 2 system's rmw_zenohd, e.g. tcp/10.0.0.7:7447: its depth topics.
     ros_domain
-        Its ROS_DOMAIN_ID.
+        Its ROS_DOMAIN_ID; default: 0.
     belt_distance_m
         Camera to belt along the optical axis, metres.
     """
@@ -61,13 +61,15 @@ def init(
     given = {"--recording": bool(recording), "--realsense": realsense, "--ros-router": ros_router is not None}
     if sum(given.values()) > 1:
         raise InputError(f"{' and '.join(option for option in given if given[option])}: give one of them")
+    if ros_domain is not None and ros_router is None:
+        raise InputError(f"--ros-domain {ros_domain} is of a ROS 2 system: name its router with --ros-router")
     line = check_name(name or file.stem, what="line")
     chosen: list[Found]
     if recording:
         chosen = [found_recording(path) for path in recording]
     elif ros_router is not None:
         chosen = _choose(
-            found_ros2(endpoint(ros_router), ros_domain), f"no depth topic is published through {ros_router}"
+            found_ros2(endpoint(ros_router), ros_domain or 0), f"no depth topic is published through {ros_router}"
         )
     else:
         chosen = _choose(*_look(realsense))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from conveyor.errors import InputError
 from tuberline.cli.numbers import within
 
 if TYPE_CHECKING:
@@ -70,6 +71,8 @@ def segment(
 
     if picture is not None:
         check_picture(picture, option="--picture")
+    elif frame is not None:
+        raise InputError(f"--frame {frame} is the one to draw: name the picture with --picture FILE.png")
     with frames_bar() as on_frame:
         results = segment_recording(recording, picture=picture, picture_seq=frame, masks=masks, on_frame=on_frame)
     if json:
@@ -133,6 +136,8 @@ def evaluate_segmentation(
     from segmenter.warmup import warm_up
     from tuberline.cli.progress import frames_bar
 
+    if method == "classical" and weights is not None:
+        raise InputError(f"--weights {weights}: `classical` asks no network; leave it out, or --method")
     cv2.setNumThreads(1)
     warm_up(Settings().split.pixel_mm)
     settings = Settings(perception=PerceptionSettings(method=method or PerceptionSettings().method, weights=weights))
