@@ -188,6 +188,8 @@ def test_certificates_are_watched_for_expiry_privacy_and_the_routers_name(tmp_pa
         "/camera.front.key can be read by others": Level.FAULT,
         "/router.pem is for edge, but nodes call 127.0.0.1": Level.FAULT,
     }
+    anywhere = config.model_copy(update={"link": config.link.model_copy(update={"router": "tls/0.0.0.0:7447"})})
+    assert any('link.listen = ["tls/0.0.0.0:7447"]' in f.fix for f in check_certificates(anywhere, now=NOW))
     late = check_certificates(config, now=NOW + timedelta(days=23))
     assert any("camera.front.pem expired 3 days ago" in f.text and "--renew" in f.fix for f in late)
     old = check_certificates(config, now=NOW + timedelta(days=3640))

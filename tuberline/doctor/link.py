@@ -11,6 +11,9 @@ from conveyor.config import LineConfig, LinkConfig
 from conveyor.errors import TuberlineError
 from tuberline.doctor.finding import Finding, fault, ok, warning
 
+EVERYWHERE = ("0.0.0.0", "::")
+"""Where a router may listen, and no node calls it by."""
+
 
 def router_address(link: LinkConfig) -> tuple[str, int]:
     """(host, port) of the router's endpoint, e.g. of 'tls/edge:7447'."""
@@ -67,14 +70,13 @@ def check_certificates(config: LineConfig, *, now: datetime) -> list[Finding]:
         key = info.path.with_suffix(".key")
         if key.is_file() and stat.S_IMODE(key.stat().st_mode) & 0o007:
             found.append(fault("certificates", f"{key} can be read by others", f"chmod 600 {key}"))
-        if info.common_name == f"router@{config.name}" and router_address(config.link)[0] not in info.hosts:
-            found.append(
-                fault(
-                    "certificates",
-                    f"{info.path} is for {', '.join(info.hosts)}, but nodes call {router_address(config.link)[0]}",
-                    "`tuberline certs add router LINE.toml --renew`",
-                )
-            )
+        called = router_address(config.link)[0]
+        if info.common_name == f"router@{config.name}" and called not in info.hosts:
+            fix = "`tuberline certs add router LINE.toml --renew`"
+            if called in EVERYWHERE:  # no certificate is for it
+                fix = f'link.listen = ["{config.link.router}"], and in link.router one of the names above in its place'
+            text = f"{info.path} is for {', '.join(info.hosts)}, but nodes call {called}"
+            found.append(fault("certificates", text, fix))
     if not found:
         soonest = min((info.days_left(now) for info in infos), default=0.0)
         found.append(ok("certificates", f"{len(infos)} certificates, the first expires in {soonest:.0f} days"))
