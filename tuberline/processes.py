@@ -43,5 +43,5 @@ def line_processes(
     elif config.gnss is not None:
         specs.append(ProcessSpec("gnss", ("gnss", *common)))
     if config.alarms is not None:
-        specs.append(ProcessSpec("alarms", ("alarms", str(config_path))))
+        specs.append(ProcessSpec("alarms", ("alarms", "--config", str(config_path))))
     return specs

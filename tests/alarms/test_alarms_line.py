@@ -150,7 +150,9 @@ def test_the_doctor_says_whether_somebody_sends_them(link: LinkConfig, tmp_path:
 def test_run_starts_the_alarms_of_a_line_that_has_some(tmp_path: Path) -> None:
     file = alarms_config(LinkConfig(), tmp_path, 80)
     config = load_config(file)
-    assert [s.args for s in line_processes(config, config_path=file, run="r")][-1] == ("alarms", str(file))
+    specs = line_processes(config, config_path=file, run="r")
+    assert specs[-1].args == ("alarms", "--config", str(file))
+    assert {s.config for s in specs} == {file}, "what gave up is started again when its file is corrected"
     assert "alarms" not in [s.name for s in line_processes(LineConfig(), config_path=file, run="r")]
     (tmp_path / "again.toml").write_text(dump_toml(config))
     assert load_config(tmp_path / "again.toml") == config

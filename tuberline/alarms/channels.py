@@ -124,6 +124,11 @@ def _checked(url: str, *, where: str) -> Address:
         ) from error
     if scheme in OWN and not host:
         raise ConfigError(f"{where}: '{address.shown}' names no host; write e.g. {scheme}://server/tuberline/alarms")
+    topic = address.parts.path.strip("/")
+    if scheme in ("mqtt", "mqtts") and (not topic or "+" in topic or "#" in url or address.parts.query):
+        raise ConfigError(
+            f"{where}: {address.shown} needs a topic without + and #, e.g. {address.shown}/tuberline/alarms"
+        )
     return address
 
 
