@@ -354,6 +354,10 @@ def _known_keys(path: tuple[Any, ...]) -> list[str]:
     return sorted(sections[path[0]].model_fields) if path[0] in sections else []
 
 
+FILE = "file:"
+"""Begins a source that is a recorded file."""
+
+
 def _with_base(section: Any, base: Path) -> Any:
     """The same section with its relative paths resolved against `base`."""
     changes: dict[str, Any] = {}
@@ -361,6 +365,8 @@ def _with_base(section: Any, base: Path) -> Any:
         value = getattr(section, name)
         if isinstance(value, Path) and not value.is_absolute():
             changes[name] = base / value
+        elif isinstance(value, str) and value.startswith(FILE):
+            changes[name] = f"{FILE}{base / value.removeprefix(FILE)}"
         elif isinstance(value, Section):
             changes[name] = _with_base(value, base)
         elif isinstance(value, dict):

@@ -142,6 +142,10 @@ def test_relative_paths_start_at_the_file(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, '[cameras.front]\npath = "rec"\n[aggregator]\nout = "/abs"'))
     assert config.camera("front").path == tmp_path / "rec"
     assert config.aggregator.out == Path("/abs")
+    for given, meant in (("file:a/b.nmea", f"file:{tmp_path}/a/b.nmea"), ("file:/abs.nmea", "file:/abs.nmea")):
+        gnss = load_config(write(tmp_path, f'[gnss]\nsource = "{given}"')).gnss
+        assert gnss is not None
+        assert gnss.source == meant, "it started where the process was started, which for a service is /"
 
 
 def test_a_file_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
