@@ -204,6 +204,7 @@ class Reporter:
             foreign=foreign_total(totals, self._config.foreign),
             apart=self._cameras_apart(sums.load.count, now_s),
             exchanged=self._exchanged(now_s),
+            now_ns=max((sight.last_ns for sight in cameras.sights.values()), default=None),
         )
         return self._load_by_load(told, totals, now_s) if self._core.run in self._ledger.loads.spans else told
 

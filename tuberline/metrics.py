@@ -19,6 +19,7 @@ except ImportError as error:
     raise ConfigError(missing_package(error, "prometheus-client", extra="deploy", what="serving metrics")) from error
 
 PREFIX = "tuberline"
+AGGREGATOR = "aggregator/aggregator"
 NODE_LABELS = ("line", "role", "name", "host", "run")
 
 
@@ -33,7 +34,7 @@ class LineCollector(Collector):
         line = self._observer.line
         nodes, alive = self._observer.nodes(), self._observer.alive()
         yield from node_metrics(nodes, alive=alive, line=line)
-        yield from totals_metrics(self._observer.totals(), line=line)
+        yield from totals_metrics(self._observer.totals(), line=line, told_now=AGGREGATOR in alive)
 
 
 @contextmanager
@@ -98,8 +99,10 @@ def _families(nodes: Sequence[Counters], line: str) -> Iterator[Metric]:
     yield from levels.values()
 
 
-def totals_metrics(totals: Totals | None, *, line: str) -> Iterator[Metric]:
-    """The load so far; nothing before the aggregator has said anything, no weight while there is none to tell."""
+def totals_metrics(totals: Totals | None, *, line: str, told_now: bool) -> Iterator[Metric]:
+    """The load so far; nothing before the aggregator has said anything, no weight while there is none to tell, and no
+    rate where it is not `told_now`.
+    """
     if totals is None:
         return
     values = {
@@ -116,8 +119,9 @@ def totals_metrics(totals: Totals | None, *, line: str) -> Iterator[Metric]:
             "load_weight_low_grams": ("lower bound of its 90 % interval", totals.low_g),
             "load_weight_high_grams": ("upper bound of its 90 % interval", totals.high_g),
             "load_estimated_weight_grams": ("weight of the load, missed belt included", totals.estimated_weight_g),
-            "load_tubers_per_second": ("tubers a second now", totals.tubers_per_s),
         }
+    if not totals.no_number and told_now and not totals.final:
+        values["load_tubers_per_second"] = ("tubers a second now", totals.tubers_per_s)
     if totals.coverage is not None:
         values["load_belt_seen_ratio"] = ("share of the belt's travel that was looked at", totals.coverage)
     for name, (about, value) in values.items():

@@ -20,6 +20,8 @@ UNLIKE = frozenset((CAMERA_NOISE, CAMERA_UNLIKE, BELT_DISTANCE))
 """Flags of a tuber whose camera, or its distance, is unlike those that the weights were trained for."""
 RATE_WINDOW_S = 10.0
 RATE_TUBERS = 1000
+QUIET_S = 15.0
+"""Without a tuber for so long none passes; they are committed some seconds after they crossed."""
 HISTOGRAM_CLASSES = 64
 """The last class takes everything heavier."""
 
@@ -145,9 +147,13 @@ class LoadSums:
         """Mean square of a tuber's weight; None without tubers."""
         return self.squares_g2 / self.count if self.count else None
 
-    def tubers_per_s(self) -> float:
-        """Tubers per second over the last stretch of the cameras' time."""
+    def tubers_per_s(self, now_ns: int | None = None) -> float:
+        """Tubers per second over the last stretch of the cameras' time, `now_ns` the newest of it: 0 on a belt that
+        stands or is empty.
+        """
         if len(self._recent_ns) < 2:
+            return 0.0
+        if now_ns is not None and now_ns - max(self._recent_ns) > QUIET_S * 1e9:
             return 0.0
         span_s = (max(self._recent_ns) - min(self._recent_ns)) / 1e9
         return (len(self._recent_ns) - 1) / span_s if span_s > 0 else 0.0

@@ -188,8 +188,9 @@ class LoadTotals:
         foreign: ForeignTotal | None = None,
         apart: tuple[CamerasApart, ...] = (),
         exchanged: tuple[CameraExchanged, ...] = (),
+        now_ns: int | None = None,
     ) -> Totals:
-        """The totals as published; `most_m` as in `estimated`."""
+        """The totals as published; `most_m` as in `estimated`, `now_ns` as in `LoadSums.tubers_per_s`."""
         low_g, high_g = self.interval_g()
         estimated_g, estimated_low_g, estimated_high_g = self.estimated(coverage, belt_m=belt_m, most_m=most_m)
         seen, under = self.calibrated(), self.hidden()
@@ -203,7 +204,7 @@ class LoadTotals:
             estimated_weight_g=estimated_g,
             estimated_low_g=estimated_low_g,
             estimated_high_g=estimated_high_g,
-            tubers_per_s=self.sums.tubers_per_s(),
+            tubers_per_s=self.sums.tubers_per_s(now_ns),
             histogram_step_g=self.sums.histogram_step_g,
             histogram=tuple(self.sums.classes),
             cameras=dict(cameras),

@@ -120,6 +120,9 @@ def test_where_no_tuber_was_counted_there_may_have_been_three() -> None:
 def test_the_rate_is_that_of_the_last_seconds() -> None:
     assert load(500).message("r", coverage=None, cameras={}, final=False).tubers_per_s == pytest.approx(10.0)
     assert load(1).message("r", coverage=None, cameras={}, final=False).tubers_per_s == 0.0
+    sums, last_ns = load(500).sums, max(load(500).sums._recent_ns)
+    per_s = [sums.tubers_per_s(last_ns + after_s * 10**9) for after_s in (0, 5, 16)]
+    assert per_s == [pytest.approx(10.0), pytest.approx(10.0), 0.0], "a belt that stood for an hour told its last rate"
 
 
 def test_tickets_scale_the_load_and_narrow_its_interval_but_leave_the_tubers_as_weighed() -> None:

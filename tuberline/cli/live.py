@@ -125,7 +125,7 @@ def totals_panel(totals: Totals | None, nothing: str = "") -> Panel:
         return Panel(f"[bold red]nothing seen[/]: {escape(totals.reason)}", title=title)
     if totals.state == "starting" and not totals.count:
         return Panel(f"starting, not counting: {escape(totals.reason)}", title=title)
-    text = f"{_so_far(totals)}   {totals.tubers_per_s:.1f}/s"
+    text = _so_far(totals) + ("" if totals.final else f"   {totals.tubers_per_s:.1f}/s")
     if layers := layers_in_words(totals.hidden, totals.layered_m, totals.belt_m):
         text += f"\n[yellow]{layers}[/]: with them {totals.estimated_weight_g / 1000:.2f} kg"
     if apart := apart_in_words(totals.apart):
