@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import stat
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,24 @@ def test_nothing_is_overwritten_unless_asked(line: Path, capsys: pytest.CaptureF
     assert {name for name in before if before[name] != after[name]} == {"viewer.office.pem", "viewer.office.key"}
     add("viewer/lorry", line)
     assert "viewer/lorry is not among those that [access]" in capsys.readouterr().err
+
+
+def test_a_name_that_the_router_is_given_is_in_its_certificate_and_stays_there(line: Path) -> None:
+    """Beside a certificate that was there, `make --host` made none and said nothing; --renew forgot the name."""
+    router = line.parent / "certs" / "router.pem"
+    make(line)
+    with pytest.raises(InputError, match=r"certs add router .*line.toml --renew --host edge.field"):
+        make(line, host=("edge.field", "10.0.0.7"))
+    add("router", line, host=("edge.field",), renew=True)
+    assert "edge.field" in read_certificate(router).hosts
+    make(line, host=("edge.field",))
+    for again in (partial(make, line, renew=True), partial(add, "router", line, renew=True)):
+        again()
+        assert read_certificate(router).hosts == ("10.0.0.7", "edge.field", "localhost", "127.0.0.1")
+    router.write_text("no certificate")
+    add("router", line, renew=True)
+    with pytest.raises(InputError, match="keeper needs none"):
+        add("keeper", line, host=("edge.field",))
 
 
 def test_validity_is_bounded_by_the_authority_and_starts_a_day_early(tmp_path: Path) -> None:

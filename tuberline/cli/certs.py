@@ -12,7 +12,7 @@ from cyclopts import App
 
 from conveyor.access import line_identities
 from conveyor.config import LineConfig, load_config
-from conveyor.errors import ConfigError
+from conveyor.errors import ConfigError, InputError
 from conveyor.identity import CA_FILE, Identity
 from tuberline.cli.numbers import within
 
@@ -41,16 +41,23 @@ def make(
     days
         How long the nodes' certificates are valid.
     renew
-        Replace certificates that are there already (never the authority).
+        Replace certificates that are there already (never the authority); the router's keeps the names that it had.
     """
     from tuberline.certs import issue, make_authority
 
     line = load_config(config)
     folder = _folder(line, out)
+    former = _former_hosts(folder)
+    if former and not renew and (new := [name for name in host if name.strip("[]") not in former]):
+        options = " ".join(f"--host {name}" for name in new)
+        raise InputError(
+            f"{options}: the router's certificate in {folder} is there, and for {', '.join(former)} alone; `tuberline "
+            f"certs add router {config} --renew {options}` makes it again"
+        )
     made = [] if (folder / CA_FILE).exists() else [make_authority(folder, site=line.name)]
     for identity in (Identity("router"), *line_identities(line)):
         if renew or not (folder / f"{identity.stem}.pem").exists():
-            hosts = router_hosts(line, host) if identity.role == "router" else ()
+            hosts = router_hosts(line, (*host, *former)) if identity.role == "router" else ()
             made.append(issue(folder, identity, line=line.name, hosts=hosts, days=days, renew=renew))
     _print(made, json=False)
     sys.stdout.write(
@@ -60,7 +67,15 @@ def make(
 
 
 @certs.command
-def add(node: str, config: Path, *, out: Path | None = None, days: Days = 730, renew: bool = False) -> None:
+def add(
+    node: str,
+    config: Path,
+    *,
+    out: Path | None = None,
+    host: tuple[str, ...] = (),
+    days: Days = 730,
+    renew: bool = False,
+) -> None:
     """Make the certificate of one more node, e.g. regressor/barn or viewer/office.
 
     Parameters
@@ -71,17 +86,22 @@ def add(node: str, config: Path, *, out: Path | None = None, days: Days = 730, r
         The line's TOML file.
     out
         Folder of the certificates; default: link.certs of that file.
+    host
+        Of the router: further names or addresses, as for `certs make`.
     days
         How long it is valid.
     renew
-        Replace one that is there already.
+        Replace one that is there already; the router's keeps the names that it had.
     """
     from tuberline.certs import issue
 
     line = load_config(config)
     identity = Identity.parse(node)
-    hosts = router_hosts(line, ()) if identity.role == "router" else ()
-    _print([issue(_folder(line, out), identity, line=line.name, hosts=hosts, days=days, renew=renew)], json=False)
+    if host and identity.role != "router":
+        raise InputError(f"--host {host[0]}: nodes call the router alone by a name; {node} needs none")
+    folder = _folder(line, out)
+    hosts = router_hosts(line, (*host, *_former_hosts(folder))) if identity.role == "router" else ()
+    _print([issue(folder, identity, line=line.name, hosts=hosts, days=days, renew=renew)], json=False)
     if identity.role != "router" and identity not in line_identities(line):
         sys.stderr.write(
             f"{node} is not among those that [access] of {config} lets in: add it there and restart the router\n"
@@ -113,6 +133,16 @@ def router_hosts(config: LineConfig, extra: tuple[str, ...]) -> list[str]:
     found = [endpoint.split("/", 1)[1].split("#")[0].split("?")[0].rsplit(":", 1)[0] for endpoint in endpoints]
     reachable = [host.strip("[]") for host in found if host not in ("0.0.0.0", "[::]")]
     return list(dict.fromkeys((*reachable, *extra, "localhost", "127.0.0.1")))
+
+
+def _former_hosts(folder: Path) -> tuple[str, ...]:
+    """What the router's certificate that is there is for; empty where none is that can be read."""
+    from tuberline.certs import read_certificate
+
+    try:
+        return read_certificate(folder / f"{Identity('router').stem}.pem").hosts
+    except InputError:
+        return ()
 
 
 def _folder(config: LineConfig, out: Path | None) -> Path:
