@@ -227,14 +227,20 @@ def read_sums(view: LedgerView, run: str) -> RunSums:
 
 
 def run_being_written(view: LedgerView) -> str | None:
-    """The run that a line is writing now: the one that was begun last where nothing of it is there yet, else that of
-    the newest batch. None where none is.
+    """The run that a line is writing now: of those that are not stopped the one that was begun last where nothing of it
+    is there yet, else that of the newest batch. None where none is.
     """
-    begun = view.row(RUN, "ORDER BY rowid DESC") if is_being_written(view.path) else None
-    if begun is None:
+    if not is_being_written(view.path):
         return None
-    newest = view.row(BATCH, "ORDER BY seq DESC") if read_last_batch(view, begun[0]) else None
-    return str(begun[0] if newest is None else newest[1])
+    batches: dict[str, int] = {}
+    for run in read_runs(view):
+        if not read_sums(view, run.run).stopped:
+            newest = read_last_batch(view, run.run)
+            batches[run.run] = -1 if newest is None else newest[0]
+    if not batches:
+        return None
+    begun_last = next(reversed(batches))
+    return begun_last if batches[begun_last] < 0 else max(batches, key=batches.__getitem__)
 
 
 def moment_of(run: RunRow, written: str | None) -> Moment:

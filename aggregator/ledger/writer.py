@@ -202,6 +202,10 @@ class Ledger:
 
     def _go_on(self, run: str, histogram_step_g: float) -> RunSums:
         sums = read_sums(self.view, run)
+        if sums.stopped:
+            sums.stopped = False
+            with self._transaction("going on"):
+                next_step(self._db, run, sums)
         carried = [sums.load, *(stretch.load for stretch in self._loads.sums(run).values())]
         if any(load.histogram_step_g != histogram_step_g for load in carried):
             with self._transaction("classes"):

@@ -93,6 +93,15 @@ def test_a_ledger_is_read_as_that_of_a_line_that_runs_while_one_writes_it(tmp_pa
         with reading(path) as view:
             assert run_being_written(view) == "next"
             assert (ReadLoads(view).whole(run).coverage or 0.0) < 0.9, "the stopped run was told as one that goes on"
+        ledger.stopped("next", {})
+        ledger.stopped("now", it.core.cameras.sights)
+        ledger.open_run("now", line=run.line, cameras=run.cameras, version="1", started_ns=run.started_ns)
+        with reading(path) as view:
+            assert run_being_written(view) == "now", "it goes on, and the one that was begun after it was told"
+        ledger.stopped("now", it.core.cameras.sights)
+        ledger.open_run("next", line=run.line, cameras=run.cameras, version="1", started_ns=run.started_ns + 1)
+        with reading(path) as view:
+            assert run_being_written(view) == "next"
         new = ledger.run_row("next")
         assert new is not None
         assert Seen.at_rest(new, ledger.sums("next")).sights.keys() == set(run.cameras), "cameras that never looked"
