@@ -13,6 +13,7 @@ from rich.console import Console
 
 from aggregator.ledger.writer import Ledger
 from conveyor.config import LineConfig, LinkConfig, dump_toml
+from conveyor.errors import ConfigError
 from conveyor.messages import Counters, Totals
 from conveyor.node import Node
 from tests.aggregator.loaded_story import story
@@ -90,3 +91,11 @@ def test_what_a_peer_says_is_no_markup(state: str) -> None:
         line_table(totals, {"camera/left": node}, alive={"camera/left"})
     )
     assert (out.getvalue().count(word), f"no picture {word}" in out.getvalue()) == (5, True)
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a b"])
+def test_a_name_that_no_line_can_have_is_refused(name: str) -> None:
+    """An empty one, as of a variable that is not set, was another line's; `bundle` took ../x for a folder."""
+    for asked in (LineAddress(line=name).link, LineAddress(line=name).watched):
+        with pytest.raises(ConfigError, match=f"line name '{name}' cannot be used"):
+            asked()

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from conveyor.config import LineConfig, LinkConfig, load_config
 from conveyor.config_base import checked_endpoint
 from conveyor.errors import ConfigError
+from conveyor.topics import check_name
 
 
 @Parameter(name="*")
@@ -39,13 +40,17 @@ class LineAddress:
         """The line's settings with the router and the name that were given beside them."""
         settings = self.loaded()
         link = settings.link.model_copy(update=self._router())
-        return settings.model_copy(update={"link": link, "name": self.line or settings.name})
+        return settings.model_copy(update={"link": link, "name": self._name(settings)})
 
     def link(self) -> tuple[LinkConfig, str]:
         """How to reach the line, and its name."""
         settings = self.loaded()
         changed = {"connect_timeout_s": 5.0, **self._router()}
-        return settings.link.model_copy(update=changed), self.line or settings.name
+        return settings.link.model_copy(update=changed), self._name(settings)
+
+    def _name(self, settings: LineConfig) -> str:
+        """The name that was given, else that of the config; raises ConfigError where no line can have it."""
+        return settings.name if self.line is None else check_name(self.line, what="line")
 
     def _router(self) -> dict[str, str]:
         """The router that was given beside the config; raises ConfigError where it is none."""
