@@ -101,9 +101,8 @@ def _by_neighbours(seconds: _Seconds, *, width_m: float, rng: np.random.Generato
     sums = np.zeros((len(grid), len(names)))
     counts = np.zeros((len(grid), len(names)))
     for row, delay_s in enumerate(grid):
-        difference = seconds.flow_at(seconds.time_s[first] + delay_s) - seconds.flow_at(
-            seconds.time_s[second] + delay_s
-        )
+        flow = seconds.flow_at(seconds.time_s + delay_s)  # once a second, for many pairs have each of them
+        difference = flow[first] - flow[second]
         there = np.isfinite(difference)
         sums[row] = np.bincount(index[there], weights=difference[there] ** 2, minlength=len(names))
         counts[row] = np.bincount(index[there], minlength=len(names))
