@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from conveyor.errors import InputError
@@ -34,3 +36,15 @@ def test_a_path_may_be_text(tmp_path: Path) -> None:
         assert read_time_logs(str(path)) == read_time_logs(path) == {"TLG00001": [record]}
     with pytest.raises(InputError, match="neither a TASKDATA folder nor a zip"):
         read_time_logs(str(tmp_path / "none.isoxml"))
+
+
+def test_a_damaged_zip_is_one_error(shared: Path, tmp_path: Path) -> None:
+    """A quarter of them ended in zlib's own error."""
+    whole = (shared / "data" / "isoxml_examples" / "2021-04-09T15_33_26_taskdata.zip").read_bytes()
+    rng, broken = np.random.default_rng(73031), tmp_path / "broken.zip"
+    for _ in range(40):
+        data = bytearray(whole)
+        data[int(rng.integers(len(data)))] ^= int(rng.integers(1, 256))
+        broken.write_bytes(data)
+        with contextlib.suppress(InputError):
+            read_time_logs(broken)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -14,6 +15,8 @@ from tuberline.export.isoxml.time_log import LogRecord, unpack_records
 MOST_BYTES = 256 << 20
 """Of one file unpacked: a zip of some kilobytes may claim any size."""
 MOST_EXTERNAL = 1000
+_DAMAGED = (OSError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error)
+"""What the zip library raises of a file that is none, is damaged, or is packed in a way it does not know."""
 
 
 class Archive:
@@ -30,7 +33,7 @@ class Archive:
         else:
             try:
                 self._zip = zipfile.ZipFile(self._path)
-            except (OSError, zipfile.BadZipFile) as error:
+            except _DAMAGED as error:
                 raise InputError(f"{self._path} is neither a TASKDATA folder nor a zip of one: {error}") from error
             names = [name for name in self._zip.namelist() if not name.endswith("/")]
         top = [name for name in names if Path(name).name.upper() == "TASKDATA.XML"]
@@ -85,11 +88,15 @@ class Archive:
                 return file.read_bytes()
             with self._zip.open(known) as stream:
                 data = stream.read(MOST_BYTES + 1)
-        except (OSError, zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
-            raise InputError(f"{self._path}, {name} cannot be read: {error}") from error
+        except _DAMAGED as error:
+            raise InputError(f"{self._path}, {name} cannot be read: {_said(error)}") from error
         if len(data) > MOST_BYTES:
             raise InputError(f"{self._path}, {name} has more than {MOST_BYTES >> 20} MiB unpacked")
         return data
+
+
+def _said(error: Exception) -> str:
+    return str(error) or "it is cut short"  # an EOFError says nothing
 
 
 def read_time_logs(path: Path | str) -> dict[str, list[LogRecord]]:
