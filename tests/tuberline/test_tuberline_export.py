@@ -8,10 +8,12 @@ import json
 import shutil
 import subprocess
 import zipfile
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from conveyor.errors import InputError
 from conveyor.formats.positions import PositionsWriter
 from tuberline.cli.export import export
 from tuberline.export.isoxml.archive import read_time_logs
-from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME
+from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME, log_of, task_xml
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.wrong import what_went_wrong
@@ -192,6 +194,24 @@ def test_isoxml_says_what_the_map_says(run: Path, tmp_path: Path) -> None:
     assert all((b.time - a.time).total_seconds() >= 1 for a, b in pairwise(records))
 
 
+def test_isoxml_keeps_each_machines_own_kilograms(run: Path) -> None:
+    """Of two machines the log had the map's kilograms and the task the ledger's, 4 % apart; tubers that passed before
+    the first position were no part of the count; `---` in the name of weights made a file that is no XML."""
+    field = field_map([run], [], Settings(**HOW))
+    (own,) = field.shares
+    other = replace(own, factor=1.25, points=own.points.scaled(1.25))
+    told = {"weights": ["a---b@0"], "calibrated_by": "nothing", "coverage": None}
+    root = ElementTree.fromstring(task_xml(replace(field, shares=(own, other)), {"runs": [told, told]}))
+    for share, task in zip((own, other), root.iter("TSK"), strict=True):
+        totals = {value.get("A"): int(value.get("B", "")) for value in task.iter("DLV")}
+        assert totals == {"005A": round(own.kg), "005B": own.tubers}
+        records = log_of(field, share)
+        assert sum(record.values[PER_TIME] for record in records) / 1e6 + share.lost_kg == pytest.approx(own.kg)
+        yields = [record.values[PER_AREA] / 1e5 for record in records if PER_AREA in record.values]
+        assert yields == pytest.approx(list(share.factor * own.points.t_ha[own.points.used]), abs=1e-4)
+    assert own.tubers == len(simulate_field(WORLD, seed=SEED).machines[0].weight_g)
+
+
 def test_isoxml_validates_against_the_schemas(run: Path, shared: Path, tmp_path: Path) -> None:
     xmlschema = pytest.importorskip("xmlschema")
     folder = shared / "data" / "isoxml_examples" / "xsd"
@@ -277,6 +297,11 @@ def test_a_log_that_is_cut_short_or_lies_is_an_error(run: Path, tmp_path: Path) 
         unpack_records(b"<TIM", data, where="log")
     with pytest.raises(InputError, match="does not fit 32 bits"):
         pack_records([LogRecord(record.time, 52.7, 5.75, {column: 1 << 31})], [column])
+    for year in (1970, 2160):  # it was a struct.error
+        with pytest.raises(InputError, match=f"is of {year}-01-01, a log holds 1980-01-01 to 2159-06-06"):
+            pack_records([replace(record, time=datetime(year, 1, 1, tzinfo=UTC))], [column])
+    with pytest.raises(InputError, match="is at 'north', which is no number"):
+        unpack_records(b'<TIM><PTN A="north"/></TIM>', data, where="log")
     (tmp_path / "two").mkdir()
     with pytest.raises(InputError, match="holds 0 files TASKDATA"):
         read_time_logs(tmp_path / "two")

@@ -61,8 +61,7 @@ def export(
 
         assert field is not None
         with whole_output(out) as path:
-            write_taskdata(field, path, about=about(runs))
-        return sum(len(share.points.time_s) for share in field.shares)
+            return write_taskdata(field, path, about=about(runs))
     table = _table(runs, what, field, tubers)
     with whole_output(out) as path:
         _write(table, runs, path, form)

@@ -67,10 +67,10 @@ class MachineShare:
         way: the machine's way, as far as it is believed.
         delay: by which the crop lags behind the ground; `by` 'given' where it was set.
         points: its yield points, each with the reason why it is not used.
-        factor: by what its kilograms were multiplied to meet the other runs.
+        factor: by what the kilograms of its points were multiplied to meet the other runs.
         faults: positions not used, by reason.
         lost_kg: what passed the camera while the machine's place was not known.
-        kg: all that its ledger holds, made up for belt that was not seen.
+        kg: all that its ledger holds, made up for belt that was not seen. tubers: how many those are.
     """
 
     run: str
@@ -81,6 +81,7 @@ class MachineShare:
     faults: dict[str, int]
     lost_kg: float
     kg: float
+    tubers: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,6 +202,7 @@ def _places_of(
             faults=way.faults,
             lost_kg=lost_kg,
             kg=float(machine.crop.kg.sum()),
+            tubers=len(machine.crop.kg),
         )
         for machine, (points, delay, way, lost_kg), factor in zip(read, found, factors, strict=True)
     )

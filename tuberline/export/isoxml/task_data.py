@@ -2,10 +2,12 @@
 
 Second by second the log has where the share was, the yield per area (DDI 84, mg/m2), the mass and count per time
 (87, mg/s; 88, 0.001/s) and the working width (67, mm). Seconds that the map leaves out have a place and no yield.
+Totals and mass per time are the machine's own, as its loads have them; yields are on the one scale of the map.
 """
 
 from __future__ import annotations
 
+import re
 import zipfile
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,13 +34,15 @@ _NAMES = {
 }
 
 
-def write_taskdata(field: FieldPlaces, path: Path, *, about: dict[str, Any]) -> None:
-    """A zip with TASKDATA/TASKDATA.XML and its time logs, version 4."""
+def write_taskdata(field: FieldPlaces, path: Path, *, about: dict[str, Any]) -> int:
+    """A zip with TASKDATA/TASKDATA.XML and its time logs, version 4; returns how many records they hold."""
+    logs = [log_of(field, share) for share in field.shares]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("TASKDATA/TASKDATA.XML", task_xml(field, about))
-        for n, share in enumerate(field.shares, start=1):
+        for n, log in enumerate(logs, start=1):
             archive.writestr(f"TASKDATA/TLG{n:05d}.XML", header_xml(COLUMNS))
-            archive.writestr(f"TASKDATA/TLG{n:05d}.BIN", pack_records(log_of(field, share), COLUMNS))
+            archive.writestr(f"TASKDATA/TLG{n:05d}.BIN", pack_records(log, COLUMNS))
+    return sum(map(len, logs))
 
 
 def log_of(field: FieldPlaces, share: MachineShare) -> list[LogRecord]:
@@ -47,10 +51,10 @@ def log_of(field: FieldPlaces, share: MachineShare) -> list[LogRecord]:
     placed = np.isfinite(points.xy_m).all(axis=1)
     lat, lon = field.plane.to_degrees(np.nan_to_num(points.xy_m))
     width_mm = round(field.settings.width_m * 1000)
-    t_ha = points.t_ha
+    t_ha, kg = points.t_ha, points.kg / share.factor
     records = []
     for i in np.flatnonzero(placed):
-        values = {WIDTH: width_mm, PER_TIME: round(points.kg[i] * 1e6), COUNT_PER_TIME: int(points.count[i]) * 1000}
+        values = {WIDTH: width_mm, PER_TIME: round(kg[i] * 1e6), COUNT_PER_TIME: int(points.count[i]) * 1000}
         if points.used[i] and np.isfinite(t_ha[i]):
             values[PER_AREA] = round(t_ha[i] * 1e5)  # a tonne per hectare is 100,000 mg/m2
         at = datetime.fromtimestamp(round(points.time_s[i], 3), UTC)
@@ -104,13 +108,14 @@ def _task(root: ElementTree.Element, n: int, share: MachineShare, told: dict[str
         task, "TIM", A=_iso(start), B=_iso(stop), C=str(round((stop - start).total_seconds())), D="4"
     )
     ElementTree.SubElement(time, "DLV", A=f"{TOTAL_MASS:04X}", B=str(round(share.kg)), C=ELEMENT)
-    ElementTree.SubElement(time, "DLV", A=f"{TOTAL_COUNT:04X}", B=str(int(share.points.count.sum())), C=ELEMENT)
+    ElementTree.SubElement(time, "DLV", A=f"{TOTAL_COUNT:04X}", B=str(share.tubers), C=ELEMENT)
     ElementTree.SubElement(task, "TLG", A=f"TLG{n:05d}", C="1")
     ElementTree.SubElement(task, "DAN", A="A000000000000000", C=DEVICE)
     coverage = told.get("coverage")
     seen = "" if coverage is None else f", {100 * coverage:.0f} % of the belt seen"
-    text = f"weights {'+'.join(told['weights']) or 'unknown'}, calibrated by {told['calibrated_by']}{seen}"
-    task.append(ElementTree.Comment(f" {text.replace('--', '-')} "))
+    scaled = "" if share.factor == 1 else f", yields times {share.factor:.3f} to meet the other machines"
+    text = f"weights {'+'.join(told['weights']) or 'unknown'}, calibrated by {told['calibrated_by']}{seen}{scaled}"
+    task.append(ElementTree.Comment(f" {re.sub('-{2,}', '-', text)} "))  # a comment holds no two hyphens
 
 
 def _iso(at: datetime) -> str:

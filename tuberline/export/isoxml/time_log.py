@@ -16,6 +16,8 @@ from xml.etree import ElementTree
 from conveyor.errors import InputError
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
+LAST_DAY = 65_535
+"""After the epoch, as a uint16 holds it: in the year 2159."""
 INT32 = (-(1 << 31), (1 << 31) - 1)
 DEGREES = 1e-7
 _POSITION = {
@@ -64,7 +66,7 @@ def pack_records(records: Sequence[LogRecord], values: Sequence[LoggedValue], *,
     """The .BIN file for `header_xml(values)`.
 
     Raises:
-        InputError: a value that an int32 cannot hold, or a record without a position.
+        InputError: a value that an int32 cannot hold, a record without a position, or of before 1980 or after 2159.
     """
     index = {value: n for n, value in enumerate(values)}
     out = bytearray()
@@ -72,6 +74,11 @@ def pack_records(records: Sequence[LogRecord], values: Sequence[LoggedValue], *,
         if record.lat_deg is None or record.lon_deg is None:
             raise InputError(f"time log: the record of {record.time} has no position")
         since = record.time - EPOCH
+        if not 0 <= since.days <= LAST_DAY:
+            raise InputError(
+                f"time log: a record is of {record.time:%Y-%m-%d}, a log holds {EPOCH:%Y-%m-%d} to "
+                f"{EPOCH + timedelta(days=LAST_DAY):%Y-%m-%d}: was the clock set that stamped it?"
+            )
         place = (round(record.lat_deg / DEGREES), round(record.lon_deg / DEGREES), status)
         ms = since % timedelta(days=1) // timedelta(milliseconds=1)
         out += struct.pack("<IHiiBB", ms, since.days, *place, len(record.values))
@@ -136,9 +143,16 @@ def _read_header(header: bytes, where: str) -> tuple[list[tuple[str, str, float]
             if given == "":
                 position.append((told, kind, unit))
             elif given is not None and told in ("north", "east"):
-                fixed[told] = float(given)
+                fixed[told] = _degrees(given, where)
     try:
         values = [LoggedValue(int(value.get("A", ""), 16), value.get("C", "")) for value in time.findall("DLV")]
     except ValueError as error:
         raise InputError(f"{where}: a DLV of its header has no DDI: {error}") from error
     return position, fixed, values
+
+
+def _degrees(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise InputError(f"{where}: the PTN of its header is at '{text}', which is no number") from error
