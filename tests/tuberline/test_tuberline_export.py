@@ -335,11 +335,27 @@ def test_an_export_never_replaces_what_the_run_keeps(
     export([folder], format="csv")
     assert "exported-tubers.csv" in capsys.readouterr().out
     assert (folder / "tubers.csv").read_text(encoding="utf-8") == "the run's own\n"
-    ledger = (folder / "ledger.db").read_bytes()
-    for form, name in (("csv", "tubers.csv"), ("csv", "ledger.db"), ("html", "ledger.db")):
-        with pytest.raises(InputError, match="is the run's own file"):
-            export([folder], format=form, out=folder / name)  # type: ignore[arg-type]
-    assert (folder / "ledger.db").read_bytes() == ledger
+    tickets, track, buyer = (tmp_path / name for name in ("tickets.json", "track.csv", "buyer.toml"))
+    (folder / "line.toml").write_text(f'[aggregator]\ntickets = "{tickets}"\n', encoding="utf-8")
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    for out in (*(folder / name for name in ("tubers.csv", "ledger.db", "ledger.ack", "positions.csv")), tickets):
+        for form in ("csv", "html"):
+            with pytest.raises(InputError, match="is the run's own file"):
+                export([folder], format=form, out=out)  # type: ignore[arg-type]
+    for out in (track, buyer):
+        with pytest.raises(InputError, match="is read by this very command"):
+            export([folder], format="html", track=[track], contract=buyer, out=out)
+    with pytest.raises(InputError, match="is a folder: name a file"):
+        export([folder], format="csv", out=tmp_path)
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_run_that_is_named_twice_is_exported_once(run: Path, weights_g: list[float], tmp_path: Path) -> None:
+    """Its tubers stood twice in the file, and the map's kilograms were twice the field's."""
+    (tmp_path / "latest").symlink_to(run)
+    runs, tracks = [run, run / "ledger.db", tmp_path / "latest"], [run / "positions.csv"] * 3
+    export(runs, format="csv", track=tracks, out=tmp_path / "out.csv", **HOW)  # type: ignore[arg-type]
+    assert len((tmp_path / "out.csv").read_text().splitlines()) == 1 + len(weights_g)
 
 
 def test_the_report_is_one_file_that_tells_the_load(run: Path, tmp_path: Path) -> None:

@@ -61,11 +61,13 @@ def test_two_machines_make_one_map(runs: list[Path], tmp_path: Path, capsys: pyt
 
 
 def test_the_command_as_typed(runs: list[Path], tmp_path: Path) -> None:
-    arguments = ["map", runs[0], "--track", runs[0] / "track.csv", "--width-m", "3", "--out", tmp_path / "map.rrd"]
+    out = tmp_path / "[red]map[2].rrd"
+    arguments = ["map", runs[0], "--track", runs[0] / "track.csv", "--width-m", "3", "--out", out]
     done = subprocess.run([sys.executable, "-m", "tuberline", *arguments], capture_output=True, text=True, check=True)
     assert "t/ha" in done.stdout
     assert "seconds used" in done.stdout
-    assert (tmp_path / "map.rrd").stat().st_size > 1000
+    assert f"map: {out}\n" in done.stdout, "brackets were markup, a long path was cut"
+    assert out.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
@@ -88,3 +90,15 @@ def test_what_cannot_be_mapped_is_one_sentence(
     with pytest.raises(InputError, match=told):
         map_field([runs[0]], track=track, **given, out=tmp_path / "map.png")
     assert not (tmp_path / "map.png").exists()
+
+
+def test_a_picture_of_another_kind_is_refused_before_the_work(runs: list[Path], tmp_path: Path) -> None:
+    """It was matplotlib's ValueError when the map was made, and `--out` named like the track replaced that."""
+    track = tmp_path / "track.png"
+    track.write_bytes((runs[0] / "track.csv").read_bytes())
+    for name, told in (("map.bmp", r"written as \.png, \.svg, \.pdf, \.jpg"), ("track.png", "is read by this very")):
+        with pytest.raises(InputError, match=told):
+            map_field([runs[0]], track=[track], width_m=3.0, out=tmp_path / name)
+    with pytest.raises(InputError, match="are one run, and two tracks are given"):
+        map_field([runs[0], runs[0] / "ledger.db"], track=[track, runs[0] / "track.csv"], width_m=3.0)
+    assert list(tmp_path.iterdir()) == [track]

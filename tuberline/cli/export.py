@@ -68,6 +68,7 @@ def export(
         Of the report: a buyer's classes of size (TOML); default: that of the line's config.
     """
     from tuberline.cli.progress import ledger_bar
+    from tuberline.cli.run_files import each_once, output
     from tuberline.export.tubers import read_all
     from tuberline.export.write import ENDINGS, NEED_PLACES, REPORTS, Format
     from tuberline.export.write import export as write
@@ -78,6 +79,9 @@ def export(
     if form not in REPORTS and (day is not None or contract is not None):
         option = "--day" if day is not None else "--contract"
         raise InputError(f"{option} is of the report: give it with --format html or pdf; {form.value} holds all rows")
+    name = "report" if form in REPORTS else "taskdata" if form is Format.ISOXML else what
+    runs, tracks = each_once(runs, track or [])
+    target = output(runs, f"{name}.{ENDINGS.get(form, form.value)}", out, read=(*tracks, contract))
     # Read once: the map is made of the same tubers as the rows.
     with ledger_bar(form.value):
         tubers = read_all(runs) if what == "tubers" and form not in REPORTS else None
@@ -87,15 +91,13 @@ def export(
         try:
             with ledger_bar("positions"):
                 settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
-                field = _field(runs, track, settings, tubers, mapped=what == "cells" or form in REPORTS)
+                field = _field(runs, tracks, settings, tubers, mapped=what == "cells" or form in REPORTS)
         except InputError as error:
-            if track or form in NEED_PLACES or what == "cells":
+            if tracks or form in NEED_PLACES or what == "cells":
                 raise
             no_map = str(error)  # positions were found, a map was not asked for
             if form not in REPORTS:  # which says why itself
                 sys.stderr.write(f"tubers without their places: {error}\n")
-    name = "report" if form in REPORTS else "taskdata" if form is Format.ISOXML else what
-    target = _target(runs, f"{name}.{ENDINGS.get(form, form.value)}", out)
     if form in REPORTS:
         from tuberline.export.report.make import write_report
         from tuberline.maps.field import FieldMap
@@ -112,28 +114,9 @@ def export(
     sys.stdout.write(f"{written}{'' if form is Format.ISOXML else f' of {what}'} in {target}\n")
 
 
-def _target(runs: list[Path], name: str, out: Path | None) -> Path:
-    """The file to write, which is none that a run keeps; without `out` beside the first ledger.
-
-    Raises:
-        InputError: `out` is a file that a run keeps.
-    """
-    from aggregator.ledger.files import RESULT_FILES
-    from aggregator.ledger.reader import ledger_file
-
-    ledgers = [ledger_file(run) for run in runs]
-    own = {(ledger.parent / kept).resolve() for ledger in ledgers for kept in (ledger.name, *RESULT_FILES)}
-    target = out or ledgers[0].parent / name
-    if target.resolve() not in own:
-        return target
-    if out is not None:
-        raise InputError(f"--out {out} is the run's own file, which the export would replace: give another name")
-    return target.with_name(f"exported-{name}")
-
-
 def _field(
     runs: list[Path],
-    track: list[Path] | None,
+    tracks: list[Path],
     how: dict[str, Any],
     tubers: list[list[Tuber]] | None,
     *,
@@ -143,12 +126,12 @@ def _field(
     from aggregator.ledger.reader import ledger_file
     from conveyor.formats.positions import POSITIONS_FILE
 
-    if not track and not all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
+    if not tracks and not all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
     from tuberline.maps.field import field_map, field_places
     from tuberline.maps.settings import settings_of
 
     settings = settings_of(runs, **how)
     if mapped:
-        return field_map(runs, track or [], settings)
-    return field_places(runs, track or [], settings, tubers=tubers)
+        return field_map(runs, tracks, settings)
+    return field_places(runs, tracks, settings, tubers=tubers)

@@ -9,6 +9,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from conveyor.errors import InputError
+
 
 def map_field(
     runs: Annotated[list[Path], Parameter(name="runs", show_default=False)],
@@ -55,17 +57,22 @@ def map_field(
     smooth
         A smooth surface (kriging) instead of each cell by itself.
     out
-        Picture to write: .png, .svg, .pdf; or .rrd for Rerun. Default: map.png beside the first ledger.
+        Picture to write: .png, .svg, .pdf, .jpg; or .rrd for Rerun. Default: map.png beside the first ledger.
     title
         Over the picture.
     json
         Print the map as JSON on stdout and draw only what --out names.
     """
-    from aggregator.ledger.reader import ledger_file
     from tuberline.cli.progress import ledger_bar
+    from tuberline.cli.run_files import each_once, output
     from tuberline.maps.field import field_map
+    from tuberline.maps.picture import PICTURES
     from tuberline.maps.settings import settings_of
 
+    if out is not None and out.suffix.lower() not in (*PICTURES, ".rrd"):
+        raise InputError(f"--out {out}: a map is written as {', '.join(PICTURES)}, or .rrd for Rerun: end its name so")
+    runs, tracks = each_once(runs, track or [])
+    target = output(runs, "map.png", out, read=tracks) if out is not None or not json else None
     settings = settings_of(
         runs,
         width_m=width_m,
@@ -78,10 +85,9 @@ def map_field(
         smooth=smooth,
     )
     with ledger_bar("map"):
-        field = field_map(runs, track or [], settings)
-    if out is not None or not json:
-        target = out or ledger_file(runs[0]).parent / "map.png"
-        if target.suffix == ".rrd":
+        field = field_map(runs, tracks, settings)
+    if target is not None:
+        if target.suffix.lower() == ".rrd":
             from tuberline.maps.in_rerun import write_rrd
 
             write_rrd(field, target)

@@ -11,12 +11,14 @@ from conveyor.extras import install_hint
 from conveyor.files import whole_output
 from tuberline.maps.field import FieldMap
 
+PICTURES = (".png", ".svg", ".pdf", ".jpg")
+"""Endings of the names of pictures."""
 COLOURS = "YlGn"
 INK = "#26332b"
 
 
 def draw_map(field: FieldMap, out: Path, *, title: str, caption: bool = True) -> None:
-    """Write a PNG (or SVG, PDF: by the name's ending); `caption`: with what is said of it under it.
+    """Write a picture, of the kind that its name ends in (`PICTURES`); `caption`: with what is said of it under it.
 
     Raises:
         InputError: matplotlib is not installed, or the file cannot be written.
@@ -50,7 +52,7 @@ def draw_map(field: FieldMap, out: Path, *, title: str, caption: bool = True) ->
     if caption:
         axes.text(0, -0.02, _caption(field), transform=axes.transAxes, va="top", fontsize=8.5, color=INK)
     with whole_output(out) as path:
-        figure.savefig(path, dpi=150, format=out.suffix.lstrip(".").lower() or "png")
+        figure.savefig(path, dpi=150, format=out.suffix.lstrip(".").lower())
     plt.close(figure)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.text import Text
 
 from tuberline.maps.field import FieldMap
 
@@ -26,17 +27,16 @@ def print_map(field: FieldMap, *, out: Path) -> None:
         delay = f"{share.delay.delay_s:.1f} s from ground to camera ({share.delay.by})"
         scaled = f", scaled by {share.factor:.3f}" if len(field.shares) > 1 else ""
         used = f"{share.points.used.sum()} of {len(share.points.time_s)} seconds used"
-        console.print(f"{share.run}: {share.kg:.0f} kg, {delay}{scaled}; {used}", highlight=False)
+        console.print(Text(f"{share.run}: {share.kg:.0f} kg, {delay}{scaled}; {used}"))
         left = sorted(share.points.reasons().items(), key=lambda item: -item[1])
         if left:
             console.print(f"  left out: {', '.join(f'{n} {why}' for why, n in left)}", highlight=False)
     for share in field.shares:
         if share.lost_kg > 0.001 * share.kg:
             console.print(
-                f"warning: {share.lost_kg:.0f} kg of {share.run} passed while the machine's place was not known",
+                Text(f"warning: {share.lost_kg:.0f} kg of {share.run} passed while the machine's place was not known"),
                 style="yellow",
-                highlight=False,
             )
         for why, n in share.faults.items():
-            console.print(f"{n} positions of {share.run} not used: {why}", highlight=False)
-    console.print(f"map: {out}", highlight=False)
+            console.print(Text(f"{n} positions of {share.run} not used: {why}"))
+    console.print(Text(f"map: {out}"), soft_wrap=True)  # a path is neither markup nor cut
