@@ -8,7 +8,8 @@ from typing import Any
 
 from aggregator.core.balance import Equation, camera_equations, ledger_equations
 from aggregator.ledger.check import view_faults
-from aggregator.ledger.reader import RunRow, is_stopped, read_marks, read_sums, run_being_written
+from aggregator.ledger.ends import End, end_of
+from aggregator.ledger.reader import RunRow, read_marks, read_sums, run_being_written
 from aggregator.ledger.schema import TUBER
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
@@ -30,8 +31,8 @@ class Audit:
     """Entries of a camera's log that could not be read: what they said is lost."""
     faults: tuple[str, ...] = ()
     """What is damaged in the ledger; an audit of sums alone looks for none."""
-    stopped: bool = False
-    """Not finished, and no line is writing it; an audit of sums alone does not look. It may go on later."""
+    end: End | None = None
+    """How it ended; an audit of sums alone does not look."""
 
     @property
     def balanced(self) -> bool:
@@ -45,7 +46,7 @@ class Audit:
         return {
             "run": self.run,
             "finished": self.finished,
-            "stopped": self.stopped,
+            "end": self.end,
             "balanced": self.balanced,
             "faults": list(self.faults),
             "cameras": {camera: sheet(mark) for camera, mark in self.marks.items()},
@@ -80,7 +81,7 @@ def audit_run(view: LedgerView, run: RunRow) -> Audit:
     faults = tuple(view_faults(view))
     try:
         found = audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
-        return replace(found, stopped=is_stopped(run, run_being_written(view)))
+        return replace(found, end=end_of(view, run, run_being_written(view)))
     except LedgerError as error:
         return Audit(run.run, run.finished, dict.fromkeys(run.cameras), {}, {}, faults=(*faults, str(error)))
 

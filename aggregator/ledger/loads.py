@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from aggregator.ledger.reader import RunRow, is_stopped, read_runs, read_summary, read_sums, run_being_written
+from aggregator.ledger.ends import end_of
+from aggregator.ledger.reader import RunRow, read_runs, read_summary, read_sums, run_being_written
 from aggregator.ledger.verified import LedgerView
 
 
 def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
-    """Runs of a ledger, the newest first: when begun, what they came to, whether they ended ('final') or were stopped.
+    """Runs of a ledger, the newest first: when begun, what they came to, and how they ended (`ends.End`).
 
     A run without a summary (it goes on, was stopped, or its process was killed) is told by its sums: no interval then,
     and no coverage.
@@ -20,7 +21,7 @@ def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
         {
             "run": known.run,
             "started_unix_s": known.started_ns / 1e9,
-            "stopped": is_stopped(known, written),
+            "end": end_of(view, known, written),
             **_came_to(view, known),
         }
         for known in newest

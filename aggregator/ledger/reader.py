@@ -247,12 +247,7 @@ def moment_of(run: RunRow, written: str | None) -> Moment:
     """How who reads a ledger asks what of `run` was seen: it is over, but for the run that is `written` just now: belt
     that its log has not come to yet is not belt that was missed.
     """
-    return Moment(over=run.finished or is_stopped(run, written))
-
-
-def is_stopped(run: RunRow, written: str | None) -> bool:
-    """It has not ended, and no line is writing it: its line was stopped or killed, and it may go on later."""
-    return not run.finished and run.run != written
+    return Moment(over=run.finished or run.run != written)
 
 
 def sights_of(run: RunRow, sums: RunSums) -> dict[str, CameraSight]:

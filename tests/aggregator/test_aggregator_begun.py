@@ -154,9 +154,9 @@ def test_the_newest_run_is_the_one_begun_last_though_the_clock_was_set_back(tmp_
             decided = {"run": run, "now_ns": started_s * SECOND_NS, "line": line, "place_x_m": lambda _: 0.0}
             ledger.say(decide(order, ledger.loads, **decided))  # type: ignore[arg-type]
         assert [row.run for row in ledger.runs()] == ["morning", "noon"]
-        told = [(run["run"], run["stopped"]) for run in last_loads(ledger.view, limit=9)]
-        assert told == [("noon", False), ("morning", True)], "the page called a run that was over 'open'"
+        told = [(run["run"], run["end"]) for run in last_loads(ledger.view, limit=9)]
+        assert told == [("noon", "goes on"), ("morning", "cut off")], "the page called a run that was over 'open'"
     assert order_at_rest(path, LoadOrder("n", "note", by="test", note="wet")).name == "noon"
     with reading(path) as view:
-        assert [audit_run(view, run).stopped for run in read_runs(view)] == [True, True]
+        assert [audit_run(view, run).end for run in read_runs(view)] == ["cut off", "cut off"], "as the report has it"
     assert check_file(path) == []

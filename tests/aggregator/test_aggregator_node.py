@@ -200,7 +200,7 @@ def test_stopped_early_it_says_what_it_has(line: tuple[LineConfig, Path], proces
     )
     assert audited.returncode == 0, audited.stdout
     told = json.loads(audited.stdout)
-    assert (told["finished"], told["stopped"]) == (False, True)
+    assert (told["finished"], told["end"]) == (False, "stopped")
 
 
 def test_a_node_of_another_version_is_told_and_stands_in_the_summary(

@@ -264,16 +264,22 @@ def test_a_start_ends_a_load_only_where_one_is_open(browser: Browser, language: 
 
 
 def test_a_line_that_was_switched_off_takes_no_orders(browser: Browser) -> None:
-    """Its run is complete, which is no trouble; but a load that was started there got no answer."""
+    """Its run is complete, which is no trouble; but a load that was started there got no answer. Of the runs before,
+    one that was killed was told as stopped."""
     board = Board(["north"])
+    over, *others = good_state().loads
+    loads = (replace(over, final=False, end="cut off"), replace(over, final=False, end="stopped"), *others)
     disabled = "document.querySelector('[data-act=start]').disabled"
     with PageServer(board, host="127.0.0.1", port=0) as page:
         browser.page("Page.navigate", url=f"http://127.0.0.1:{page.port}/")
         for heard_s, off in ((0.4, False), (120.0, True)):
-            complete = good_state(totals=totals(final=True), heard_s=heard_s, totals_age_s=heard_s)
+            complete = good_state(totals=totals(final=True), heard_s=heard_s, totals_age_s=heard_s, loads=loads)
             told = {**snapshot(complete), "looks_only": ""}
             until_told(browser, board, told, "Run complete", *(["The line switched off"] if off else ["No alarms."]))
             assert js(browser, disabled) is off
+        rows = "document.querySelectorAll('[data-put=loads] tr')"
+        ends = js(browser, f"[...{rows}].map((row) => row.lastChild.textContent)")
+        assert ends[-4:] == ["cut off", "stopped", "complete", "complete"]
 
 
 def press_key(browser: Browser, key: str, code: int, **more: Any) -> None:

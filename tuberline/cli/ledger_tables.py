@@ -66,10 +66,9 @@ def camera_table(audit: Audit) -> Table:
         if mark is None:
             table.add_row(camera, "never heard", "", "", "")
         else:
-            state = "ended" if mark.final else "stopped" if audit.stopped else "running"
+            state = "ended" if mark.final else "running" if audit.end == "goes on" else audit.end or ""
             table.add_row(camera, state, *(_sheet(sheet) for sheet in (mark.frames, mark.views, mark.tracks)))
-    state = "finished" if audit.finished else "stopped" if audit.stopped else "open"
-    table.add_row("all", state, "", "", _sheet(dict(audit.tracks)))
+    table.add_row("all", audit.end or "", "", "", _sheet(dict(audit.tracks)))
     return table
 
 

@@ -129,7 +129,8 @@ class ToldLoad:
 
 @dataclass(frozen=True, slots=True)
 class PastLoad:
-    """One run of the ledger, as the aggregator tells it."""
+    """One run of the ledger, as the aggregator tells it. `end`: 'cameras ended', 'stopped', 'goes on' or 'cut off'; ''
+    where one of an earlier version does not tell."""
 
     run: str
     started_unix_s: float
@@ -139,7 +140,7 @@ class PastLoad:
     high_g: float | None
     coverage: float | None
     final: bool
-    stopped: bool = False
+    end: str = ""
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> PastLoad:

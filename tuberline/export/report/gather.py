@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.foreign_totals import foreign_total
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
-from aggregator.ledger.reader import RunRow, all_runs, ledger_file, read_sums, reading, run_being_written
+from aggregator.ledger.ends import End, end_of
+from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading, run_being_written
 from aggregator.ledger.stated import CONFIG_FILE, summary_told
-from aggregator.ledger.sums import RunSums
 from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, grouped, total_of
 from conveyor.config import load_config
 from conveyor.config_yield import ForeignConfig
@@ -23,7 +23,6 @@ from conveyor.errors import InputError
 from conveyor.messages import ClassTotal, ForeignTotal
 from conveyor.zone import zone_told
 
-End = Literal["cameras ended", "stopped", "goes on", "cut off"]
 PLAIN = Contract(
     classes=tuple(
         SizeClass(name=name, from_mm=low, to_mm=high)
@@ -67,10 +66,7 @@ class LoadFacts:
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights.
-
-    `end`: its cameras ended, its line was stopped, it goes on, or it was cut off, which leaves no word.
-    """
+    """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights."""
 
     path: Path
     run: str
@@ -174,19 +170,10 @@ def _runs(file: Path) -> list[RunFacts]:
     with reading(file) as view:
         written, found = run_being_written(view), []
         for run in all_runs(view, file):
-            sums, summary = read_sums(view, run.run), summary_told(view, run.run)
-            end = _end(run, sums, goes_on=run.run == written, summed_up=bool(summary))
-            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models()))
+            models, summary = read_sums(view, run.run).load.models(), summary_told(view, run.run)
+            end = end_of(view, run, written)
+            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, models))
         return found
-
-
-def _end(run: RunRow, sums: RunSums, *, goes_on: bool, summed_up: bool) -> End:
-    """`summed_up`: in an older ledger a summary beside it alone says of a run without an end that it was stopped."""
-    if run.finished or sums.stopped:
-        return "cameras ended" if run.finished else "stopped"
-    if goes_on:
-        return "goes on"
-    return "stopped" if summed_up else "cut off"
 
 
 def _clock(unix_ns: int, offset_s: int) -> str:

@@ -9,6 +9,7 @@ import { ago, chosen, load, loadUnit, number, percent, rate, small, t, translate
 
 const STALE_S = 3.5;
 const STATES = { running: "good", complete: "good", warned: "warning", waiting: "wait", starting: "wait", trouble: "trouble", "no contact": "trouble" };
+const RUN_ENDS = { stopped: "stopped", "cut off": "cut_off" };
 
 export class LineCard {
   constructor(template) {
@@ -155,7 +156,7 @@ export class LineCard {
     return [
       when(past.started_unix_s), past.weight_g === null ? t("nothing_seen") : weight(past.weight_g),
       past.low_g === null ? "–" : t("range", { low: load(past.low_g, scale), high: load(past.high_g, scale) }),
-      number(past.count), percent(past.coverage), past.run, t(`run.${past.final ? "complete" : past.stopped ? "stopped" : "open"}`),
+      number(past.count), percent(past.coverage), past.run, t(`run.${past.final ? "complete" : RUN_ENDS[past.end] ?? "open"}`),
     ];
   }
 
