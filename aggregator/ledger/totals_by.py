@@ -60,6 +60,11 @@ class Labelled:
     unseen_m: Mapping[str, float]
     run: str
 
+    @property
+    def runs(self) -> set[str]:
+        """All runs in which it has belt."""
+        return {self.run} if self.load is None else {run for run, _ in self.load.spans}
+
 
 @dataclass(frozen=True, slots=True)
 class AllLoads:

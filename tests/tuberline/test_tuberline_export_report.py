@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -13,6 +15,8 @@ import pytest
 
 from aggregator.ledger.writer import Ledger
 from benchmarks.written_run import write_run
+from tuberline.alarms.message import AlarmMessage
+from tuberline.alarms.outbox import TABLES
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.html import report_html
 from tuberline.export.report.page import Bars, Figures, Grid, Report, Sentences
@@ -108,7 +112,7 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
 
 def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) -> None:
     """A live line is always stopped, and each of its days 'has not ended, or was cut off'."""
-    folder = tmp_path / "live"
+    folder = tmp_path / "live #1"
     seconds = 1_790_000_000 + np.arange(20)
     for name, late_s in (("morning", 0), ("noon", 100)):
         crossed_ns = (seconds + late_s) * 1_000_000_000
@@ -123,3 +127,22 @@ def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) ->
         ledger.open_run("evening", line="line", cameras=("left",), version="1", started_ns=1_790_000_200_000_000_000)
         assert [each.end for each in day_facts([folder]).runs] == ["stopped", "stopped", "goes on"]
     assert [each.end for each in day_facts([folder]).runs] == ["stopped", "stopped", "cut off"]
+    (folder / "alarms").mkdir()
+    alarm = AlarmMessage("a", "a", "begin", "line", "", "disk", "trouble", "The disk is full.", "", 1_790_000_000.0)
+    with closing(sqlite3.connect(folder / "alarms" / "alarms.db")) as db:
+        db.executescript(TABLES)
+        db.execute("INSERT INTO active VALUES ('disk', ?, 0)", (alarm.encode(),))
+        db.commit()
+    told = what_went_wrong(day_facts([folder]))
+    assert [words for words in told if "larm" in words] == ["Alarm since 2026-09-21 14:13 UTC: The disk is full."]
+
+
+def test_the_report_of_a_day_tells_of_its_runs_alone(run: Path, tmp_path: Path) -> None:
+    """Those of all other days stood in its table of runs, and what had gone wrong with them."""
+    next_day_ns = (1_790_086_400 + np.arange(20)) * 1_000_000_000
+    write_run(tmp_path, run="tuesday", crossed_ns=next_day_ns, weight_g=np.full(20, 170.0))
+    both = day_facts([run, tmp_path])
+    assert [each.run for each in both.runs] == ["monday", "tuesday"]
+    for day, name in zip(both.days, ("monday", "tuesday"), strict=True):
+        facts = day_facts([run, tmp_path], day=day)
+        assert ([each.run for each in facts.runs], facts.total.loads) == ([name], 1)

@@ -25,7 +25,7 @@ from aggregator.ledger.reader import (
     runs_in_words,
     the_run,
 )
-from aggregator.ledger.totals_by import ALL, Labelled, labelled, total_of
+from aggregator.ledger.totals_by import ALL, labelled, total_of
 from aggregator.yield_map.cells import YieldMap, cells_of, check_cell, factors_to_one_scale
 from aggregator.yield_map.delay import Delay, delays
 from aggregator.yield_map.no_map import NoMapError, WhyNoMap
@@ -281,12 +281,8 @@ def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -
         return scales[tuber.run, NO_LOAD] if number == NO_LOAD else of_load[number]
 
     runs = {tuber.run for tuber in tubers}
-    sums = total_of(ALL, [load for load in loads if runs & _runs_of(load)]).sums
+    sums = total_of(ALL, [load for load in loads if runs & load.runs]).sums
     return np.array([scale(tuber) for tuber in tubers]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
-
-
-def _runs_of(load: Labelled) -> set[str]:
-    return {load.run} if load.load is None else {run for run, _ in load.load.spans}
 
 
 def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, Way, float]:

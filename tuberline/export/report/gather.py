@@ -79,7 +79,9 @@ class RunFacts:
 
 @dataclass(frozen=True, slots=True)
 class DayFacts:
-    """All that a report tells. `refused`: tickets that do not calibrate, `doubts`: what speaks against others."""
+    """All that a report tells; `runs` are those in which something of these days was. `refused`: tickets that do not
+    calibrate, `doubts`: what speaks against others.
+    """
 
     days: tuple[str, ...]
     loads: tuple[LoadFacts, ...]
@@ -130,7 +132,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
         late=whole.late,
         refused=tuple(read.refused),
         doubts=tuple(read.doubts),
-        runs=tuple(run for path in dict.fromkeys(ledger_file(run) for run in runs) for run in _runs(path)),
+        runs=tuple(run for path, of_ledger in read.by_ledger.items() for run in _runs(path, of_ledger, day)),
     )
 
 
@@ -166,10 +168,12 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
     )
 
 
-def _runs(file: Path) -> list[RunFacts]:
+def _runs(file: Path, loads: Sequence[Labelled], day: str | None) -> list[RunFacts]:
+    """Those of a ledger, or those in which something of `day` was, be it only belt."""
+    of_day = {run for load in loads if load.labels["day"] == day for run in load.runs}
     with reading(file) as view:
         written, found = run_being_written(view), []
-        for run in all_runs(view, file):
+        for run in (run for run in all_runs(view, file) if day is None or run.run in of_day):
             models, summary = read_sums(view, run.run).load.models(), summary_told(view, run.run)
             end = end_of(view, run, written)
             found.append(RunFacts(file, run.run, run.line, run.version, summary, end, models))

@@ -35,6 +35,8 @@ def what_went_wrong(facts: DayFacts) -> list[str]:
     found = [*_unseen(facts), *_tickets(facts), *_weighing(facts)]
     for run in facts.runs:
         found += _of_run(run)
+    for ledger in dict.fromkeys(run.path for run in facts.runs):
+        found += _alarms(ledger)
     return found
 
 
@@ -113,7 +115,6 @@ def _of_run(run: RunFacts) -> Iterator[str]:
         yield from _of_camera(run.run, camera, sheet)
     for node, version in summary.get("other_versions", {}).items():
         yield f"{node} ran version {version}, the aggregator {summary.get('software', '')}."
-    yield from _alarms(run)
 
 
 def _of_camera(run: str, camera: str, sheet: dict[str, Any]) -> Iterator[str]:
@@ -136,18 +137,18 @@ def _words(name: str, prefix: str) -> str:
     return name.removeprefix(prefix).replace("_", " ")
 
 
-def _alarms(run: RunFacts) -> Iterator[str]:
+def _alarms(ledger: Path) -> Iterator[str]:
     """Alarms that had begun and not ended when the report was made; the file may be another program's, or none."""
-    file = run.path.parent / ALARMS
+    file = ledger.parent / ALARMS
     if not file.is_file():
         return
     try:
-        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True, timeout=1)) as db:
+        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True, timeout=1)) as db:
             rows = db.execute("SELECT begun FROM active ORDER BY begun_unix_s").fetchall()
         begun = [AlarmMessage.decode(text) for (text,) in rows]
     except (sqlite3.Error, ValueError, TypeError) as error:
-        yield f"The alarms beside run {run.run} cannot be read: {error}."
+        yield f"The alarms beside {ledger} cannot be read: {error}."
         return
     for alarm in begun:
-        since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%H:%M")
+        since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%Y-%m-%d %H:%M")
         yield f"Alarm since {since} UTC: {alarm.text}"
