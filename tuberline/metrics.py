@@ -10,6 +10,7 @@ from conveyor.errors import ConfigError, LinkError
 from conveyor.extras import missing_package
 from conveyor.messages import Counters, Totals
 from conveyor.observer import Observer
+from conveyor.served import ServedAt
 
 try:
     from prometheus_client import CollectorRegistry, start_http_server
@@ -38,8 +39,8 @@ class LineCollector(Collector):
 
 
 @contextmanager
-def serving(observer: Observer, *, host: str, port: int) -> Iterator[None]:
-    """Answer scrapes at http://host:port/metrics inside the `with` block.
+def serving(observer: Observer, at: ServedAt) -> Iterator[int]:
+    """Answer scrapes at http://HOST:PORT/metrics inside the `with` block; the port.
 
     Raises:
         LinkError: the port is taken or cannot be bound.
@@ -47,11 +48,11 @@ def serving(observer: Observer, *, host: str, port: int) -> Iterator[None]:
     registry = CollectorRegistry()
     registry.register(LineCollector(observer))
     try:
-        server, thread = start_http_server(port, host, registry)
+        server, thread = start_http_server(at.port, at.host, registry)
     except OSError as error:
-        raise LinkError(f"cannot listen on {host}:{port}: {error.strerror or error}") from error
+        raise LinkError(f"cannot listen on {at}: {error.strerror or error}") from error
     try:
-        yield
+        yield int(server.server_port)
     finally:
         server.shutdown()
         server.server_close()

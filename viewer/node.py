@@ -45,9 +45,9 @@ class Target:
                 "foxglove in the config's [viewer]"
             )
         if self.foxglove is not None:
-            from viewer.foxglove.server_sink import ServerAddress
+            from viewer.foxglove.server_sink import address_of
 
-            ServerAddress.parse(self.foxglove)
+            address_of(self.foxglove)
         if self.connect is not None:
             from viewer.rerun.hub_sink import hub_address
 
@@ -125,9 +125,9 @@ def _sinks(node: Node, target: Target, *, profile: Profile, recording: str) -> l
 
         sinks.append(HubSink(target.connect, run=recording, tick_s=tick_s, counters=node.counters, log=node.log))
     if target.foxglove is not None:
-        from viewer.foxglove.server_sink import ServerAddress, ServerSink
+        from viewer.foxglove.server_sink import ServerSink, address_of
 
-        address = ServerAddress.parse(target.foxglove)
+        address = address_of(target.foxglove)
         sinks.append(ServerSink(address, run=recording, tick_s=tick_s, counters=node.counters, log=node.log))
     return sinks
 

@@ -11,8 +11,11 @@ import pytest
 from cyclopts import App, Argument
 from cyclopts.exceptions import CycloptsError
 
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
+from conveyor.served import ServedAt
 from tuberline.cli import build_app
+from tuberline.cli.metrics import metrics
+from tuberline.cli.page import page
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -131,3 +134,17 @@ def test_every_option_says_what_it_is() -> None:
     options = re.findall(r"^\* `([^`]*)`: *(.*)$", page, flags=re.MULTILINE)
     assert len(options) > 400
     assert [name for name, words in options if not re.sub(r"\*+\[[^]]*\]\*+", "", words).strip()] == []
+
+
+@pytest.mark.parametrize("text", ["9180", "127.0.0.1", "::1:9180", ":9180", "127.0.0.1:70000", "127.0.0.1:²", "a b:1"])
+def test_where_to_serve_is_refused_by_each_command_alike(text: str) -> None:
+    """Each had bounds of its own: `::1:9180` was a host to two of them, and port 0 free to two others."""
+    for command in (page, metrics):
+        with pytest.raises(ConfigError, match=rf"--listen {re.escape(text)} is not HOST:PORT, e\.g\. 127\.0\.0\.1:9"):
+            command(listen=text)
+
+
+def test_where_to_serve_is_read_and_told() -> None:
+    for text, host, port in (("127.0.0.1:0", "127.0.0.1", 0), ("[::1]:9180", "::1", 9180), ("barn:80", "barn", 80)):
+        at = ServedAt.parse(text, option="--listen", example="127.0.0.1:9180")
+        assert (at.host, at.port, str(at)) == (host, port, text)

@@ -149,7 +149,7 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_left(filmed: tuple[Path,
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("address", ["here/there", "127.0.0.1:notaport", "127.0.0.1:70000", "127.0.0.1:\u00b2"])
+@pytest.mark.parametrize("address", ["here/there", "127.0.0.1:notaport", "127.0.0.1:70000", "127.0.0.1:\u00b2", "8765"])
 def test_an_address_that_is_none_is_refused_with_the_form_of_one(address: str) -> None:
     from viewer.node import Target
 

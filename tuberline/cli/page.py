@@ -7,6 +7,7 @@ import secrets
 import signal
 import sys
 import threading
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -53,6 +54,7 @@ def page(
     """
     from conveyor.access import known_nodes
     from conveyor.notify import notify
+    from conveyor.served import ServedAt
     from viewer.page.acting import Acting
     from viewer.page.board import Board
     from viewer.page.maps import FieldMaps
@@ -62,7 +64,7 @@ def page(
     from viewer.page.snapshot import snapshot
     from viewer.page.watch import LineWatch
 
-    host, port = _address(listen)
+    at = ServedAt.parse(listen, option="--listen", example="127.0.0.1:9180")
     if config and (connect or line):
         raise ConfigError("give --config (once for each line), or --connect with --line, not both")
     addresses = [LineAddress(path) for path in config] or [LineAddress(None, connect, name) for name in line or (None,)]
@@ -93,11 +95,10 @@ def page(
     orders = Orders(links, asked=lambda line: asks[line]())
     acting = Acting(orders.carry, lines=tuple(names), token=token) if token else None
     kept: list[LineWatch | LiveMap] = [*watches, *_live_maps(addresses, maps)]
-    with PageServer(board, host=host, port=port, acting=acting, pictures=pictures, maps=maps) as server:
+    with PageServer(board, host=at.host, port=at.port, acting=acting, pictures=pictures, maps=maps) as server:
         for each in kept:
             each.start()
-        shown = f"[{host}]" if ":" in host else host
-        logging.getLogger("page").info("%s at http://%s:%d/", ", ".join(names), shown, server.port)
+        logging.getLogger("page").info("%s at http://%s/", ", ".join(names), replace(at, port=server.port))
         if token and token_file is None:
             sys.stdout.write(f"To change loads, the page asks for this token: {token}\n")
             sys.stdout.flush()
@@ -136,10 +137,3 @@ def _token(file: Path | None) -> str:
     if (token and not 16 <= len(token) <= 256) or not token.isascii():
         raise ConfigError(f"--token-file {file} holds {len(token)} characters; give 16 to 256 ASCII ones")
     return token
-
-
-def _address(listen: str) -> tuple[str, int]:
-    host, _, port = listen.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise ConfigError(f"--listen {listen} is not HOST:PORT, e.g. 127.0.0.1:9180")
-    return host.strip("[]"), int(port)

@@ -5,52 +5,30 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 from conveyor.counters import CounterSet
-from conveyor.errors import ConfigError, LinkError
+from conveyor.errors import LinkError
+from conveyor.served import ServedAt
 from viewer.foxglove.pen import Pen, encoded, schema_of
 from viewer.foxglove.sdk import ServerListener, foxglove
 from viewer.scene.primitives import Entry
 from viewer.sink import IDLE_S, Sink
 
-DEFAULT_PORT = 8765
-THIS_MACHINE = "127.0.0.1"
 TELL_AGAIN = 2
 """The server says that someone subscribes a moment before it sends to them: the scene is told in two ticks."""
 BACKLOG = 48
 """Messages that wait for a slow app, each; the oldest give way. With pictures of 0.8 MB a third of them: 13 MB."""
 
 
-@dataclass(frozen=True, slots=True)
-class ServerAddress:
-    """Where Foxglove's app connects to; port 0 takes a free one."""
+def address_of(text: str) -> ServedAt:
+    """Where Foxglove's app connects to.
 
-    host: str
-    port: int
-
-    @classmethod
-    def parse(cls, text: str) -> ServerAddress:
-        """Of HOST:PORT, PORT or HOST.
-
-        Raises:
-            ConfigError: neither of them.
-        """
-        has_port = ":" in text or text.isdecimal()
-        host, _, port = text.rpartition(":") if has_port else (text, "", str(DEFAULT_PORT))
-        host = host or THIS_MACHINE
-        if not port.isdecimal() or int(port) > 65535 or "/" in host:
-            raise ConfigError(
-                f"foxglove '{text}' is not an address to serve at: give HOST:PORT, e.g. {THIS_MACHINE}:{DEFAULT_PORT}; "
-                "the app then opens ws://HOST:PORT"
-            )
-        return cls(host, int(port))
-
-    @property
-    def url(self) -> str:
-        """What the app opens."""
-        return f"ws://{self.host}:{self.port}"
+    Raises:
+        ConfigError: it is not HOST:PORT.
+    """
+    return ServedAt.parse(text, option="foxglove", example="127.0.0.1:8765")
 
 
 class _Listener(ServerListener):
@@ -93,7 +71,7 @@ class ServerSink(Sink):
     """See the module."""
 
     def __init__(
-        self, address: ServerAddress, *, run: str, tick_s: float, counters: CounterSet, log: logging.Logger
+        self, address: ServedAt, *, run: str, tick_s: float, counters: CounterSet, log: logging.Logger
     ) -> None:
         super().__init__("foxglove", run=run, tick_s=tick_s, counters=counters, log=log)
         self._came = threading.Event()
@@ -114,13 +92,13 @@ class ServerSink(Sink):
             )
         except (RuntimeError, OSError) as error:
             raise LinkError(
-                f"Foxglove's server cannot listen at {address.host}:{address.port} ({error}): another program has the "
+                f"Foxglove's server cannot listen at {address} ({error}): another program has the "
                 "port, or the address is not of this machine; give another with --foxglove HOST:PORT"
             ) from error
-        self.address = ServerAddress(address.host, self._server.port)
+        self.address = replace(address, port=self._server.port)
         counters.add("foxglove_subscribed", 0)
         counters.gauge("foxglove_port", self._server.port)
-        log.info("Foxglove: open %s", self.address.url)
+        log.info("Foxglove: open ws://%s", self.address)
 
     def _someone_came(self) -> None:
         """The scene is told once more, and at once."""
