@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -88,6 +89,14 @@ def test_why_there_is_no_map_is_told_by_what_is_missing(run: Path, tmp_path: Pat
     until(lambda: told, what="why there is no map")
     keeping.stop()
     assert told == [("no_ledger", f"{tmp_path} holds no ledger with a run")]
+    unreadable = tmp_path / ("long" * 100)
+    config = parse_config({"aggregator": {"out": str(unreadable)}, "gnss": {"source": "file:x"}}, where="test")
+    keeping = LiveMap(config, lambda *_: None, lambda *why: told.append(why))
+    keeping.start()
+    until(lambda: len(told) > 1, what="what the disk says, which ended the map without a word")
+    assert "map" in [thread.name for thread in threading.enumerate()], "it is tried again"
+    keeping.stop()
+    assert told[1] == ("", f"{unreadable / 'ledger.db'}: File name too long")
     with Ledger(tmp_path / "ledger.db") as ledger:
         ledger.open_run("empty", line="line", cameras=("left",), version="1", started_ns=0)
     assert why_none(tmp_path) == "no_positions"

@@ -16,6 +16,7 @@ from aggregator.ledger.reader import read_runs, reading
 from aggregator.yield_map.no_map import NoMapError, WhyNoMap
 from conveyor.config import LineConfig
 from conveyor.errors import InputError, TuberlineError
+from conveyor.files import told as fault
 from conveyor.formats.positions import POSITIONS_FILE
 from tuberline.maps.field import FieldMap, Settings, field_map
 
@@ -64,10 +65,11 @@ class LiveMap:
             try:
                 self._compute()
                 said = ""
-            except TuberlineError as error:  # too little was harvested yet, or something that a person has to know
-                if str(error) != said:
-                    _log.info("no map: %s", error)
-                said = str(error)
+            except (TuberlineError, OSError) as error:  # too little was harvested yet, or what a person has to know
+                told = fault(error) if isinstance(error, OSError) else str(error)
+                if told != said:
+                    _log.info("no map: %s", told)
+                said = told
                 if self._tell_why is not None:
                     self._tell_why(error.why if isinstance(error, NoMapError) else "", said)
             rest_s = max(EVERY_S, SHARE * (time.monotonic() - started_s))
