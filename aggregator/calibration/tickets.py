@@ -26,6 +26,8 @@ RATIO_RANGE = (0.75, 1.35)
 LEAST_COVERAGE = 0.8
 MOST_SCALE_SD = 0.2
 """Of the weight; an error above it was given in other units, and its ticket would say nothing."""
+MOSTLY = 0.5
+"""Of the tubers of two tickets: fewer in common leave each to say something of its own."""
 KINDS = ("load", "bucket", "tubers")
 FORMAT = 2
 OLD_FORMAT = 1
@@ -198,6 +200,21 @@ def same_tubers(one: Ticket, other: Ticket) -> bool | None:
         return True
     parts = Part.named(one.part), Part.named(other.part)
     return parts[0].overlaps(parts[1]) if parts[0] is not None and parts[1] is not None else False
+
+
+def of_same_tubers(tickets: Sequence[Ticket], ticket: Ticket) -> list[Ticket]:
+    """Those of other kinds that are mostly of the tubers of `ticket`, as far as parts tell: each counts in full, as if
+    it were of others, and the interval comes out too narrow.
+    """
+    return [
+        known
+        for known in tickets
+        if (known.run, known.model) == (ticket.run, ticket.model)
+        and known.kind != ticket.kind
+        and not (known.set_aside or ticket.set_aside)
+        and same_tubers(replace(known, kind=ticket.kind), ticket)
+        and min(known.tubers, ticket.tubers) >= MOSTLY * max(known.tubers, ticket.tubers)
+    ]
 
 
 def set_aside(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,23 @@ def test_a_bucket_may_be_a_part_of_a_run(line: Line, tmp_path: Path, capsys: pyt
     for wrong in (PartOptions(first=1, last=610), PartOptions(first=0, last=20)):
         with pytest.raises(InputError, match=rf"is (610|0), run .* counted {len(tubers)} tubers, numbered 1 to"):
             calibrate_bucket(folder, kg=kg, weighed=wrong, options=options)
+
+
+def test_a_bucket_that_was_also_weighed_one_by_one_is_told(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both counted in full without a word, and a load was said to be known better than it is."""
+    folder, tubers = line
+    options, path = TicketOptions(tmp_path / "tickets.json"), tmp_path / "weights.csv"
+    calibrate_tubers(folder, weights_file(path, [1.1 * tuber.weight_g for tuber in tubers]), options=options)
+    few, most = tubers[: len(tubers) // 3], tubers[: len(tubers) * 2 // 3]
+    for some, told in ((few, False), (most, True)):
+        kg, part = 1.1 * sum(tuber.weight_g for tuber in some) / 1000, PartOptions(first=1, last=len(some))
+        assert "same tubers" not in capsys.readouterr().out
+        calibrate_bucket(folder, kg=kg, weighed=part, options=replace(options, again=True))
+        said, aside = capsys.readouterr().out, f"--run calm0 --kind bucket --part 'tubers 1 to {len(some)}'"
+        assert ("are of the same tubers, and each counts in full" in said) is told
+        assert (f"set-aside {options.tickets} {aside}" in said) is told
 
 
 def test_a_count_by_hand_that_differs_by_one_scales_the_sum_and_widens_the_ticket(

@@ -19,6 +19,7 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
     from aggregator.calibration.correction import Prior
     from aggregator.calibration.leave_one_out import contradicting
     from aggregator.calibration.robust import correction_of
+    from aggregator.calibration.tickets import of_same_tubers
 
     offset_mm = ticket.stated_offset_mm
     prior = Prior(stated_offset_mm=offset_mm)
@@ -30,6 +31,7 @@ def as_json(known: Sequence[Ticket], ticket: Ticket) -> dict[str, Any]:
         "load_factor": asdict(found) if found else None,
         "correction": correction_values(correction),
         "contradicting": [entry.ticket.name for entry in against],
+        "of_same_tubers": [other.name for other in of_same_tubers(known, ticket)],
     }
 
 
@@ -54,6 +56,7 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
     from aggregator.calibration.correction import Prior
     from aggregator.calibration.leave_one_out import contradicting
     from aggregator.calibration.robust import correction_of
+    from aggregator.calibration.tickets import of_same_tubers
 
     offset_mm = ticket.stated_offset_mm
     prior = Prior(stated_offset_mm=offset_mm)
@@ -70,6 +73,7 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
             f"totals of such loads are multiplied by {found.factor:.3f}, a load is then known to "
             f"{100 * found.half_width:.1f} %",
         ]
+    lines += [_doubled(ticket, other, path) for other in of_same_tubers(known, ticket)]
     lines += [warning(entry, path) for entry in contradicting(known, ticket.model, stated_offset_mm=offset_mm)]
     lines.append(f'put tickets = "{path}" under [aggregator] of the line\'s file')
     return "\n".join(lines) + "\n"
@@ -77,8 +81,22 @@ def after_ticket(known: Sequence[Ticket], ticket: Ticket, path: Path) -> str:
 
 def warning(entry: LeftOut, path: Path) -> str:
     """A ticket that contradicts, and what to do about it."""
-    part = f"--part '{entry.ticket.part}' " if entry.ticket.part else ""
+    return f"{entry.told}. If it is wrong: {_set_aside(entry.ticket, path)}"
+
+
+def _doubled(ticket: Ticket, other: Ticket, path: Path) -> str:
+    """Two that are of the same tubers, and which of them to set aside."""
     return (
-        f"{entry.told}. If it is wrong: tuberline calibrate set-aside {path} --run {entry.ticket.run} "
-        f'--kind {entry.ticket.kind} {part}--reason "..."'
+        f"{other.name} and {ticket.name} are of the same tubers, and each counts in full: a load is known less well "
+        f"than is said. Keep the more precise one: {_set_aside(max(other, ticket, key=_vague), path)}"
     )
+
+
+def _vague(ticket: Ticket) -> tuple[bool, float]:
+    """Single weights tell more than any sum of them."""
+    return not ticket.singles, ticket.sd
+
+
+def _set_aside(ticket: Ticket, path: Path) -> str:
+    part = f"--part '{ticket.part}' " if ticket.part else ""
+    return f'tuberline calibrate set-aside {path} --run {ticket.run} --kind {ticket.kind} {part}--reason "..."'
