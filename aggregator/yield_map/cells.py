@@ -16,6 +16,8 @@ from conveyor.statistics import NORMAL_90
 
 ALIKE_S = 3.0
 """Webs mix the crop of neighbouring seconds: so many of them say about as much as one."""
+MOST_CELLS = 4_000_000
+"""20 by 20 km at 10 m: machines that lie farther apart are in several fields."""
 LEAST_SHARE = 0.25
 """A cell less than this lifted says little about itself: it is shown as not known."""
 
@@ -62,7 +64,7 @@ def cells_of(machines: Sequence[Points], *, cell_m: float, shared_percent: float
     A second's kilograms lie evenly on the ground that it lifted first.
 
     Raises:
-        InputError: no usable point, or a cell size that is none.
+        InputError: no usable point, a cell size that is none, or more cells than a field has.
     """
     check_cell(cell_m)
     parts = [_squares(points) for points in machines]
@@ -75,7 +77,12 @@ def cells_of(machines: Sequence[Points], *, cell_m: float, shared_percent: float
     values = np.concatenate([part[1] for part in parts])
     origin = np.floor(centres.min(axis=0) / cell_m) * cell_m
     index = np.floor((centres - origin) / cell_m).astype(np.int64)
-    columns, rows = index.max(axis=0) + 1
+    columns, rows = (int(n) + 1 for n in index.max(axis=0))
+    if columns * rows > MOST_CELLS:
+        raise InputError(
+            f"what was lifted spans {columns * cell_m / 1000:.1f} by {rows * cell_m / 1000:.1f} km, {columns * rows} "
+            f"cells of {cell_m:g} m; a map has up to {MOST_CELLS}: map each field by itself, or give a larger --cell-m"
+        )
     flat = index[:, 1] * columns + index[:, 0]
     kg, var, count, area, squared, area_squared = (
         np.bincount(flat, weights=values[:, i], minlength=rows * columns).astype(np.float64).reshape(rows, columns)

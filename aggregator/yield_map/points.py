@@ -60,6 +60,10 @@ class Crop:
     def __post_init__(self) -> None:
         assert len(self.time_s) == len(self.kg) == len(self.sd_kg)
 
+    def only(self, which: NDArray[np.bool_]) -> Crop:
+        """Some of it; (N,)."""
+        return Crop(self.time_s[which], self.kg[which], self.sd_kg[which])
+
 
 @dataclass(frozen=True, slots=True)
 class Machine:

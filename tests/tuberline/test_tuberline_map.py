@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor.errors import InputError
 from tuberline.cli.map import map_field
+from tuberline.maps.field import Settings, field_map
 
 pytest.importorskip("pyproj")
 pytest.importorskip("matplotlib")
@@ -44,7 +46,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_two_machines_make_one_map(runs: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     tracks = [run / "track.csv" for run in runs]
     out = tmp_path / "map.png"
-    map_field(runs, track=tracks, width_m=3.0, overlap_m=0.1, cell_m=8.0, out=out, json=True)
+    title = r"Field $\bad$ 5"  # it was set as a formula, and this one is none
+    map_field(runs, track=tracks, width_m=3.0, overlap_m=0.1, cell_m=8.0, out=out, title=title, json=True)
     told = json.loads(capsys.readouterr().out)
     assert told["mean_t_ha"] == pytest.approx(
         sum(cell["kg"] for cell in told["cells"]) / sum(c["area_m2"] for c in told["cells"]) * 10
@@ -102,3 +105,29 @@ def test_a_picture_of_another_kind_is_refused_before_the_work(runs: list[Path], 
     with pytest.raises(InputError, match="are one run, and two tracks are given"):
         map_field([runs[0], runs[0] / "ledger.db"], track=[track, runs[0] / "track.csv"], width_m=3.0)
     assert list(tmp_path.iterdir()) == [track]
+
+
+def test_two_fields_far_apart_are_told(runs: list[Path], tmp_path: Path) -> None:
+    """Their map took 116 GiB, and with them the process that made it."""
+    head, *rows = (runs[1] / "track.csv").read_text().splitlines()
+    moved = [f"{at},{float(lat) + 1.2},{float(lon) + 1},{fix}" for at, lat, lon, fix in (row.split(",") for row in rows)]
+    (tmp_path / "far.csv").write_text("\n".join([head, *moved]) + "\n")
+    with pytest.raises(InputError, match=r"spans .* by 13\d\.\d km, \d+ cells of 10 m; a map has up to 4000000"):
+        map_field(runs, track=[runs[0] / "track.csv", tmp_path / "far.csv"], width_m=3.0, delay_s=17.0)
+
+
+def test_a_clock_that_was_set_between_two_runs_takes_no_memory(runs: list[Path], tmp_path: Path) -> None:
+    """A machine without a clock of its own began in 1970: its map had a second for each since then, 13 GiB."""
+    folder, both = tmp_path / "run", tmp_path / "both.csv"
+    shutil.copytree(runs[0], folder)
+    crossed_ns = 60_000_000_000 + np.arange(20) * 10**9
+    write_run(folder, run="booted", crossed_ns=crossed_ns, weight_g=np.full(20, 170.0))
+    whole = field_map([runs[0]], [runs[0] / "track.csv"], Settings(3.0))
+    found = field_map([folder], [folder / "track.csv"], Settings(3.0))
+    assert found.shares[0].delay == whole.shares[0].delay
+    assert found.shares[0].lost_kg == pytest.approx(whole.shares[0].lost_kg + 20 * 0.170)
+    head, *rows = (folder / "track.csv").read_text().splitlines()
+    both.write_text("\n".join([head, *(f"{n},{rows[0].split(',', 1)[1]}" for n in range(60, 90)), *rows]) + "\n")
+    assert field_map([runs[0]], [both], Settings(3.0)).cells.mean_t_ha == whole.cells.mean_t_ha
+    with pytest.raises(InputError, match=r"spans 1970-01-01 .* to 2026.*, and so do tubers: a clock was set since"):
+        field_map([folder], [both], Settings(3.0))

@@ -41,6 +41,10 @@ from conveyor.statistics import NORMAL_90
 SUREST_SD_S = 3.0
 """A delay that is found less surely than this is not used."""
 LEAST_SHARPNESS = 1.3
+DAY_S = 86_400.0
+"""Positions that lie farther from all tubers in time, and tubers from all positions, say nothing of each other."""
+MOST_DAYS = 400
+"""Of one track: what spans more was stamped before its clock was set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,19 +254,32 @@ def _read(
         kg=values[:, 1] / 1000 * scale,
         sd_kg=(values[:, 3] - values[:, 2]) / (2 * NORMAL_90) / 1000 * scale,
     )
-    places = read_positions(track)
-    shift_ns = round(settings.track_shift_s * 1e9)
     return _Run(
         run=runs_in_words([each.run for each in chosen]),
         crop=crop,
-        track=Track(
-            time_ns=np.array([place.time_ns + shift_ns for place in places], dtype=np.int64),
-            lat_deg=np.array([place.lat_deg for place in places]),
-            lon_deg=np.array([place.lon_deg for place in places]),
-            quality=np.array([place.quality for place in places], dtype=np.uint8),
-        ),
+        track=_track(track, settings, crop),
         shared_percent=shared_percent,
     )
+
+
+def _track(file: Path, settings: Settings, crop: Crop) -> Track:
+    """The positions of a file, those of the tubers' days where there are some."""
+    places, shift_ns = read_positions(file), round(settings.track_shift_s * 1e9)
+    low_ns, high_ns = (crop.time_s.min() - DAY_S) * 1e9, (crop.time_s.max() + DAY_S) * 1e9
+    near = [place for place in places if low_ns <= place.time_ns + shift_ns <= high_ns] or places
+    track = Track(
+        time_ns=np.array([place.time_ns + shift_ns for place in near], dtype=np.int64),
+        lat_deg=np.array([place.lat_deg for place in near]),
+        lon_deg=np.array([place.lon_deg for place in near]),
+        quality=np.array([place.quality for place in near], dtype=np.uint8),
+    )
+    first_s, last_s = track.time_ns.min() / 1e9, track.time_ns.max() / 1e9
+    if near is not places and last_s - first_s > MOST_DAYS * DAY_S:
+        raise InputError(
+            f"track {file} spans {_clock(first_s)} to {_clock(last_s)}, and so do tubers: a clock was set since: "
+            f"give --track FILE with those of one time, {MOST_DAYS} days at most"
+        )
+    return track
 
 
 def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -> tuple[NDArray[np.float64], float]:
@@ -288,17 +305,18 @@ def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -
 def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, Way, float]:
     path = believed(machine.track, plane)
     crop = machine.crop
-    if crop.time_s[-1] < path.time_s[0] or crop.time_s[0] > path.time_s[-1] + 600:
+    if not ((crop.time_s >= path.time_s[0]) & (crop.time_s <= path.time_s[-1] + 600)).any():
         raise NoMapError(
-            f"run {machine.run}: its tubers passed from {_clock(crop.time_s[0])} to {_clock(crop.time_s[-1])}, its "
-            f"positions are from {_clock(path.time_s[0])} to {_clock(path.time_s[-1])}: another day's track, or clocks "
-            "that differ (--track-shift-s moves the track)",
+            f"run {machine.run}: its tubers passed from {_clock(crop.time_s.min())} to {_clock(crop.time_s.max())}, "
+            f"its positions are from {_clock(path.time_s[0])} to {_clock(path.time_s[-1])}: another day's track, or "
+            "clocks that differ (--track-shift-s moves the track)",
             why=WhyNoMap.OTHER_TIMES,
         )
     if settings.delay_s is not None:
         delay = Delay(settings.delay_s, 0.0, "given", math.inf)
     else:
-        delay = _found_delay(machine.run, delays(path, crop, width_m=settings.width_m))
+        near = (crop.time_s > path.time_s[0] - DAY_S) & (crop.time_s < path.time_s[-1] + DAY_S)
+        delay = _found_delay(machine.run, delays(path, crop.only(near), width_m=settings.width_m))
     how = Machine(settings.width_m, delay.delay_s, settings.overlap_m, settings.antenna_ahead_m)
     points, lost_kg = yield_points(path, crop, how)
     unplaced = ~points.used

@@ -48,7 +48,7 @@ def draw_map(field: FieldMap, out: Path, *, title: str, caption: bool = True) ->
     _scale_bar(axes, cells.origin_m, width_m)
     axes.set_aspect("equal")
     axes.set_axis_off()
-    axes.set_title(title, loc="left", color=INK, fontsize=13, fontweight="bold")
+    axes.set_title(title, loc="left", color=INK, fontsize=13, fontweight="bold", parse_math=False)
     if caption:
         axes.text(0, -0.02, _caption(field), transform=axes.transAxes, va="top", fontsize=8.5, color=INK)
     with whole_output(out) as path:
