@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import csv
+import json
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from conveyor.errors import InputError
@@ -27,3 +31,25 @@ def test_places_of_tubers_need_no_full_cell(run: Path, tmp_path: Path, capsys: p
         assert told[1000.0, form] == told[10.0, form]
     with pytest.raises(InputError, match="no cell of 1000 m has a quarter"):
         export([run], format="csv", what="cells", out=tmp_path / "cells.csv", cell_m=1000.0, **HOW)  # type: ignore[arg-type]
+
+
+def test_a_table_of_cells_says_where_they_are(run: Path, tmp_path: Path) -> None:
+    """CSV, Parquet and workbooks of cells had no place at all."""
+    for form in ("csv", "geojson"):
+        export([run], format=form, what="cells", out=tmp_path / f"cells.{form}", **HOW)  # type: ignore[arg-type]
+    with (tmp_path / "cells.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    features = json.loads((tmp_path / "cells.geojson").read_text())["features"]
+    for row, feature in zip(rows, features, strict=True):
+        lon, lat = np.mean(feature["geometry"]["coordinates"][0][:4], axis=0)
+        assert (float(row["lon_deg"]), float(row["lat_deg"])) == (pytest.approx(lon), pytest.approx(lat))
+
+
+def test_a_run_without_positions_beside_one_with_them_is_named(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tubers of both lost their places, and nothing was said."""
+    bare = tmp_path / "bare"
+    shutil.copytree(run, bare, ignore=shutil.ignore_patterns("positions.csv"))
+    export([run, bare], format="csv", out=tmp_path / "out.csv", **HOW)  # type: ignore[arg-type]
+    assert f"tubers without their places: run {bare} has no positions.csv" in capsys.readouterr().err

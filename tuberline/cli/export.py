@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import TrackShift
 
 if TYPE_CHECKING:
     from conveyor.messages import Tuber
@@ -27,7 +28,7 @@ def export(
     overlap_m: float | None = None,
     delay_s: float | None = None,
     cell_m: float = 10.0,
-    track_shift_s: float = 0.0,
+    track_shift_s: TrackShift = 0.0,
     day: str | None = None,
     contract: Path | None = None,
 ) -> None:
@@ -126,7 +127,7 @@ def _field(
     from aggregator.ledger.reader import ledger_file
     from conveyor.formats.positions import POSITIONS_FILE
 
-    if not tracks and not all((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
+    if not tracks and not any((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
     from tuberline.maps.field import field_map, field_places
     from tuberline.maps.settings import settings_of

@@ -10,6 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from conveyor.errors import InputError
+from tuberline.cli.numbers import TrackShift
 
 
 def map_field(
@@ -22,7 +23,7 @@ def map_field(
     delay_s: float | None = None,
     antenna_ahead_m: float | None = None,
     cell_m: float = 10.0,
-    track_shift_s: float = 0.0,
+    track_shift_s: TrackShift = 0.0,
     raw: bool = False,
     smooth: bool = False,
     out: Path | None = None,

@@ -84,6 +84,7 @@ Many = Annotated[int, within(1, 10**9)]
 """How many of something there must be some of."""
 Seed = Annotated[int, within(0, 10**18)]
 """The same seed gives the same."""
+TrackShift = Annotated[float, within(-1e9, 1e9, "s")]
 BeltDistance = Annotated[float, within(*BELT_DISTANCE_M, "m")]
 RestingOffset = Annotated[float, Parameter(validator=Level(*RESTING_OFFSET_MM, "mm, positive below the belt"))]
 RestingSd = Annotated[float, Parameter(validator=Level(*RESTING_SD_MM, "mm"))]
