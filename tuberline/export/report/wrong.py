@@ -143,12 +143,22 @@ def _alarms(ledger: Path) -> Iterator[str]:
     if not file.is_file():
         return
     try:
-        with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True, timeout=1)) as db:
-            rows = db.execute("SELECT begun FROM active ORDER BY begun_unix_s").fetchall()
-        begun = [AlarmMessage.decode(text) for (text,) in rows]
+        begun = [AlarmMessage.decode(text) for text in _begun(file)]
     except (sqlite3.Error, ValueError, TypeError) as error:
         yield f"The alarms beside {ledger} cannot be read: {error}."
         return
     for alarm in begun:
         since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%Y-%m-%d %H:%M")
         yield f"Alarm since {since} UTC: {alarm.text}"
+
+
+def _begun(file: Path) -> list[str]:
+    """The process that sends alarms holds the file's lock for as long as it runs: then it is read past that."""
+    asked = "SELECT begun FROM active ORDER BY begun_unix_s"
+    uri = f"{file.resolve().as_uri()}?mode=ro"
+    try:
+        with closing(sqlite3.connect(uri, uri=True, timeout=0)) as db:
+            return [text for (text,) in db.execute(asked)]
+    except sqlite3.OperationalError:
+        with closing(sqlite3.connect(f"{uri}&immutable=1", uri=True)) as db:
+            return [text for (text,) in db.execute(asked)]
