@@ -11,7 +11,7 @@ import numpy as np
 
 from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
 from aggregator.ledger.stated import belt_of_run, stated_beside
-from aggregator.ledger.totals_by import ALL, all_loads, total_of, totals_by
+from aggregator.ledger.totals_by import ALL, Total, all_loads, total_of, totals_by
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
@@ -86,22 +86,17 @@ def tubers_table(
 
 
 def loads_table(runs: Sequence[Path]) -> Table:
-    """One row per load, with its interval."""
-    rows = [
-        (
-            total.label,
-            total.sums.tubers,
-            total.sums.as_weighed_g / 1000,
-            total.sums.estimated_g / 1000,
-            total.sums.low_g / 1000,
-            total.sums.high_g / 1000,
-            total.sums.coverage,
-            total.net_g / 1000 if total.weighed else None,
-            total.raw_g / 1000,
-        )
-        for total in totals_by(runs, "load")[0]
-    ]
-    return Table("loads", LOAD_COLUMNS, rows, about(runs))
+    """One row per load, with its interval; no weight where no belt was seen, which is not one of 0 kg."""
+    return Table("loads", LOAD_COLUMNS, [_load(total) for total in totals_by(runs, "load")[0]], about(runs))
+
+
+def _load(total: Total) -> tuple[Any, ...]:
+    sums = total.sums
+    grams = (sums.as_weighed_g, sums.estimated_g, sums.low_g, sums.high_g, total.raw_g)
+    seen = sums.tubers > 0 or bool(sums.coverage)
+    as_weighed, kg, low, high, raw = (g / 1000 if seen else None for g in grams)
+    ticket_kg = total.net_g / 1000 if total.weighed else None
+    return total.label, sums.tubers, as_weighed, kg, low, high, sums.coverage, ticket_kg, raw
 
 
 def about(runs: Sequence[Path]) -> dict[str, Any]:
