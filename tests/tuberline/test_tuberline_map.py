@@ -109,8 +109,9 @@ def test_a_picture_of_another_kind_is_refused_before_the_work(runs: list[Path], 
 
 def test_two_fields_far_apart_are_told(runs: list[Path], tmp_path: Path) -> None:
     """Their map took 116 GiB, and with them the process that made it."""
-    head, *rows = (runs[1] / "track.csv").read_text().splitlines()
-    moved = [f"{at},{float(lat) + 1.2},{float(lon) + 1},{fix}" for at, lat, lon, fix in (row.split(",") for row in rows)]
+    head, *lines = (runs[1] / "track.csv").read_text().splitlines()
+    rows = (line.split(",") for line in lines)
+    moved = [f"{at},{float(lat) + 1.2},{float(lon) + 1},{fix}" for at, lat, lon, fix in rows]
     (tmp_path / "far.csv").write_text("\n".join([head, *moved]) + "\n")
     with pytest.raises(InputError, match=r"spans .* by 13\d\.\d km, \d+ cells of 10 m; a map has up to 4000000"):
         map_field(runs, track=[runs[0] / "track.csv", tmp_path / "far.csv"], width_m=3.0, delay_s=17.0)
