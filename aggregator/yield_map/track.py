@@ -125,7 +125,11 @@ def plane_of(track: Track) -> FieldPlane:
             f"the track has {len(track)} positions and no fix among them: nothing can be placed on a map",
             why=WhyNoMap.NO_FIX,
         )
-    return FieldPlane(float(np.median(track.lat_deg[fixed])), float(np.median(track.lon_deg[fixed])))
+    lat_deg, lon_deg = track.lat_deg[fixed], track.lon_deg[fixed]
+    middle_deg = float(np.median(lon_deg))
+    if np.ptp(lon_deg) > 180:  # a field on the 180th meridian, whose middle is not at Greenwich
+        middle_deg = (float(np.median(lon_deg % 360)) + 180) % 360 - 180
+    return FieldPlane(float(np.median(lat_deg)), middle_deg)
 
 
 def believed(track: Track, plane: FieldPlane) -> Path:

@@ -106,6 +106,14 @@ def test_positions_that_cannot_be_are_left_out_and_counted() -> None:
         plane_of(Track(times, lat, lon, np.zeros(8, dtype=np.uint8)))
 
 
+def test_a_field_on_the_180th_meridian_has_its_size() -> None:
+    """The middle of its longitudes lay at Greenwich, and the field came out three times as wide."""
+    lon = np.array([179.9998, 179.9999, -179.9999, -179.9998])
+    track = Track(np.arange(4) * 10**10, np.full(4, -16.8), lon, np.full(4, 4, dtype=np.uint8))
+    plane = plane_of(track)
+    assert np.ptp(plane.to_metres(track.lat_deg, lon)[:, 0]) == pytest.approx(0.0004 * 106_600, rel=0.01)
+
+
 def test_a_delay_put_into_a_real_log_is_found_within_a_second(shared: Path) -> None:
     """By opposite passes and by starts and stops, each for itself; the two agree on the log as it is."""
     path, crop = real_log(shared)
