@@ -18,6 +18,7 @@ from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor.errors import InputError
 from tuberline.cli.map import map_field
 from tuberline.maps.field import Settings, field_map
+from tuberline.maps.settings import OF_MACHINE, settings_of
 
 pytest.importorskip("pyproj")
 pytest.importorskip("matplotlib")
@@ -132,3 +133,20 @@ def test_a_clock_that_was_set_between_two_runs_takes_no_memory(runs: list[Path],
     assert field_map([runs[0]], [both], Settings(3.0)).cells.mean_t_ha == whole.cells.mean_t_ha
     with pytest.raises(InputError, match=r"spans 1970-01-01 .* to 2026.*, and so do tubers: a clock was set since"):
         field_map([folder], [both], Settings(3.0))
+
+
+def test_each_machine_has_its_own_width(runs: list[Path], tmp_path: Path) -> None:
+    """Of a machine of two rows and one of four all ground was as wide as the first one's."""
+    folders, tracks = [tmp_path / run.name for run in runs], [run / "track.csv" for run in runs]
+    for folder, run, width_m in zip(folders, runs, (1.5, 3.0), strict=True):
+        folder.mkdir()
+        (folder / "ledger.db").symlink_to(run / "ledger.db")
+        (folder / "line.toml").write_text(f'[gnss]\nsource = "file:x"\nwidth_m = {width_m}\ndelay_s = 17.0\n')
+    given = dict.fromkeys(OF_MACHINE)
+    both = field_map(folders, tracks, settings_of(folders, **given)).shares
+    alike = field_map(runs, tracks, Settings(3.0, delay_s=17.0)).shares
+    assert [share.width_m for share in both] == [1.5, 3.0]
+    assert both[0].points.ground.swept_m2.sum() == pytest.approx(alike[0].points.ground.swept_m2.sum() / 2)
+    assert both[1].points.area_m2.sum() == alike[1].points.area_m2.sum()
+    wide = settings_of(folders, **given | {"width_m": 2.0})
+    assert [(each.width_m, each.delay_s) for each in wide] == [(2.0, 17.0), (2.0, 17.0)]

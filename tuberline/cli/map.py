@@ -32,7 +32,7 @@ def map_field(
 ) -> None:
     """Map a field's yield in t/ha from one or more runs and the machine's positions.
 
-    Width, overlap, delay and antenna are those of [gnss] in the line.toml beside the ledger, where they are not given.
+    Width, overlap, delay and antenna are those of [gnss] in the line.toml beside each ledger, where not given.
     Several machines in one field are brought to one scale. Points that are left out keep their reason (--json).
 
     Parameters

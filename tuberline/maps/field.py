@@ -49,8 +49,8 @@ MOST_DAYS = 400
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How the map is made; metres and seconds. `delay_s` None: found from the yields. `clean` False keeps every point
-    that has a place."""
+    """How the map is made, and how a machine drives; metres and seconds. `delay_s` None: found from the yields. `clean`
+    False keeps every point that has a place."""
 
     width_m: float
     overlap_m: float = 0.0
@@ -67,7 +67,7 @@ class MachineShare:
     """What the runs of one ledger gave to the map.
 
     Attributes:
-        run: its id, or those of the first and the last one of its ledger.
+        run: its id, or those of the first and the last one of its ledger. width_m: of the machine.
         way: the machine's way, as far as it is believed.
         delay: by which the crop lags behind the ground; `by` 'given' where it was set.
         points: its yield points, each with the reason why it is not used.
@@ -78,6 +78,7 @@ class MachineShare:
     """
 
     run: str
+    width_m: float
     delay: Delay
     way: Way
     points: Points
@@ -94,7 +95,6 @@ class FieldPlaces:
 
     plane: FieldPlane
     shares: tuple[MachineShare, ...]
-    settings: Settings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +130,7 @@ class FieldMap(FieldPlaces):
 def field_map(
     runs: Sequence[Path],
     tracks: Sequence[Path],
-    settings: Settings,
+    settings: Settings | Sequence[Settings],
     *,
     run: str | None = None,
     tubers: Sequence[Sequence[Tuber]] | None = None,
@@ -141,26 +141,28 @@ def field_map(
         runs: folders of runs, or ledgers; those of one ledger are of one machine.
         run: which one of a ledger that holds several; default: all of them.
         tracks: one file of positions per ledger, in their order; empty: the positions.csv beside each.
+        settings: of all, or of the machine of each ledger; cells and smoothing are those of the first.
         tubers: those of each ledger, where they were read already.
 
     Raises:
         InputError: a run without positions or without tubers, or positions that cannot be used.
     """
-    places, shared = _places_of(runs, tracks, settings, run, tubers)
-    cells = cells_of([share.points for share in places.shares], cell_m=settings.cell_m, shared_percent=shared)
+    each = _of_each(runs, settings)
+    places, shared = _places_of(runs, tracks, each, run, tubers)
+    cell_m = each[0].cell_m
+    cells = cells_of([share.points for share in places.shares], cell_m=cell_m, shared_percent=shared)
     if not np.isfinite(cells.t_ha).any():
         raise NoMapError(
-            f"no cell of {settings.cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller "
-            "--cell-m",
+            f"no cell of {cell_m:g} m has a quarter of its ground lifted by what can be used: give a smaller --cell-m",
             why=WhyNoMap.NO_GROUND,
         )
-    return FieldMap(places.plane, places.shares, settings, smoothed(cells) if settings.smooth else cells)
+    return FieldMap(places.plane, places.shares, smoothed(cells) if each[0].smooth else cells)
 
 
 def field_places(
     runs: Sequence[Path],
     tracks: Sequence[Path],
-    settings: Settings,
+    settings: Settings | Sequence[Settings],
     *,
     tubers: Sequence[Sequence[Tuber]] | None = None,
 ) -> FieldPlaces:
@@ -169,36 +171,43 @@ def field_places(
     Raises:
         InputError: a run without positions or without tubers, or positions that cannot be used.
     """
-    return _places_of(runs, tracks, settings, None, tubers)[0]
+    return _places_of(runs, tracks, _of_each(runs, settings), None, tubers)[0]
+
+
+def _of_each(runs: Sequence[Path], settings: Settings | Sequence[Settings]) -> Sequence[Settings]:
+    if not runs:
+        raise InputError("name at least one run: `tuberline map RUN`")
+    return [settings] * len(runs) if isinstance(settings, Settings) else settings
 
 
 def _places_of(
     runs: Sequence[Path],
     tracks: Sequence[Path],
-    settings: Settings,
+    settings: Sequence[Settings],
     run: str | None,
     tubers: Sequence[Sequence[Tuber]] | None,
 ) -> tuple[FieldPlaces, float]:
     """(the places, half of the interval that all have in common, percent)."""
-    Machine(settings.width_m, 0.0, settings.overlap_m)
-    check_cell(settings.cell_m)
-    if not runs:
-        raise InputError("name at least one run: `tuberline map RUN`")
+    for each in settings:
+        Machine(each.width_m, 0.0, each.overlap_m)
+        check_cell(each.cell_m)
     if tracks and len(tracks) != len(runs):
         raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
     known: Sequence[Sequence[Tuber] | None] = tubers or [None] * len(runs)
     found_tracks = tracks or _own_tracks(runs)
     calibrating = tickets_by_ledger(runs)
     read = [
-        _read(file, track, settings, run, own, tickets)
-        for file, track, own, tickets in zip(runs, found_tracks, known, calibrating, strict=True)
+        _read(file, track, how, run, own, tickets)
+        for file, track, how, own, tickets in zip(runs, found_tracks, settings, known, calibrating, strict=True)
     ]
     plane = plane_of(read[0].track)
-    found = [_points(machine, plane, settings) for machine in read]
-    factors = factors_to_one_scale([points for points, *_ in found], width_m=settings.width_m)
+    found = [_points(machine, plane) for machine in read]
+    widest_m = max(each.width_m for each in settings)
+    factors = factors_to_one_scale([points for points, *_ in found], width_m=widest_m)
     shares = tuple(
         MachineShare(
             run=machine.run,
+            width_m=machine.settings.width_m,
             delay=delay,
             way=way,
             points=points.scaled(factor),
@@ -210,12 +219,13 @@ def _places_of(
         )
         for machine, (points, delay, way, lost_kg), factor in zip(read, found, factors, strict=True)
     )
-    return FieldPlaces(plane, shares, settings), max(machine.shared_percent for machine in read)
+    return FieldPlaces(plane, shares), max(machine.shared_percent for machine in read)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Run:
     run: str
+    settings: Settings
     crop: Crop
     track: Track
     shared_percent: float
@@ -256,6 +266,7 @@ def _read(
     )
     return _Run(
         run=runs_in_words([each.run for each in chosen]),
+        settings=settings,
         crop=crop,
         track=_track(track, settings, crop),
         shared_percent=shared_percent,
@@ -302,9 +313,9 @@ def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -
     return np.array([scale(tuber) for tuber in tubers]), 50 * (sums.high_g - sums.low_g) / sums.estimated_g
 
 
-def _points(machine: _Run, plane: FieldPlane, settings: Settings) -> tuple[Points, Delay, Way, float]:
+def _points(machine: _Run, plane: FieldPlane) -> tuple[Points, Delay, Way, float]:
     path = believed(machine.track, plane)
-    crop = machine.crop
+    crop, settings = machine.crop, machine.settings
     if not ((crop.time_s >= path.time_s[0]) & (crop.time_s <= path.time_s[-1] + 600)).any():
         raise NoMapError(
             f"run {machine.run}: its tubers passed from {_clock(crop.time_s.min())} to {_clock(crop.time_s.max())}, "

@@ -13,24 +13,28 @@ from conveyor.config_yield import GnssConfig
 from conveyor.errors import InputError
 from tuberline.maps.field import Settings
 
+OF_MACHINE = ("width_m", "overlap_m", "delay_s", "antenna_ahead_m")
 
-def settings_of(runs: Sequence[Path], *, width_m: float | None, **given: Any) -> Settings:
-    """The settings for these runs; `given` values that are None are taken from [gnss] of the first run's line.toml.
+
+def settings_of(runs: Sequence[Path], **given: Any) -> list[Settings]:
+    """The settings of each run. What is given as None of `OF_MACHINE` is taken from [gnss] of its own line.toml, of a
+    run that has none from the first that has one.
 
     Raises:
         InputError: the working width is known from nowhere.
     """
-    gnss = next((found for found in map(_gnss, runs) if found is not None), None)
-    if width_m is None and gnss is None:
+    found = [_gnss(run) for run in runs]
+    usual = next((gnss for gnss in found if gnss is not None), None)
+    if given["width_m"] is None and usual is None:
         raise InputError(
             "a map needs the working width: give --width-m (two rows of 0.75 m are 1.5), or [gnss] width_m in the "
             "line's config"
         )
-    configured = gnss or GnssConfig(source="file:none")
-    for name in ("overlap_m", "delay_s", "antenna_ahead_m"):
-        if given[name] is None:
-            given[name] = getattr(configured, name)
-    return Settings(width_m=configured.width_m if width_m is None else width_m, **given)
+    others = usual or GnssConfig(source="file:none")
+    return [
+        Settings(**given | {name: getattr(gnss or others, name) for name in OF_MACHINE if given[name] is None})
+        for gnss in found
+    ]
 
 
 def _gnss(run: Path) -> GnssConfig | None:

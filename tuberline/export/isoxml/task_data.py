@@ -50,7 +50,7 @@ def log_of(field: FieldPlaces, share: MachineShare) -> list[LogRecord]:
     points = share.points
     placed = np.isfinite(points.xy_m).all(axis=1)
     lat, lon = field.plane.to_degrees(np.nan_to_num(points.xy_m))
-    width_mm = round(field.settings.width_m * 1000)
+    width_mm = round(share.width_m * 1000)
     t_ha, kg = points.t_ha, points.kg / share.factor
     records = []
     for i in np.flatnonzero(placed):
