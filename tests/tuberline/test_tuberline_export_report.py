@@ -90,6 +90,8 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
         },
     )
     others = (replace(of_run, run=end, summary={}, end=end) for end in ("stopped", "goes on", "cut off"))
+    dark = replace(load, label="8 box", tubers=0, coverage=0.0)
+    assert what_went_wrong(replace(facts, loads=(dark,), runs=()))[0] == "Load 8 box: no belt was seen."
     told = what_went_wrong(replace(facts, loads=(missed,), runs=(broken, *others)))
     assert told[0] == (
         "Load 7 trailer: 20 % of its belt was not seen (3.2 m between two frames, mean of the cameras). "
@@ -148,3 +150,7 @@ def test_the_report_of_a_day_tells_of_its_runs_alone(run: Path, tmp_path: Path) 
     for day, name in zip(both.days, ("monday", "tuesday"), strict=True):
         facts = day_facts([run, tmp_path], day=day)
         assert ([each.run for each in facts.runs], facts.total.loads) == ([name], 1)
+    loads = tuple(replace(load, began="08:05", ended="09:10", zone="UTC") for load in both.loads)
+    report = report_of(replace(both, loads=loads), map_png=None, map_note="")
+    (grid,) = [block for block in report.blocks if isinstance(block, Grid) and block.title == "Loads"]
+    assert [row[3] for row in grid.rows[:2]] == ["09-21 08:05–09:10", "09-22 08:05–09:10"], "which day was not said"

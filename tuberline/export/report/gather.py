@@ -42,13 +42,14 @@ PLAIN = Contract(
 class LoadFacts:
     """One load: what was said of it and what it came to; kilograms for its whole belt.
 
-    `began`, `ended` are the line's own time of day, '' where not known, `zone` the one that they are of. `ticket_kg`
-    None: not weighed.
+    `day` (YYYY-MM-DD) is that of its beginning. `began`, `ended` are the line's own time of day, '' where not known,
+    `zone` the one that they are of. `ticket_kg` None: not weighed.
     """
 
     label: str
     field: str
     variety: str
+    day: str
     began: str
     ended: str
     zone: str
@@ -152,6 +153,7 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
         label=found.labels["load"],
         field=load.field if load else "",
         variety=load.variety if load else "",
+        day=found.labels["day"],
         began=_clock(load.began_ns, offset_s) if load else "",
         ended=_clock(load.ended_ns, offset_s) if load and load.ended_ns else "",
         zone=zone_told(offset_s) if load else "",

@@ -73,7 +73,7 @@ def _loads(facts: DayFacts) -> Grid:
             load.label,
             load.field or NONE,
             load.variety or NONE,
-            _when(load, zoned=len(zones) > 1),
+            _when(load, dated=len(facts.days) > 1, zoned=len(zones) > 1),
             str(load.tubers),
             kg(load.raw_kg, unit=False),
             kg(load.kg, unit=False),
@@ -99,9 +99,10 @@ def _loads(facts: DayFacts) -> Grid:
     return Grid("Loads", _columns(names, left=4), tuple(rows), note, summed=True)
 
 
-def _when(load: LoadFacts, *, zoned: bool) -> str:
-    told = f"{load.began}–{load.ended}" if load.ended else load.began or NONE
-    return f"{told} {load.zone}" if zoned and load.began else told
+def _when(load: LoadFacts, *, dated: bool, zoned: bool) -> str:
+    time = f"{load.began}–{load.ended}" if load.ended else load.began
+    day = load.day.partition("-")[2] if dated else ""
+    return " ".join(filter(None, (day, time, load.zone if zoned and load.began else ""))) or NONE
 
 
 def _groups(facts: DayFacts) -> list[Block]:

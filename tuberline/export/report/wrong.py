@@ -47,7 +47,7 @@ def _unseen(facts: DayFacts) -> Iterator[str]:
                 f"Load {load.label}: how much of its belt was seen is not known, for no two frames share any. Its "
                 "weight is that of what was seen, and at most what the interval says."
             )
-        elif load.coverage is None:
+        elif not load.coverage:
             yield f"Load {load.label}: no belt was seen."
         elif load.coverage < 1 - WORTH_TELLING:
             where = ", ".join(f"{m:.1f} m {REASONS.get(why, why)}" for why, m in load.unseen_m.items() if m >= 0.05)
