@@ -15,7 +15,7 @@ from aggregator.core.coverage import Coverage, Moment
 from aggregator.core.load_orders import find
 from aggregator.core.load_sums import LoadSums
 from aggregator.core.load_told import LoadCounted, counted, span_coverage
-from aggregator.core.loads import NO_LOAD, Load, LoadBook
+from aggregator.core.loads import NO_LOAD, Load, LoadBook, span_of
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.load_rows import SpanSums, read_book, read_span_sums
 from aggregator.ledger.reader import (
@@ -33,6 +33,7 @@ from aggregator.ledger.stated import Stated, belt_of_run, stated_beside
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import InputError
+from conveyor.messages import Tuber
 
 
 class Sums(Protocol):
@@ -177,6 +178,11 @@ class ReadLoads:
         for name, run in self.runs.items():
             found[name] = Seen(sights_of(run, read_sums(self._view, name)), moment_of(run, written))
         return found
+
+    def load_of(self, tuber: Tuber) -> int:
+        """Number of the load that a tuber belongs to, or `NO_LOAD`."""
+        spans = self.loads.spans.get(tuber.run)
+        return span_of(spans, tuber.place_x_m).load if spans else NO_LOAD
 
     def whole(self, run: RunRow) -> LoadCounted:
         """A run in which no load was started: it is one load by itself."""

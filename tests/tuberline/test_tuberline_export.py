@@ -29,6 +29,7 @@ from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME, log_of, task_x
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records, unpack_records
 from tuberline.export.report.gather import day_facts
 from tuberline.export.report.wrong import what_went_wrong
+from tuberline.export.tubers import read_day
 from tuberline.maps.field import Settings, field_map
 
 pytest.importorskip("pyproj")
@@ -259,6 +260,19 @@ def test_time_logs_of_other_terminals_are_read(shared: Path) -> None:
     assert {record.time.year for record in records} == {2021}
     assert all(record.lat_deg is not None and 40 < record.lat_deg < 60 for record in records)
     assert read_time_logs(folder / "task_with_grid.zip") == {}
+
+
+def test_the_map_in_a_days_report_is_of_that_day(run: Path, tmp_path: Path) -> None:
+    """It was of all that the runs hold: of a season's ledger all fields, or none, for they lie too far apart."""
+    folder = tmp_path / "season"
+    shutil.copytree(run, folder)
+    (day,), later_ns = simulate_field(WORLD, seed=SEED).machines, 86_400_000_000_000
+    write_run(folder, run="tuesday", crossed_ns=day.crossed_ns + later_ns, weight_g=day.weight_g)
+    monday, (tuesday, *_) = read_day([folder], "2026-09-21")[0], read_day([folder], "2026-09-22")[0]
+    assert (len(monday), {tuber.run for tuber in monday}, tuesday.run) == (len(day.weight_g), {"monday"}, "tuesday")
+    export([folder], format="html", day="2026-09-21", out=tmp_path / "day.html", **HOW)  # type: ignore[arg-type]
+    assert "all that was lifted in monday." in (tmp_path / "day.html").read_text()
+    assert "monday_to_tuesday" not in (tmp_path / "day.html").read_text()
 
 
 @pytest.mark.parametrize(

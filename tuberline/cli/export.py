@@ -92,7 +92,7 @@ def export(
         try:
             with ledger_bar("positions"):
                 settings = {**how, "cell_m": cell_m, "track_shift_s": track_shift_s}
-                field = _field(runs, tracks, settings, tubers, mapped=what == "cells" or form in REPORTS)
+                field = _field(runs, tracks, settings, tubers, mapped=what == "cells" or form in REPORTS, day=day)
         except InputError as error:
             if tracks or form in NEED_PLACES or what == "cells":
                 raise
@@ -122,17 +122,28 @@ def _field(
     tubers: list[list[Tuber]] | None,
     *,
     mapped: bool,
+    day: str | None,
 ) -> FieldPlaces | None:
-    """Where these runs were, as a map if `mapped`; None where their positions are not known."""
+    """Where these runs were, as a map if `mapped`; None where their positions are not known. `day`: of it alone."""
     from aggregator.ledger.reader import ledger_file
     from conveyor.formats.positions import POSITIONS_FILE
 
     if not tracks and not any((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
+    from tuberline.export.tubers import read_day
     from tuberline.maps.field import field_map, field_places
     from tuberline.maps.settings import settings_of
 
     settings = settings_of(runs, **how)
-    if mapped:
+    if not mapped:
+        return field_places(runs, tracks, settings, tubers=tubers)
+    if day is None:
         return field_map(runs, tracks, settings)
-    return field_places(runs, tracks, settings, tubers=tubers)
+    of_day = read_day(runs, day)
+    there = [n for n, found in enumerate(of_day) if found] or range(len(runs))  # of none it is said that there is none
+    return field_map(
+        [runs[n] for n in there],
+        [tracks[n] for n in there if tracks],
+        [settings[n] for n in there],
+        tubers=[of_day[n] for n in there],
+    )

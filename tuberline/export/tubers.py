@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
 from aggregator.ledger.stated import belt_of_run, stated_beside
-from aggregator.ledger.totals_by import ALL, Total, all_loads, total_of, totals_by
+from aggregator.ledger.totals_by import ALL, Total, all_loads, labelled, total_of, totals_by
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
@@ -59,6 +60,19 @@ def read_all(runs: Sequence[Path]) -> list[list[Tuber]]:
         file = ledger_file(path)
         with reading(file) as db:
             found.append([tuber for run in all_runs(db, file) for tuber in read_tubers(db, run.run)])
+    return found
+
+
+def read_day(runs: Sequence[Path], day: str) -> list[list[Tuber]]:
+    """Those of each ledger whose load began on `day` (YYYY-MM-DD), of a run without loads those of one of that day."""
+    found = []
+    for path in runs:
+        file = ledger_file(path)
+        with reading(file) as db:
+            ledger = ReadLoads(db)
+            days = {load.load.number if load.load else load.run: load.labels["day"] for load in labelled(ledger, ())}
+            tubers = (tuber for run in all_runs(db, file) for tuber in read_tubers(db, run.run))
+            found.append([tuber for tuber in tubers if days.get(ledger.load_of(tuber) or tuber.run) == day])
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aggregator.calibration.tickets import Ticket
-from aggregator.core.loads import NO_LOAD, span_of
+from aggregator.core.loads import NO_LOAD
 from aggregator.ledger.line_tickets import tickets_by_ledger
 from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import (
@@ -265,7 +265,7 @@ def _read(
         sd_kg=(values[:, 3] - values[:, 2]) / (2 * NORMAL_90) / 1000 * scale,
     )
     return _Run(
-        run=runs_in_words([each.run for each in chosen]),
+        run=runs_in_words(list(dict.fromkeys(tuber.run for tuber in rows))),
         settings=settings,
         crop=crop,
         track=_track(track, settings, crop),
@@ -304,8 +304,7 @@ def _scale(db: LedgerView, tubers: Sequence[Tuber], tickets: Sequence[Ticket]) -
     of_load = {load.load.number: load.one.scale for load in loads if load.load is not None}
 
     def scale(tuber: Tuber) -> float:
-        spans = ledger.loads.spans.get(tuber.run)
-        number = span_of(spans, tuber.place_x_m).load if spans else NO_LOAD
+        number = ledger.load_of(tuber)
         return scales[tuber.run, NO_LOAD] if number == NO_LOAD else of_load[number]
 
     runs = {tuber.run for tuber in tubers}
