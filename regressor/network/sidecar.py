@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import replace
 from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from conveyor.errors import InputError
 from regressor.network.architecture import NEIGHBOURS, RADIUS_1_M, RADIUS_2_M
 from regressor.network.grouping import CLOUD_POINTS, stage_counts
 from regressor.weigh.blend import BlendRule
@@ -16,6 +18,19 @@ from regressor.weigh.interval import IntervalRule
 from regressor.weigh.volume import VolumeRule
 
 FORMAT: Literal["tuberline-pointraft/1"] = "tuberline-pointraft/1"
+NAME = r"^[^\x00-\x1f\x7f]{1,256}$"
+"""What weights may be called: it stands in each message and in the ledger (`conveyor.ranges.Model`)."""
+
+
+def checked_name(name: str) -> str:
+    """`name`, where weights may be called so.
+
+    Raises:
+        InputError: they may not.
+    """
+    if not re.fullmatch(NAME, name):
+        raise InputError(f"--name is {name!r}: allowed are 1 to 256 characters, and none that does not print")
+    return name
 
 
 class _Part(BaseModel):
@@ -77,7 +92,7 @@ class Sidecar(_Part):
     """All that is known about a checkpoint beside its tensors."""
 
     format: Literal["tuberline-pointraft/1"] = FORMAT
-    name: str = Field(pattern=r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+    name: str = Field(pattern=NAME)
     sha256: str = ""
     target: Literal["weight_g", "volume_ml", "length_mm"] = "weight_g"
     network: Literal["pointraft", "pointnet"] = "pointraft"
@@ -99,10 +114,21 @@ class Sidecar(_Part):
     training: dict[str, Any] = Field(default_factory=dict)
     metrics: dict[str, Any] = Field(default_factory=dict)
 
+    @model_validator(mode="after")
+    def _rules_as_known(self) -> Self:
+        rules = {"interval": "interval_rule", "volume_rule": "fitted_volume_rule", "blend": "blend_rule"}
+        for name, rule in rules.items():
+            try:
+                getattr(self, rule)
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
+                why = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+                raise ValueError(f"its {name} is damaged or of another version of this program: {why}") from error
+        return self
+
     @property
     def interval_rule(self) -> IntervalRule | None:
         """The calibrated interval, if there is one; calibrated as far away as trained where it does not say."""
-        if self.interval is None:
+        if not self.interval:
             return None
         rule = IntervalRule.from_json(self.interval)
         return rule if rule.farthest_m is not None else replace(rule, farthest_m=self.belt_distance_m.high)

@@ -141,13 +141,22 @@ def _sidecar(path: Path, digest: str) -> Sidecar:
     try:
         sidecar = Sidecar.model_validate_json(read_text(file, what="sidecar"))
     except ValidationError as error:
-        raise InputError(f"sidecar {file} is refused: {error}") from error
+        raise InputError(f"sidecar {file} is refused: {'; '.join(map(_fault, error.errors()))}") from error
     if sidecar.sha256 != digest:
         raise InputError(
             f"sidecar {file} is for weights with sha256 {sidecar.sha256[:16]}..., {path.name} has {digest[:16]}...: "
             "the two files do not belong together"
         )
     return sidecar
+
+
+def _fault(fault: Any) -> str:
+    """What is wrong with one key of a sidecar."""
+    key = ".".join(map(str, fault["loc"]))
+    if fault["type"] == "extra_forbidden":
+        return f"{key} is unknown: it is of another version of this program"
+    said: str = fault["msg"].removeprefix("Value error, ")  # pydantic's mark on a sentence of ours
+    return said if said != fault["msg"] else f"{key}: {said} (got {str(fault.get('input'))[:80]!r})"
 
 
 def check_architecture(

@@ -22,7 +22,7 @@ from conveyor.resting import RestingLevel
 from regressor.network.checkpoint import read_checkpoint, save_checkpoint
 from regressor.network.grouping import stage_counts
 from regressor.network.networks import Network
-from regressor.network.sidecar import InputSpec, Range, Sidecar
+from regressor.network.sidecar import InputSpec, Range, Sidecar, checked_name
 from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
 from regressor.training.begun import digest_of
@@ -60,6 +60,10 @@ class RunOptions:
     command: str
     cache: Path | None = None
     start: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a name before hours of training that no weights could bear after them."""
+        checked_name(self.name)
 
 
 def keep_memory() -> None:

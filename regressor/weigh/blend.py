@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from regressor.weigh.quadratic import QuadraticRule
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.view_features import VIEW_NAMES
 
 SHARES = np.round(np.arange(0.0, 0.51, 0.05), 2)
@@ -81,16 +82,16 @@ class BlendRule:
         """From the sidecar of a checkpoint.
 
         Raises:
-            ValueError: it corrects for what this code does not know.
+            ValueError: it corrects for what this code does not know, or holds numbers that it cannot.
         """
         if tuple(data["seen"]) not in (SEEN, ()) or len(data["slopes"]) != len(data["seen"]):
             raise ValueError(f"a blend corrects for {list(data['seen'])}; known: {', '.join(SEEN)}")
-        numbers = {name: float(data[name]) for name in ("share", "intercept", "middle", "slope")}
-        return cls(
-            **numbers,
-            slopes=tuple(float(value) for value in data["slopes"]),
-            seen=tuple(QuadraticRule.from_json(rule) for rule in data["seen"].values()),
-        )
+        seen = tuple(QuadraticRule.from_json(rule) for rule in data["seen"].values())
+        unknown = sorted({name for rule in seen for name in rule.names} - set(VIEW_NAMES))
+        if unknown:
+            raise ValueError(f"a blend reads {unknown}; known: {', '.join(VIEW_NAMES)}")
+        share, intercept, middle, slope = (number(data, name) for name in ("share", "intercept", "middle", "slope"))
+        return cls(share, intercept, middle, slope, numbers(data, "slopes"), seen)
 
 
 def blend(network_g: NDArray[np.float64], volume_g: NDArray[np.float64], share: float) -> NDArray[np.float64]:

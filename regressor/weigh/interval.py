@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.unlike import CameraRule, fit_camera
 from regressor.weigh.viewscale import ScaleRule, fit_scale
 
@@ -104,14 +105,21 @@ class IntervalRule:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> IntervalRule:
-        """From the sidecar of a checkpoint."""
-        values = {name: tuple(float(v) for v in data[name]) for name in ("at_g", "below_g", "above_g")}
+        """From the sidecar of a checkpoint.
+
+        Raises:
+            ValueError: it is of another version, or holds numbers that it cannot.
+        """
+        at_g = numbers(data, "at_g")
+        if not at_g or sorted(at_g) != list(at_g):
+            raise ValueError(f"at_g is {at_g}, not one or more weights that rise")
+        below_g, above_g = (numbers(data, name, len(at_g)) for name in ("below_g", "above_g"))
         scale = ScaleRule.from_json(data["scale"]) if data.get("scale") else None
         camera = CameraRule.from_json(data["camera"]) if data.get("camera") else None
         other = cls.from_json(data["other"]) if data.get("other") else None
-        level, views = float(data["level"]), int(data["views"])
-        farthest_m = float(data["farthest_m"]) if data.get("farthest_m") else None
-        return cls(level=level, views=views, scale=scale, camera=camera, other=other, farthest_m=farthest_m, **values)
+        views = int(number(data, "views"))
+        farthest_m = number(data, "farthest_m") if data.get("farthest_m") else None
+        return cls(number(data, "level"), at_g, below_g, above_g, views, scale, camera, other, farthest_m)
 
 
 def calibrate(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.kernels import kernel
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.surface import FIRST_NAMES
 from regressor.weigh.view_features import VIEW_NAMES
 
@@ -142,11 +143,23 @@ class QuadraticRule:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> QuadraticRule:
-        """From the sidecar of a checkpoint."""
-        lists = {name: tuple(float(v) for v in data[name]) for name in ("coefficients", "products", "low", "high")}
+        """From the sidecar of a checkpoint.
+
+        Raises:
+            ValueError: it holds numbers that it cannot.
+        """
         names = tuple(str(name) for name in data.get("names", FIRST_NAMES))
-        least, most = float(data["least"]), float(data["most"])
-        return cls(intercept=float(data["intercept"]), least=least, most=most, names=names, **lists)
+        many = len(names)
+        return cls(
+            number(data, "intercept"),
+            numbers(data, "coefficients", many),
+            numbers(data, "products", many * (many + 1) // 2),
+            numbers(data, "low", many),
+            numbers(data, "high", many),
+            number(data, "least"),
+            number(data, "most"),
+            names,
+        )
 
 
 def fit_quadratic(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.surface import NAMES
 
 TERMS = ("noise", "much_noise", "holes_root", "holes")
@@ -60,11 +61,11 @@ class CameraRule:
         """From the sidecar of a checkpoint.
 
         Raises:
-            ValueError: made from other terms than this code knows.
+            ValueError: made from other terms than this code knows, or of numbers that it cannot hold.
         """
         if tuple(data["terms"]) != TERMS:
             raise ValueError(f"a camera rule is made from {data['terms']}; known: {TERMS}")
-        return cls(float(data["intercept"]), tuple(float(slope) for slope in data["slopes"]))
+        return cls(number(data, "intercept"), numbers(data, "slopes", len(TERMS)))
 
 
 def fit_camera(noise_px: NDArray[np.float64], features: NDArray[np.float64], unlike: NDArray[np.bool_]) -> CameraRule:

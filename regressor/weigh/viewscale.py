@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from regressor.weigh.quadratic import within
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.surface import NAMES
 
 TERMS = ("ln_weight", "ln_weight_squared", "disagreement", "elongation", "steepness", "belt")
@@ -89,15 +90,15 @@ class ScaleRule:
         """From the sidecar of a checkpoint.
 
         Raises:
-            ValueError: made from other terms than this code knows.
+            ValueError: made from other terms than this code knows, or of numbers that it cannot hold.
         """
         terms = tuple(data["terms"])
         if terms not in (TERMS, TERMS[:BELT]):
             raise ValueError(f"an interval's scale is made from {data['terms']}; known: {TERMS}")
         # Sidecars from before the belt was a term: it has no say there.
         rest = (0.0,) * (len(TERMS) - len(terms))
-        low, high, slopes = (tuple(float(value) for value in data[name]) + rest for name in ("low", "high", "slopes"))
-        return cls(float(data["intercept"]), slopes, low, high)
+        low, high, slopes = (numbers(data, name, len(terms)) + rest for name in ("low", "high", "slopes"))
+        return cls(number(data, "intercept"), slopes, low, high)
 
 
 def fit_scale(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from regressor.weigh.quadratic import RIDGE, UNITS, pairs_of, quadratic, ranges_of, spreads_of, terms_of, within
+from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.view_features import VIEW_NAMES
 
 FIRST_NAMES = ("volume_ml", "area_cm2", "length_mm", "width_mm", "height_mm")
@@ -77,21 +78,23 @@ class VolumeRule:
         """From the sidecar of a checkpoint.
 
         Raises:
-            ValueError: it reads features that this code does not know.
+            ValueError: it reads features that this code does not know, or holds numbers that it cannot.
         """
         names = tuple(data["names"])
         unknown = sorted(set(names) - set(VIEW_NAMES))
         if unknown:
             raise ValueError(f"a volume rule reads {unknown}; known: {', '.join(VIEW_NAMES)}")
-        low, high, products = (tuple(float(v) for v in data.get(key, ())) for key in ("low", "high", "products"))
+        many = len(names)
+        known = any(data.get(key) for key in ("low", "high", "products"))
+        low, high = (numbers(data, key, many) if known else () for key in ("low", "high"))
         return cls(
-            float(data["intercept"]),
-            tuple(float(value) for value in data["coefficients"]),
-            float(data["residual_ln_sd"]),
+            number(data, "intercept"),
+            numbers(data, "coefficients", many),
+            number(data, "residual_ln_sd"),
             names,
             low,
             high,
-            products,
+            numbers(data, "products", many * (many + 1) // 2) if data.get("products") else (),
         )
 
 

@@ -14,11 +14,12 @@ import torch
 
 from conveyor.camera_range import camera_range
 from conveyor.config import CameraConfig, LineConfig, RegressorConfig
+from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from regressor.network.edges import edge_differences_bfloat16, pooled_maximum_bfloat16
 from regressor.network.fast import Form
 from regressor.network.grouping import GatheredGroups, group_prefix
-from regressor.network.sidecar import Range, Sidecar
+from regressor.network.sidecar import Range, Sidecar, checked_name
 from regressor.network.stored import load_weights
 from regressor.serve.form import fastest, form_of
 from regressor.studies.evaluate import load_bias
@@ -296,6 +297,17 @@ def test_load_bias_is_the_bias_of_the_total() -> None:
 def test_a_sidecar_with_an_unknown_key_is_refused() -> None:
     with pytest.raises(ValueError, match="colour"):
         Sidecar.model_validate({"name": "a", "colour": "red"})
+
+
+def test_weights_are_called_what_messages_can_carry() -> None:
+    """A checkpoint картофель.pth had no name that was allowed, and one with a line break ended every regressor."""
+    for name in ("картофель", "my weights", "-"):
+        assert checked_name(Sidecar(name=name).name) == name
+    for name in ("", "a\nb", "a\n", "x" * 257):
+        with pytest.raises(InputError, match="allowed are 1 to 256 characters"):
+            checked_name(name)
+        with pytest.raises(ValueError, match="name"):
+            Sidecar(name=name)
 
 
 def test_a_processor_without_bfloat16_weighs_in_another_form() -> None:

@@ -73,6 +73,29 @@ def test_weights_of_a_network_that_groups_otherwise_are_refused(
         load_checkpoint(path)
 
 
+@pytest.mark.parametrize(
+    ("rule", "changed", "told"),
+    [
+        ("interval", {"at_g": None}, "its interval is damaged or of another version of this program: at_g is None"),
+        ("interval", {"below_g": [-1.0]}, "below_g has 1 numbers, and this rule takes"),
+        ("volume_rule", {"coefficients": [1.0, 1.0]}, "coefficients has 2 numbers, and this rule takes 37"),
+        ("volume_rule", {"products": [1.0]}, "products has 1 numbers, and this rule takes 703"),
+        ("volume_rule", {"intercept": float("nan")}, "intercept holds nan, which is no number"),
+        ("blend", {"seen": {"mud": {}}}, "its blend .* a blend corrects for .'mud'.; known: rim_lost"),
+    ],
+)
+def test_weights_whose_rules_cannot_be_read_are_refused(
+    tmp_path: Path, rule: str, changed: dict[str, object], told: str
+) -> None:
+    """Short rules were read beyond their end, as 3.7 kg; others ended `weigh`, and a regressor that was given them."""
+    path = scaled_weights(tmp_path / "other.safetensors", 1.0)
+    said = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    said[rule] |= changed
+    path.with_suffix(".json").write_text(json.dumps(said), encoding="utf-8")
+    with pytest.raises(InputError, match=told):
+        load_checkpoint(path)
+
+
 @pytest.mark.parametrize("name", ["../../etc/passwd.pth", ".pth", "a/b.pth", "x.exe", "a" * 90 + ".pth"])
 def test_a_parcel_cannot_name_a_file_elsewhere(name: str) -> None:
     with pytest.raises(MessageError, match="not the name of a"):

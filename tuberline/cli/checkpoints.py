@@ -30,12 +30,12 @@ def import_checkpoint(
     """
     from conveyor.files import whole_output
     from regressor.network.checkpoint import load_checkpoint, save_checkpoint
-    from regressor.network.sidecar import StartPolicy
+    from regressor.network.sidecar import StartPolicy, checked_name
 
     if out.suffix != ".safetensors":
         raise InputError(f"--out {out} must end in .safetensors")
     model, sidecar = load_checkpoint(path)
-    changes = {"name": name or sidecar.name, "start": StartPolicy(kind=start, seed=seed)}
+    changes = {"name": checked_name(name or sidecar.name), "start": StartPolicy(kind=start, seed=seed)}
     with whole_output(out) as partial:
         written = save_checkpoint(partial, model.state_dict(), sidecar.model_copy(update=changes))
     sys.stderr.write(f"{out}: {written.model_id}, {len(model.state_dict())} entries, start policy '{start}'\n")
