@@ -59,14 +59,14 @@ class WeightsStore:
             self._temporary = None
 
     def has(self, digest: str) -> bool:
-        """Whether this parcel is here."""
-        return (folder := self._found()) is not None and _file(folder, digest).is_file()
+        """Whether this parcel is here, whole: one that the disk has damaged is not, so that it can be given again."""
+        return (data := self._read(digest)) is not None and digest_of(data) == digest
 
     def add(self, parcel: bytes) -> str:
         """Keep a parcel, durably; its digest.
 
         Raises:
-            InputError: it cannot be written.
+            StorageError: it cannot be written now.
         """
         digest = digest_of(parcel)
         if not self.has(digest):
@@ -79,16 +79,20 @@ class WeightsStore:
         Raises:
             InputError: it is not here, or is not what its name says any more.
         """
-        folder = self._found()
-        try:
-            data = _file(folder, digest).read_bytes() if folder is not None else None
-        except OSError:
-            data = None
+        data = self._read(digest)
         if data is None:
             raise InputError(f"weights {digest[:16]} are not here")
         if digest_of(data) != digest:
-            raise InputError(f"weights {digest[:16]} in {folder} were damaged on the disk; give them again")
+            raise InputError(f"weights {digest[:16]} in {self._found()} were damaged on the disk; give them again")
         return data
+
+    def _read(self, digest: str) -> bytes | None:
+        """What stands under that name, damaged or not."""
+        folder = self._found()
+        try:
+            return _file(folder, digest).read_bytes() if folder is not None else None
+        except OSError:
+            return None
 
     def load(self, digest: str) -> Weigher:
         """A weigher with these weights.
@@ -108,7 +112,7 @@ class WeightsStore:
         """Remove all other parcels.
 
         Raises:
-            InputError: one cannot be removed.
+            StorageError: one cannot be removed now.
         """
         folder = self._found()
         for file in folder.glob("*.parcel") if folder is not None else ():
@@ -116,13 +120,13 @@ class WeightsStore:
                 try:
                     file.unlink(missing_ok=True)
                 except OSError as error:
-                    raise InputError(f"{file} cannot be removed: {cause(error)}") from error
+                    raise StorageError(f"{file} cannot be removed: {cause(error)}") from error
 
     def record(self, order: Order) -> None:
         """Make durable which order is followed.
 
         Raises:
-            InputError: it cannot be written.
+            StorageError: it cannot be written now.
         """
         self._write(self._folder() / "order.json", json.dumps(asdict(order)).encode())
 
@@ -151,13 +155,13 @@ class WeightsStore:
             try:
                 self._given.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise InputError(f"regressor.state_dir: {self._given} cannot be made: {error.strerror}") from error
+                raise StorageError(f"regressor.state_dir: {self._given} cannot be made: {error.strerror}") from error
             return self._given
         if self._temporary is None:
             try:
                 self._temporary = tempfile.TemporaryDirectory(prefix="tuberline-given-")
             except OSError as error:
-                raise InputError(f"weights cannot be kept: {told(error)}") from error
+                raise StorageError(f"weights cannot be kept: {told(error)}") from error
         return Path(self._temporary.name)
 
     @staticmethod
@@ -172,7 +176,7 @@ class WeightsStore:
         except OSError as error:
             with suppress(OSError):  # on a read-only disk this is refused too
                 partial.unlink(missing_ok=True)
-            raise InputError(f"{path} cannot be written: {cause(error)}") from error
+            raise StorageError(f"{path} cannot be written: {cause(error)}") from error
 
 
 def _file(folder: Path, digest: str) -> Path:

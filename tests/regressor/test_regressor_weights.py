@@ -153,6 +153,8 @@ def test_the_store_keeps_parcels_and_the_order_across_a_restart(tmp_path: Path) 
     (folder / f"{digest}.parcel").write_bytes(damaged_parcel)
     with pytest.raises(InputError, match="were damaged on the disk"):
         again.load(digest)
+    assert not again.has(digest), "it was said to be here, so that giving it again changed nothing"
+    assert again.load(again.add(parcel)).sidecar.model_id == Weigher.load().sidecar.model_id
     (folder / "order.json").write_text(json.dumps({"n": "x"}))
     with pytest.raises(InputError, match=r"order.json cannot be read"):
         again.recorded(config_digest="c")
@@ -168,15 +170,15 @@ def test_a_disk_that_refuses_is_an_error_in_words_and_ends_no_regressor(
     store = WeightsStore(folder)
     digest = store.add(read_parcel(SHIPPED))
     (folder / f"{digest_of(b'other')}.parcel.partial").mkdir()
-    with pytest.raises(InputError, match=r"parcel cannot be written: Is a directory; that is a folder: name a file"):
+    with pytest.raises(StorageError, match=r"parcel cannot be written: Is a directory; that is a folder: name a file"):
         store.add(b"other")
     (folder / "some.parcel").mkdir()
-    with pytest.raises(InputError, match=r"some.parcel cannot be removed: Is a directory"):
+    with pytest.raises(StorageError, match=r"some.parcel cannot be removed: Is a directory"):
         store.keep_only({digest})
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     with pytest.raises(StorageError, match=rf"weights {digest[:16]} cannot be unpacked: \S+gone\S+: No such file"):
         store.load(digest)
-    with pytest.raises(InputError, match=r"weights cannot be kept: \S+gone\S+: No such file"):
+    with pytest.raises(StorageError, match=r"weights cannot be kept: \S+gone\S+: No such file"):
         WeightsStore(None).add(b"other")
 
 
@@ -190,6 +192,21 @@ def test_a_regressor_that_starts_again_waits_for_room_and_takes_no_other_weights
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     with pytest.raises(StorageError, match="cannot be unpacked"):
         WeightsService(Node("regressor", "r1", config=line, run="test"), Weigher.load()).open()
+
+
+def test_a_disk_that_was_full_for_a_moment_keeps_no_regressor_from_following(tmp_path: Path) -> None:
+    """It was taken for weights that are refused: the regressor went on with its own until a newer order came."""
+    line = parse_config({"regressor": {"state_dir": str(tmp_path)}}, where="test")
+    service = WeightsService(Node("regressor", "r1", config=line, run="test"), Weigher.load())
+    given = WeightsStore(tmp_path / "r1").add(read_parcel(scaled_weights(tmp_path / "given.safetensors", 1.01)))
+    order = Order(3, given, config_digest=service.state.digest)
+    refuses = tmp_path / "r1" / "order.json.partial"
+    refuses.mkdir()
+    service._follow_order(order, "r2")
+    assert (service.state.n, service.state.refused) == (0, "")
+    refuses.rmdir()
+    service._follow_order(order, "r2")
+    assert (service.state.n, service.state.digest) == (3, given)
 
 
 def test_without_a_folder_given_weights_live_as_long_as_the_process() -> None:
