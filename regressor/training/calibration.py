@@ -197,6 +197,20 @@ def _stocks(data: CloudSet) -> NDArray[np.str_]:
     return np.array(["/".join(map(str, name)) for name in zip(data.cultivar, data.season, distance, site, strict=True)])
 
 
+def check_unlearned(views: CloudSet, sidecar: Sidecar, where: str, harm: str) -> None:
+    """Refuse the views that a network was trained on. `where`: which these are; `harm`: what would come of them.
+
+    Raises:
+        InputError: they are its training's.
+    """
+    learned = sidecar.training.get("data")
+    if learned is not None and learned in (digest_of(views), digest_of(views.subset(views.clean))):
+        raise InputError(
+            f"{where}: a network answers the views that it has learned too well, and {harm}. Give tubers that no "
+            "training has seen"
+        )
+
+
 def recalibrate(
     weights: Path,
     data: Path,
@@ -226,12 +240,7 @@ def recalibrate(
         progress=preparing(data, on_work, split=split),
     )
     views = views.with_target(sidecar.target)
-    learned = sidecar.training.get("data")
-    if learned is not None and learned in (digest_of(views), digest_of(views.subset(views.clean))):
-        raise InputError(
-            f"{data} is what {weights} were trained on: a network answers the views that it has learned too well, and "
-            "intervals would be too narrow. Give tubers that no training has seen"
-        )
+    check_unlearned(views, sidecar, f"{data} is what {weights} were trained on", "intervals would be too narrow")
     network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)
     rule = sidecar.blend_rule

@@ -214,6 +214,18 @@ def joined(sets: list[CloudSet]) -> CloudSet:
     return CloudSet(**columns, refused=dict(refused))
 
 
+def identity(data: CloudSet) -> NDArray[np.str_]:
+    """(n,) whose view each is, by its truth: each pack numbers its own tubers, and one name need not be one tuber.
+
+    Where volume or length is not known, a weight alone is no truth to tell tubers by: many weigh the same gram. There
+    the name counts too, without the pack's.
+    """
+    measured = np.isfinite(data.volume_ml) & np.isfinite(data.length_mm)
+    names = np.where(measured, "", [tuber.rpartition("/")[2] for tuber in data.tuber.tolist()])
+    rows = zip(names, data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
+    return np.array([f"{name}/{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for name, w, v, length, cultivar in rows])
+
+
 def _fingerprint(folder: Path, split: str | None, keep: int, asked: Asked | None) -> str:
     """Changes with the input files (name, size, time), with the code that reads and prepares them and who is asked."""
     columns = [f.name for f in fields(CloudSet)]

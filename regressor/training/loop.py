@@ -19,6 +19,8 @@ from conveyor.files import whole_output
 from regressor.network.networks import Network
 from regressor.training.train import Training, predict
 
+NEEDED = {"settings", "model", "average", "optimiser", "rng", "torch_rng", "progress"}
+"""What a state holds at least, whichever version wrote it."""
 LOG_FIELDS = ("minutes", "step", "epoch", "share", "neighbours", "centroids", "lr", "loss", "val_loss", "val_mae_g")
 
 
@@ -110,13 +112,13 @@ def load_state(path: Path) -> dict[str, Any]:
     """A state written by `save_state`.
 
     Raises:
-        InputError: missing or unreadable.
+        InputError: missing, unreadable, or no such state.
     """
+    fix = "begin another training with another --out, or take that file away to begin again in its folder"
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises a wide, undocumented set for broken files
-        raise InputError(
-            f"training state {path} cannot be read: {error}. What it held is lost: begin "
-            "another training with another --out, or take that file away to begin again in its folder"
-        ) from error
+        raise InputError(f"training state {path} cannot be read: {error}. What it held is lost: {fix}") from error
+    if not isinstance(state, dict) or not state.keys() >= NEEDED:
+        raise InputError(f"{path} is none of a training, or of another version of this program: {fix}")
     return state

@@ -27,7 +27,7 @@ from regressor.network.stored import read_weights
 from regressor.studies.metrics import scores
 from regressor.training.begun import digest_of
 from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
-from regressor.training.cloudset import KEEP, CloudSet, load_cloudset
+from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
 from regressor.training.labelled import part_of
 from regressor.training.loop import load_state, run_training
 from regressor.training.recipe import TrainSettings
@@ -171,7 +171,7 @@ def load_sets(
         keep=keep,
         progress=lambda done: on_prepared("training", done),
     )
-    shared = np.isin(_identity(data), _identity(validation))
+    shared = np.isin(identity(data), identity(validation))
     if shared.all():
         raise InputError(f"every tuber of {options.data} is also in {options.validation}: nothing is left to train on")
     return clean_views(without(data, shared, "in_validation"), options.data), validation
@@ -193,18 +193,6 @@ def clean_views(data: CloudSet, source: Path) -> CloudSet:
     if not data.clean.any():
         raise InputError(f"every tuber of {source} is under soil: nothing is left to train on")
     return without(data, ~data.clean, "under_soil")
-
-
-def _identity(data: CloudSet) -> NDArray[np.str_]:
-    """Tubers by their truth: each pack numbers its own tubers, and the same name need not be the same tuber.
-
-    Where volume or length is not known, a weight alone is no truth to tell tubers by: many weigh the same gram. There
-    the name counts too, without the pack's.
-    """
-    measured = np.isfinite(data.volume_ml) & np.isfinite(data.length_mm)
-    names = np.where(measured, "", [tuber.rpartition("/")[2] for tuber in data.tuber.tolist()])
-    rows = zip(names, data.weight_g, data.volume_ml, data.length_mm, data.cultivar, strict=True)
-    return np.array([f"{name}/{w:.4f}/{v:.4f}/{length:.4f}/{cultivar}" for name, w, v, length, cultivar in rows])
 
 
 def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: VolumeRule, options: RunOptions) -> Sidecar:

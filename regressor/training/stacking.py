@@ -18,7 +18,8 @@ from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
-from regressor.training.cloudset import CloudSet, joined, load_cloudset
+from regressor.training.calibration import check_unlearned
+from regressor.training.cloudset import CloudSet, identity, joined, load_cloudset
 from regressor.training.labelled import part_of
 from regressor.training.work import Work, no_work, preparing
 from regressor.weigh.blend import SEEN, BlendRule, best_share, fit_blend
@@ -42,7 +43,8 @@ def restack(
 ) -> Sidecar:
     """Fit volume rule and blend of saved weights again and write their sidecar; the tensors stay as they are.
 
-    Of a folder with a splits.csv its part is read: 'train' of `data`, 'val' of `unseen`.
+    Of a folder with a splits.csv its part is read: 'train' of `data`, 'val' of `unseen`. Tubers of `unseen` that are in
+    `data`, too, are left out there: the rule is judged on them.
 
     Args:
         data: views that the rule alone is fitted on, those of the training say. unseen: views of other recordings, for
@@ -50,7 +52,8 @@ def restack(
             dtype of the network's wide products; None is its own.
 
     Raises:
-        InputError: weights without a sidecar of their own, too few recordings, or views that cannot be used.
+        InputError: weights without a sidecar of their own, too few recordings, views that cannot be used, or `unseen`
+            ones that the network was trained on.
     """
     model, sidecar = load_checkpoint(weights, any_target=True)
     if weights.suffix != ".safetensors" or not weights.with_suffix(".json").is_file():
@@ -64,7 +67,10 @@ def restack(
             (unseen, part_of(unseen, "val"), asked_while_read(model, sidecar, compute=compute)),
         )
     )
-    seen, views = seen.subset(seen.clean), views.subset(views.clean)
+    check_unlearned(
+        views, sidecar, f"--unseen {unseen} is what {weights} were trained on", "a blend would trust it too much"
+    )
+    seen, views = seen.subset(seen.clean & ~np.isin(identity(seen), identity(views))), views.subset(views.clean)
     if len(np.unique(views.recording)) < MIN_RECORDINGS:
         raise InputError(
             f"{unseen} holds {len(np.unique(views.recording))} recordings without soil on the tubers; at least "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from tests.regressor.ellipsoids import write_pack
 from tests.regressor.training_step import check_same_step, readable_in_training
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
+SILENT: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -123,30 +125,28 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
     for name in ("a", "b"):
         save_checkpoint(tmp_path / f"{name}.safetensors", PointRaft().state_dict(), Sidecar(name=name))
     first = replace(_options(packs, tmp_path / "out"), start=tmp_path / "a.safetensors")
-    told: dict[str, Any] = {
-        "on_prepared": lambda what, done: None,
-        "on_step": lambda training: None,
-        "on_validated": lambda training, metrics: None,
-    }
-    train(first, QUICK, **told)
+    train(first, QUICK, **SILENT)
     again = replace(first, resume=True)
-    train(again, QUICK, **told)
+    train(again, QUICK, **SILENT)
     with pytest.raises(InputError, match=r"begun from other weights.* --start of its first call"):
-        train(replace(again, start=tmp_path / "b.safetensors"), QUICK, **told)
+        train(replace(again, start=tmp_path / "b.safetensors"), QUICK, **SILENT)
     with pytest.raises(InputError, match="begun from other weights"):
-        train(replace(again, start=None), QUICK, **told)
+        train(replace(again, start=None), QUICK, **SILENT)
     write_pack(tmp_path / "other", tubers=10, views=2, seed=7)
     with pytest.raises(InputError, match="begun otherwise: other validation views"):
-        train(replace(again, validation=tmp_path / "other"), QUICK, **told)
+        train(replace(again, validation=tmp_path / "other"), QUICK, **SILENT)
 
 
 def test_a_state_that_cannot_be_read_says_how_to_go_on(packs: Path, tmp_path: Path) -> None:
     """It said to start without --resume, and without it that --resume goes on."""
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "state.pt").write_bytes(b"half a state")
-    told: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
     with pytest.raises(InputError, match=r"cannot be read.*another --out, or take that file away to begin again"):
-        train(replace(_options(packs, tmp_path / "out"), resume=True), QUICK, **told)
+        train(replace(_options(packs, tmp_path / "out"), resume=True), QUICK, **SILENT)
+    for other in (torch.zeros(3), PointRaft().state_dict()):
+        torch.save(other, tmp_path / "out" / "state.pt")
+        with pytest.raises(InputError, match=r"state.pt is none of a training, or of another version"):
+            train(replace(_options(packs, tmp_path / "out"), resume=True), QUICK, **SILENT)
 
 
 def test_what_a_killed_training_left_goes_at_the_next_start(packs: Path, tmp_path: Path) -> None:
@@ -154,8 +154,7 @@ def test_what_a_killed_training_left_goes_at_the_next_start(packs: Path, tmp_pat
     killed.mkdir(parents=True)
     (killed / "state.pt").write_bytes(b"half")
     (tmp_path / "out" / ".notes.partial-x").mkdir()
-    told: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
-    train(_options(packs, tmp_path / "out"), QUICK, **told)
+    train(_options(packs, tmp_path / "out"), QUICK, **SILENT)
     assert not killed.exists()
     assert (tmp_path / "out" / ".notes.partial-x").exists()
 
@@ -308,44 +307,37 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert rule.weights_g(data.view_features) == pytest.approx(data.weight_g, rel=0.15)
     assert predict(model, data, highest_m=0.08).shape == (40,)
     assert Weigher(state_of(model), loaded).sidecar.interval_rule is not None
-    before = (tmp_path / "out" / "weights.safetensors").read_bytes()
-    again = recalibrate(tmp_path / "out" / "weights.safetensors", packs / "train", cache=None, max_views=30)
+    weights = tmp_path / "out" / "weights.safetensors"
+    before = weights.read_bytes()
+    again = recalibrate(weights, packs / "train", cache=None, max_views=30)
     assert again.metrics["calibration"]["views"] == 30
     assert again.interval_rule != loaded.interval_rule
-    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
-    assert load_checkpoint(tmp_path / "out" / "weights.safetensors")[1] == again
+    assert weights.read_bytes() == before
+    assert load_checkpoint(weights)[1] == again
     with pytest.raises(InputError, match="1 recordings without soil on the tubers; at least 20"):
-        restack(tmp_path / "out" / "weights.safetensors", packs / "train", packs / "val", cache=None)
+        restack(weights, packs / "train", packs / "val", cache=None)
+    with pytest.raises(InputError, match=r"--unseen .*train is what .* were trained on: .* a blend would trust it"):
+        restack(weights, packs / "val", packs / "train", cache=None)
     write_pack(tmp_path / "unseen", tubers=24, views=2, seed=5)
     _by_recording(tmp_path / "unseen")
-    stacked = restack(tmp_path / "out" / "weights.safetensors", packs / "train", tmp_path / "unseen", cache=None)
+    stacked = restack(weights, packs / "train", tmp_path / "unseen", cache=None)
     assert stacked.blend_rule.share == stacked.volume_share
     assert stacked.volume_rule != again.volume_rule
     assert stacked.metrics["blend"]["views"] == 48
-    plain = restack(
-        tmp_path / "out" / "weights.safetensors", packs / "train", tmp_path / "unseen", cache=None, correction=False
-    )
+    for pack in (packs / "train", tmp_path / "unseen"):
+        shutil.copytree(pack, tmp_path / "both" / pack.name)
+    # The rule was judged on views of its own fit.
+    assert restack(weights, tmp_path / "both", tmp_path / "unseen", cache=None) == stacked
+    plain = restack(weights, packs / "train", tmp_path / "unseen", cache=None, correction=False)
     assert plain.blend_rule == BlendRule(plain.volume_share)
     assert plain.model_id != stacked.model_id
-    assert (tmp_path / "out" / "weights.safetensors").read_bytes() == before
+    assert weights.read_bytes() == before
     with pytest.raises(InputError, match="--resume"):
-        train(
-            options,
-            QUICK,
-            on_prepared=lambda what, done: None,
-            on_step=lambda training: None,
-            on_validated=lambda training, metrics: None,
-        )
+        train(options, QUICK, **SILENT)
 
 
 def test_another_target_is_a_setting(packs: Path, tmp_path: Path) -> None:
-    sidecar = train(
-        _options(packs, tmp_path / "out"),
-        replace(QUICK, epochs=0.2, target="volume_ml"),
-        on_prepared=lambda what, done: None,
-        on_step=lambda training: None,
-        on_validated=lambda training, metrics: None,
-    )
+    sidecar = train(_options(packs, tmp_path / "out"), replace(QUICK, epochs=0.2, target="volume_ml"), **SILENT)
     weights = tmp_path / "out" / "weights.safetensors"
     truth = load_cloudset(packs / "train").volume_ml
     assert sidecar.target == "volume_ml"
