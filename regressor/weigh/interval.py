@@ -172,7 +172,8 @@ def calibrate_cameras(
     level: float = LEVEL,
     belt_slope: float | None = None,
 ) -> IntervalRule:
-    """The rule that covers `level` of the views of good cameras, and of those of all others.
+    """The rule that covers `level` of the views of good cameras, and of those of all others; of all of them together
+    where too few views tell which camera took them.
 
     Some views of the others look like those of good ones: their intervals are too narrow. So the ones that are
     recognised are given a higher level, the least with which the others hold as a whole. Good cameras keep the
@@ -185,20 +186,24 @@ def calibrate_cameras(
     """
     camera = fit_camera(noise_px, features, unlike)
     chance = camera.chance(noise_px, features)
+    told = ~unlike & (chance <= 0.5), unlike & (chance > 0.5)
+
+    def of(rows: NDArray[np.bool_], level: float) -> IntervalRule:
+        return calibrate(
+            predicted_g[rows],
+            weight_g[rows],
+            terms[rows],
+            level=level,
+            independent=len(np.unique(recording[rows])),
+            tuber=None if tuber is None else tuber[rows],
+            belt_slope=belt_slope,
+        )
+
+    if min(int(rows.sum()) for rows in told) < MIN_IN_CLASS:
+        return of(np.ones(len(unlike), np.bool_), level)
     levels = [level, level]
     for _ in range(ROUNDS):
-        kinds = [
-            calibrate(
-                predicted_g[rows],
-                weight_g[rows],
-                terms[rows],
-                level=levels[kind],
-                independent=len(np.unique(recording[rows])),
-                tuber=None if tuber is None else tuber[rows],
-                belt_slope=belt_slope,
-            )
-            for kind, rows in enumerate((~unlike & (chance <= 0.5), unlike & (chance > 0.5)))
-        ]
+        kinds = [of(rows, at) for rows, at in zip(told, levels, strict=True)]
         rule = replace(kinds[0], level=level, camera=camera, other=replace(kinds[1], level=level))
         low, high = rule.bounds_g(predicted_g, terms, chance)
         held = ((weight_g >= low) & (weight_g <= high))[unlike].mean()

@@ -55,6 +55,17 @@ def test_each_kind_of_camera_is_held_though_none_is_known_for_sure() -> None:
     assert IntervalRule.from_json(rule.to_json()) == rule
 
 
+def test_cameras_that_no_view_tells_apart_share_an_interval() -> None:
+    """The interval of those that are recognised was made of no view at all, which ended the calibration."""
+    views = _views(np.random.default_rng(SEED), 100)
+    views["noise_px"][:], views["features"][:, HOLES] = 0.03, 0.0
+    views["unlike"][:] = np.arange(len(views["unlike"])) % 25 == 0
+    rule = calibrate_cameras(**views)
+    low, high = rule.bounds_g(views["predicted_g"], views["terms"])
+    assert rule.other is None
+    assert ((views["weight_g"] >= low) & (views["weight_g"] <= high)).mean() == pytest.approx(0.91, abs=0.03)
+
+
 def test_more_noise_and_more_holes_are_never_less_unlike_and_a_better_camera_is_not_unlike() -> None:
     rule = Weigher.load().sidecar.interval_rule
     assert rule is not None
