@@ -31,14 +31,21 @@ POINTS = 1024
 OPSET = 17
 LICENCE = "Apache-2.0"
 PREPARATION = (
-    "tuberline.prepare(cloud, belt_distance_m).feed() makes all inputs of one tuber's cloud, in metres, from a camera "
-    "that looks straight down. groups (256, 3): of the cleaned cloud, centred on the mean of its points, z away from "
-    "the camera, farthest-point sampling from the first point gives 64 neighbours, the first 64 centroids and the "
-    "first 128 centroids, one after the other. height_m: of the highest point above the level where undersides lie. "
+    "tuberline.prepare(cloud, belt_distance_m{weights}).feed() makes all inputs of one tuber's cloud, in metres, from "
+    "a camera that looks straight down. groups (256, 3): of the cleaned cloud, centred on the mean of its points, z "
+    "away from the camera, {groups}. height_m: of the highest point above the level where undersides lie. "
     "features: of the visible surface, in the order that 'features' names. belt_sd_m: standard deviation of that "
     "level. noise_px: local noise of the depth, pixels of disparity at a baseline of 18 mm; 0 where it is not known. "
     "belt_distance_m: from the camera to the belt; the interval is wider where that is out of 'ranges'."
 )
+GROUPS = {
+    "prefix": "farthest-point sampling from the first point gives 64 neighbours, the first 64 centroids and the first "
+    "128 centroids, one after the other",
+    "random": "64 neighbours, 64 and 128 centroids, one after the other, each by a farthest-point sampling of its own "
+    "that begins at a random point; of at most 1024 points the neighbours are the first 64 as they stand",
+}
+WEIGHTS = {"prefix": "", "random": ", weights=tuberline.load_weights(FILE)"}
+"""What `prepare` must be told: how sampling starts is of the weights that were exported."""
 OUTPUTS_TOLD = (
     "grams, one per cloud. weight_g with its 90 % interval low_g to high_g as a ledger has a single view; network_g is "
     "the network alone, volume_g the visible volume alone. Outside 'ranges' no one knows how good they are."
@@ -120,6 +127,7 @@ def export_onnx(path: Path, model: PointRaft, sidecar: Sidecar, *, batch: int | 
 def described(sidecar: Sidecar) -> dict[str, str]:
     """What the file says of itself to a program that has never heard of us; values are text, some of it JSON."""
     ranges = {name: getattr(sidecar, name).model_dump() for name in ("belt_distance_m", "weight_g", "length_mm")}
+    kind = sidecar.start.kind
     return {
         "name": sidecar.name,
         "model": sidecar.model_id,
@@ -127,8 +135,8 @@ def described(sidecar: Sidecar) -> dict[str, str]:
         "licence": LICENCE,
         "ranges": json.dumps(ranges),
         "input": json.dumps(sidecar.input.model_dump(mode="json")),
-        "start": sidecar.start.kind,
+        "start": kind,
         "features": json.dumps(NAMES),
-        "preparation": PREPARATION,
+        "preparation": PREPARATION.format(weights=WEIGHTS[kind], groups=GROUPS[kind]),
         "outputs": OUTPUTS_TOLD,
     }

@@ -16,8 +16,8 @@ import pytest
 import tuberline
 from conveyor.errors import InputError
 from regressor.network.checkpoint import load_checkpoint, state_of
-from regressor.network.export import export_onnx
-from regressor.network.sidecar import Range, Sidecar
+from regressor.network.export import described, export_onnx
+from regressor.network.sidecar import Range, Sidecar, StartPolicy
 from regressor.weigh.blend import SEEN, BlendRule
 from regressor.weigh.quadratic import QuadraticRule
 from regressor.weigh.surface import NAMES
@@ -120,6 +120,10 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     assert json.loads(about["ranges"])["belt_distance_m"] == sidecar.belt_distance_m.model_dump()
     assert json.loads(about["features"]) == list(NAMES)
     assert "tuberline.prepare(cloud, belt_distance_m).feed()" in about["preparation"]
+    # Of an imported checkpoint it named the sampling of the shipped weights, which gives other groups.
+    imported = described(sidecar.model_copy(update={"start": StartPolicy(kind="random")}))["preparation"]
+    assert "belt_distance_m, weights=tuberline.load_weights(FILE)).feed()" in imported
+    assert "begins at a random point" in imported
     assert onnx.get_modelmeta().producer_name == "tuberline"
 
 
