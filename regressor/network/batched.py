@@ -86,7 +86,7 @@ class BatchedPointRaft:
             if isinstance(group, GatheredGroups):
                 weight_g[i] = self._alone.weigh(group, heights_m[i])
         if together:
-            stacked = np.stack([groups_tensor(group) for group in groups if isinstance(group, SharedGroups)])
+            stacked = _stacked([groups_tensor(group) for group in groups if isinstance(group, SharedGroups)])
             height_m = torch.tensor([heights_m[i] for i in together], dtype=torch.float32, device=self._device)
             with torch.inference_mode():
                 found = self._network(torch.from_numpy(stacked).to(self._device), height_m)
@@ -220,6 +220,12 @@ class _Pass:
             with torch.cuda.graph(graph, pool=pool):
                 self._found = self._steps(*self._given)
         self._graph = graph
+
+
+def _stacked(groups: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """(n, longest, 3): of 2048 points a small cloud has fewer centroids than a large one; its last one is repeated."""
+    longest = max(len(group) for group in groups)
+    return np.stack([np.pad(group, ((0, longest - len(group)), (0, 0)), mode="edge") for group in groups])
 
 
 def _passes_of(which: Sequence[int], lengths: Sequence[int]) -> Iterator[list[int]]:

@@ -12,7 +12,7 @@ from conveyor.errors import InputError
 from regressor.network import batched
 from regressor.network.batched import WIDTHS, BatchedPointRaft, Sampler, sample_by_operations
 from regressor.network.fast import FastPointRaft
-from regressor.network.grouping import GatheredGroups, group_prefix
+from regressor.network.grouping import GatheredGroups, group_prefix, group_random
 from regressor.network.sampling import farthest_points
 from regressor.network.stored import load_weights
 from regressor.weigh.weigher import BATCHED, Weigher, weigh_view, weigh_views
@@ -33,6 +33,11 @@ def test_a_batch_on_a_device_equals_the_fast_form(rng: np.random.Generator, devi
     together = BatchedPointRaft(state, device=device).weigh(groups, heights)
     assert together == pytest.approx(alone, rel=1e-4)
     assert BatchedPointRaft(state, device=device).weigh(groups[2:3], heights[2:3]) == pytest.approx(alone[2:3])
+    # Of up to 2048 points they have 188 and 256 centroids: they could not be laid side by side.
+    more = [group_random(np.resize(clouds[0], (n, 3)), seed=1, points=2048) for n in (1500, 3000)]
+    alone = [FastPointRaft(state).weigh(group, 0.05) for group in more]
+    together = BatchedPointRaft(state, device=device, points=2048).weigh(more, [0.05, 0.05])
+    assert together == pytest.approx(alone, rel=1e-4)
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="a CUDA GPU is here")
