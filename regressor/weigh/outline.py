@@ -61,8 +61,9 @@ def angle_image(points: NDArray[np.float64]) -> AngleImage:
 
 def _density(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     """Points per unit of the plane, measured in cells that lie wholly inside the cloud, over four shifted grids."""
-    area = max(float(np.ptp(x) * np.ptp(y)), 1e-12)
-    size = np.sqrt(FINE_CELLS * area / len(x))
+    wide, high = float(np.ptp(x)), float(np.ptp(y))
+    area = max(wide * high, 1e-12)
+    size = max(np.sqrt(FINE_CELLS * area / len(x)), max(wide, high) / MOST_CELLS)
     found = []
     for shift in (0.0, 0.25, 0.5, 0.75):
         column = np.floor((x - x.min()) / size + shift).astype(np.int64)

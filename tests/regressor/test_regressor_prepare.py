@@ -149,6 +149,13 @@ def test_no_odd_view_does_more_than_be_refused(seed: int) -> None:
         assert np.isfinite(cloud.surface.as_array()).all()
 
 
+def test_a_line_of_points_needs_no_more_memory_than_a_tuber() -> None:
+    """Cells were as small as the line is thin: 900 m of it asked for 12 TB."""
+    places = np.linspace(0, 900, 100)
+    cloud = prepare_cloud(np.column_stack([places, 0 * places, 0 * places + 0.0011]), belt_distance_m=0.345)
+    assert len(cloud.points) == 100
+
+
 def test_unusual_clouds_are_flagged() -> None:
     small = prepare_view(ellipsoid_view((0.009, 0.008, 0.008)))
     tall = prepare_view(ellipsoid_view((0.06, 0.05, 0.045)))
