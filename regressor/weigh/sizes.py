@@ -31,7 +31,6 @@ SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-sizes.json"
 FORMAT = "tuberline-sizes/1"
 FEATURES = (*surface.FIRST_NAMES, *completed.NAMES)
 """What the rules read."""
-LEAST_HEIGHT_M = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,5 +139,5 @@ def size_features(cloud: PreparedCloud) -> NDArray[np.float64]:
     """(21,) features of a prepared cloud, in the order of `FEATURES`."""
     level = cloud.points.astype(np.float64) + np.array(cloud.centre_m)
     distance_m = cloud.belt_distance_m + cloud.resting_offset_m
-    sizes = completed.completed_sizes_mm(level, distance_m=distance_m, height_m=max(cloud.height_m, LEAST_HEIGHT_M))
+    sizes = completed.completed_sizes_mm(level, distance_m=distance_m, height_m=cloud.height_m)
     return np.array([*cloud.surface.as_array()[: len(surface.FIRST_NAMES)], *sizes])

@@ -16,8 +16,8 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Sizes
 from conveyor.messages.sizes import MEASURES
 from regressor.weigh.completed import completed_sizes_mm
-from regressor.weigh.prepare import prepare_depth
-from regressor.weigh.sizes import SHIPPED, SizeRules, fit_sizes, load_rules
+from regressor.weigh.prepare import prepare_cloud, prepare_depth
+from regressor.weigh.sizes import SHIPPED, SizeRules, fit_sizes, load_rules, size_features
 from regressor.weigh.weigher import Weigher
 
 SEED = 20261123
@@ -68,6 +68,16 @@ def test_simulated_views_are_sized_and_their_intervals_hold() -> None:
     assert off[3] < 2.5, f"seed {SEED}: {off}"
     assert (off < 4.5).all(), f"seed {SEED}: {off}"
     assert np.mean(held) > 0.75, f"seed {SEED}: {np.mean(held)}"
+
+
+def test_what_is_hardly_higher_than_its_belt_has_a_body_all_the_same() -> None:
+    """It was completed as 5 mm high, of which no point lies in the upper part: sizes were those of no body, 100 mm long
+    to 3 mm, and the compiled loop wrote beyond an empty array.
+    """
+    x, y = (side.ravel() for side in np.meshgrid(*[np.linspace(-0.02, 0.02, 40)] * 2))
+    flat = prepare_cloud(np.column_stack([x, y, 0.3435 + x * x]), belt_distance_m=0.345)
+    length, width, thickness, _ = size_features(flat)[-4:]
+    assert (length, width, thickness) == pytest.approx((np.hypot(40, 40), np.hypot(40, 40), 1.5), abs=0.1)
 
 
 def test_rules_come_back_from_their_file_and_others_are_refused(tmp_path: Path) -> None:
