@@ -154,4 +154,6 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     if name == "paper" and given.get("epochs") is not None:
         settings = replace(settings, final_lr=float(DECAY**settings.epochs))
+    if settings.target == "length_mm":  # stretch and shear in the plane keep a volume and no length
+        settings = replace(settings, augmentation=replace(settings.augmentation, plane_shear=0.0))
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))
