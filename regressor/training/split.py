@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.files import whole_output
 from conveyor.formats.potatotwin.layout import read_truth, weight_said
 
 PARTS = ("train", "val", "test")
@@ -59,7 +60,7 @@ def write_splits(folder: Path, *, seed: int = SEED, force: bool = False) -> dict
     if len(labels) < CLASSES * len(PARTS):
         raise InputError(f"{folder} has {len(labels)} tubers; at least {CLASSES * len(PARTS)} are needed for a split")
     part = stratified_split(weights, seed=seed)
-    with out.open("w", newline="", encoding="utf-8") as file:
+    with whole_output(out) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["label", "split"])
         writer.writerows(sorted(zip(labels, part.tolist(), strict=True)))
