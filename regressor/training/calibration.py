@@ -22,7 +22,7 @@ from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.begun import digest_of
-from regressor.training.cloudset import CloudSet, load_cloudset
+from regressor.training.cloudset import CloudSet, evenly, load_cloudset
 from regressor.training.labelled import UNKNOWN, part_of
 from regressor.training.tuber_interval import calibrate_tubers
 from regressor.training.work import Work, no_work, preparing
@@ -235,12 +235,12 @@ def recalibrate(
         data,
         split=split,
         cache=cache,
-        max_views=max_views,
         asked=asked_while_read(model, sidecar, compute=compute),
         progress=preparing(data, on_work, split=split),
     )
     views = views.with_target(sidecar.target)
     check_unlearned(views, sidecar, f"{data} is what {weights} were trained on", "intervals would be too narrow")
+    views = evenly(views, max_views)
     network_g = answers(model, sidecar, views, compute=compute, on_work=on_work)
     volume_g = (sidecar.fitted_volume_rule or TYPICAL_RULE).weights_g(views.view_features)
     rule = sidecar.blend_rule

@@ -176,10 +176,14 @@ def load_cloudset(
     # Each pack has a cache of its own: one more pack prepares only itself.
     packs = sorted({path.parent for path in labelled_files(folder)}) if split is None else [folder]
     packs = packs if all(any(pack.glob("views-*.npz")) for pack in packs) else [folder]
-    data = joined([_load_pack(pack, split, cache, keep, asked, progress) for pack in packs])
-    if max_views is not None and max_views < len(data):
-        data = data.subset(np.linspace(0, len(data) - 1, max_views).astype(np.int64))
-    return data
+    return evenly(joined([_load_pack(pack, split, cache, keep, asked, progress) for pack in packs]), max_views)
+
+
+def evenly(data: CloudSet, most: int | None) -> CloudSet:
+    """So many views at most, evenly over the set; None is all of them."""
+    if most is None or most >= len(data):
+        return data
+    return data.subset(np.linspace(0, len(data) - 1, most).astype(np.int64))
 
 
 def _load_pack(

@@ -309,7 +309,9 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
     assert Weigher(state_of(model), loaded).sidecar.interval_rule is not None
     weights = tmp_path / "out" / "weights.safetensors"
     before = weights.read_bytes()
-    again = recalibrate(weights, packs / "train", cache=None, max_views=30)
+    write_pack(tmp_path / "unseen", tubers=24, views=2, seed=5)
+    _by_recording(tmp_path / "unseen")
+    again = recalibrate(weights, tmp_path / "unseen", cache=None, max_views=30)
     assert again.metrics["calibration"]["views"] == 30
     assert again.interval_rule != loaded.interval_rule
     assert weights.read_bytes() == before
@@ -318,8 +320,9 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
         restack(weights, packs / "train", packs / "val", cache=None)
     with pytest.raises(InputError, match=r"--unseen .*train is what .* were trained on: .* a blend would trust it"):
         restack(weights, packs / "val", packs / "train", cache=None)
-    write_pack(tmp_path / "unseen", tubers=24, views=2, seed=5)
-    _by_recording(tmp_path / "unseen")
+    # With --max-views they were not known again.
+    with pytest.raises(InputError, match=r"were trained on: .* intervals would be too narrow"):
+        recalibrate(weights, packs / "train", cache=None, max_views=30)
     stacked = restack(weights, packs / "train", tmp_path / "unseen", cache=None)
     assert stacked.blend_rule.share == stacked.volume_share
     assert stacked.volume_rule != again.volume_rule
