@@ -142,7 +142,8 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
     """The recipe 'tuberline', 'paper' or 'fine-tune' with what is `given` in place of its own; None is not given.
 
     Raises:
-        InputError: a share that is none, or a number of what there must be some of that is 0 or less.
+        InputError: a share that is none, a number of what there must be some of that is 0 or less, or a batch of one
+            cloud where batch norm learns from it.
     """
     share = given.get("start_share")
     if share is not None and not 0 <= share <= 1:
@@ -154,6 +155,8 @@ def recipe_named(name: str, *, shear: float | None, **given: Any) -> TrainSettin
     settings = replace(recipes[name](), **{key: value for key, value in given.items() if value is not None})
     if name == "paper" and given.get("epochs") is not None:
         settings = replace(settings, final_lr=float(DECAY**settings.epochs))
+    if settings.batch == 1 and settings.frozen_share < 1:
+        raise InputError("--batch is 1; at least 2 clouds are needed: batch norm takes its statistics from a step's")
     if settings.target == "length_mm":  # stretch and shear in the plane keep a volume and no length
         settings = replace(settings, augmentation=replace(settings.augmentation, plane_shear=0.0))
     return settings if shear is None else replace(settings, augmentation=replace(settings.augmentation, shear=shear))

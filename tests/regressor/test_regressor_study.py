@@ -151,8 +151,10 @@ def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
     assert measured["shifts"]["again"]["methods"][SHIPPED]["views"] == 10
     assert seen == {10 * (len(SHIFTS) + 1)}
     write_parts(tmp_path, {"train": labels[:5], "test": labels[5:]})
-    with pytest.raises(InputError, match=r"fewer than 10 tubers: nothing can be said"):
+    with pytest.raises(InputError, match=r"holds fewer than 10 tubers: nothing can be said"):
         drift(tmp_path, {}, Weigher.load(), max_views=None)
+    with pytest.raises(InputError, match=r"the first 1 views of .* are of fewer than 10 tubers"):
+        drift(tmp_path, {}, Weigher.load(), max_views=1)
 
 
 def test_noise_is_added_to_images_alone(pack: Path, rng: np.random.Generator) -> None:
@@ -215,3 +217,10 @@ def test_a_plot_of_few_tubers_is_quiet(tmp_path: Path) -> None:
 def test_a_recipe_without_any_training_is_refused(option: str, value: float) -> None:
     with pytest.raises(InputError, match=f"--{option} is .*must be above 0"):
         recipe_named("tuberline", shear=None, **{option: value})
+
+
+def test_batch_norm_needs_two_clouds_unless_it_learns_nothing() -> None:
+    """A training with --batch 1 ended in torch, after all views were prepared."""
+    with pytest.raises(InputError, match="--batch is 1; at least 2 clouds"):
+        recipe_named("tuberline", shear=None, batch=1)
+    assert recipe_named("fine-tune", shear=None, batch=1).batch == 1
