@@ -46,7 +46,8 @@ def search(
             search with other settings or on other views.
     """
     optuna = needed("optuna", extra="train", what="a search")
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    # Of a trial that ends early it warns with a traceback; who ends it is told by what is raised.
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
     if len(data) < max(BATCHES):
         raise InputError(f"{len(data)} training views are fewer than the largest batch that is tried, {max(BATCHES)}")
 

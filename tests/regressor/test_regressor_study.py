@@ -24,6 +24,7 @@ from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
 from regressor.training.recipe import TrainSettings, recipe_named
 from regressor.training.split import stratified_split, write_splits
+from regressor.training.train import Training
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
@@ -64,8 +65,9 @@ def test_splits_are_written_once(tmp_path: Path) -> None:
         write_splits(tmp_path, force=True)
 
 
-def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
-    pytest.importorskip("optuna")
+def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    optuna = pytest.importorskip("optuna")
+    optuna.logging.enable_propagation()
     data = load_cloudset(pack)
     settings = TrainSettings(epochs=0.3, warm_share=1.0, wide_share=0.0)
     settings = replace(settings, average=0.0)
@@ -86,6 +88,13 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path) -> None:
         search(data, data, settings, storage=tmp_path / "small.db", trials=1)
     with pytest.raises(InputError, match="validation views"):
         search(large, large, settings, storage=tmp_path / "search.db", trials=3)
+
+    def stopped(number: int, training: Training) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search(large, data, settings, storage=tmp_path / "search.db", trials=3, on_step=stopped)
+    assert not caplog.records, "Ctrl-C was told with a traceback"
 
 
 def test_shifts_do_what_they_say(pack: Path, rng: np.random.Generator) -> None:
