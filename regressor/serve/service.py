@@ -23,6 +23,7 @@ from conveyor.node import Node
 from conveyor.topics import ORDER_MODEL, QUERY_MODEL, Topic
 from regressor.network.stored import SHIPPED
 from regressor.serve.check import answers_of, check_weights
+from regressor.serve.form import form_of
 from regressor.serve.link import PIECE_BYTES, fetch, states
 from regressor.serve.messages import CloudAnswer, WeightsReport, WeightsState, digest_of, read_parcel
 from regressor.serve.store import Order, WeightsStore
@@ -272,7 +273,9 @@ class WeightsService:
     def _weigher_of(self, digest: str) -> Weigher:
         if digest == self._config_digest:
             return self._config_weigher
-        return self._store.load(digest).in_form(self._config_weigher.form).on(self._config_weigher.device)
+        weigher, device = self._store.load(digest), self._config_weigher.device
+        # How few centroids will do is a matter of the weights.
+        return weigher.in_form(form_of(self._node.config, weigher)) if device is None else weigher.on(device)
 
 
 def _handler(

@@ -18,6 +18,7 @@ from conveyor.node import Node
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.stored import SHIPPED
 from regressor.serve.check import check_weights, reference_clouds
+from regressor.serve.form import form_of
 from regressor.serve.messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
 from regressor.serve.service import WeightsService
 from regressor.serve.store import Order, WeightsStore
@@ -207,6 +208,16 @@ def test_a_disk_that_was_full_for_a_moment_keeps_no_regressor_from_following(tmp
     refuses.rmdir()
     service._follow_order(order, "r2")
     assert (service.state.n, service.state.digest) == (3, given)
+
+
+def test_given_weights_are_computed_in_a_form_of_their_own(shared: Path, tmp_path: Path) -> None:
+    """They took over how many centroids the config's weights need: 16, with which these are up to 3 g off."""
+    line = parse_config({"regressor": {"state_dir": str(tmp_path), "precision": "fastest"}}, where="test")
+    shipped = Weigher.load()
+    service = WeightsService(Node("regressor", "r1", config=line, run="test"), shipped.in_form(form_of(line, shipped)))
+    given = WeightsStore(tmp_path / "r1").add(read_parcel(shared / "fixtures" / "pointraft_fixture.pth"))
+    assert service.turn().form.centroids == 16
+    assert service._weigher_of(given).form.centroids is None
 
 
 def test_without_a_folder_given_weights_live_as_long_as_the_process() -> None:
