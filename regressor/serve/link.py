@@ -7,6 +7,7 @@ lowest priority they fill what is left of a slow link and no queue, and a piece 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import zenoh
 
@@ -22,14 +23,16 @@ CHECK_TIMEOUT_S = 30.0
 
 
 def states(session: zenoh.Session, line: str, *, timeout_s: float = STATE_TIMEOUT_S) -> dict[str, WeightsState]:
-    """What each regressor of the line weighs with, by its name; those that do not answer in time are missing."""
+    """What each regressor of the line weighs with, by its name; those that do not answer in time are missing.
+
+    So are those that refuse to say, or say it in words of another version: they neither follow nor are followed.
+    """
     found = {}
     for reply in _ask(session, QUERY_MODEL, line, "*", {"do": "state"}, timeout_s=timeout_s):
-        try:
-            state = WeightsState.decode(reply)
-        except MessageError:
-            continue  # of another version of Tuberline: it neither follows nor is followed
-        found[state.regressor] = state
+        with suppress(MessageError):
+            if isinstance(reply, bytes):
+                state = WeightsState.decode(reply)
+                found[state.regressor] = state
     return dict(sorted(found.items()))
 
 
@@ -101,6 +104,8 @@ def _one(
     """The answer of one regressor. Every question may be asked twice: the second time changes nothing."""
     for _ in range(PIECE_ATTEMPTS):
         for reply in _ask(session, topic, line, regressor, parameters, payload=payload, timeout_s=timeout_s):
+            if isinstance(reply, InputError):
+                raise reply
             return reply
     raise LinkError(
         f"regressor {regressor} of line '{line}' does not answer '{parameters['do']}': has it stopped, or may you not "
@@ -117,8 +122,8 @@ def _ask(
     *,
     payload: bytes | None = None,
     timeout_s: float,
-) -> Iterator[bytes]:
-    """Every answer. Raises InputError with the text of a refusal."""
+) -> Iterator[bytes | InputError]:
+    """Every answer; of a refusal its text as an error."""
     replies = session.get(
         zenoh.Selector(topic.key(line, regressor=regressor), parameters),
         target=zenoh.QueryTarget.ALL,
@@ -131,5 +136,5 @@ def _ask(
     for reply in replies:
         if reply.ok is not None:
             yield reply.ok.payload.to_bytes()
-        elif reply.err is not None and (text := reply.err.payload.to_string()) != "Timeout":
-            raise InputError(text)
+        elif reply.err is not None and (refusal := reply.err.payload.to_bytes()) != b"Timeout":
+            yield InputError(refusal.decode(errors="replace"))

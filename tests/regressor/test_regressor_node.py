@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import zenoh
 
 from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig, RegressorConfig, dump_toml
@@ -23,6 +24,7 @@ from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.messages import Counters, Weight
 from conveyor.node import Node
 from regressor.serve.form import form_of
+from regressor.serve.link import states
 from regressor.serve.node import run_regressor
 from regressor.weigh.weigher import BATCHED, Weigher, weigh_view
 from tests.conftest import wait_until
@@ -80,9 +82,18 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
         return [values.get(name) for name in names] == [4, 1, 1, 1, 1]
 
     wait_until(counted, what="the worker's counters")
+    # One that refuses to say what it weighs with, in whatever bytes, hid all others; these ended who looked round.
+    key = topics.QUERY_MODEL.key(node.line, regressor="r0")
+    node.session.declare_queryable(key, zenoh.handlers.Callback(_refuse, indirect=True))
+    assert set(states(node.session, node.line)) == {"r1"}
     assert "libtorch" not in Path(f"/proc/{worker.pid}/maps").read_text(), "two seconds and 200 MB for nothing"
     os.kill(worker.pid, signal.SIGTERM)
     assert worker.wait(30) == 0
+
+
+def _refuse(query: zenoh.Query) -> None:
+    query.reply_err(b"\xff")
+    query.drop()  # type: ignore[no-untyped-call, unused-ignore]
 
 
 def test_a_worker_on_a_gpu_answers_as_one_without(link: LinkConfig, tmp_path: Path) -> None:
