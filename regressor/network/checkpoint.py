@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -23,20 +24,36 @@ def save_checkpoint(path: Path, state: dict[str, Tensor], sidecar: Sidecar) -> S
     """Write `path` (.safetensors) and its sidecar (.json), each atomically; the sidecar with its hash filled in."""
     data = save_safetensors({name: value.cpu().contiguous() for name, value in state.items()}, {"format": FORMAT})
     filled = sidecar.model_copy(update={"sha256": hashlib.sha256(data).hexdigest()})
-    text = json.dumps(filled.model_dump(mode="json"), indent=1, allow_nan=False)
+    text = _text(filled)
     path.parent.mkdir(parents=True, exist_ok=True)
     _replace(path, data)
     _replace(path.with_suffix(".json"), text.encode())
     return Sidecar.model_validate_json(text)
 
 
+def save_sidecar(path: Path, sidecar: Sidecar) -> Sidecar:
+    """Write the sidecar (.json) of the weights at `path`, atomically; as it is read again. The tensors stay."""
+    text = _text(sidecar)
+    _replace(path.with_suffix(".json"), text.encode())
+    return Sidecar.model_validate_json(text)
+
+
+def _text(sidecar: Sidecar) -> str:
+    return json.dumps(sidecar.model_dump(mode="json"), indent=1, allow_nan=False)
+
+
 def _replace(path: Path, data: bytes) -> None:
     partial = path.with_name(path.name + ".partial")
-    with partial.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
+    try:
+        with partial.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    except OSError:
+        with suppress(OSError):  # a part of it on a full disk would keep it full
+            partial.unlink(missing_ok=True)
+        raise
 
 
 def load_checkpoint(path: Path | None = None, *, any_target: bool = False) -> tuple[PointRaft, Sidecar]:

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from conveyor.camera_range import CAMERAS, GOOD
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
-from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_sidecar
 from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
@@ -248,6 +248,4 @@ def recalibrate(
     weight_g = rule.weights_g(network_g, volume_g, views.view_features)
     figures = scores(weight_g, views.weight_g, views.tuber)
     metrics = {**sidecar.metrics, "calibration": figures, "interval": found.counted}
-    return save_checkpoint(
-        weights, model.state_dict(), sidecar.model_copy(update={**found.sidecar_keys(), "metrics": metrics})
-    )
+    return save_sidecar(weights, sidecar.model_copy(update={**found.sidecar_keys(), "metrics": metrics}))

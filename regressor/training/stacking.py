@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
-from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_sidecar
 from regressor.network.sidecar import Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
@@ -101,7 +101,7 @@ def restack(
         "volume_rule": volume_rule.to_json(),
         "metrics": {**sidecar.metrics, "blend": scores(weight_g, views.weight_g, views.tuber)},
     }
-    return save_checkpoint(weights, model.state_dict(), sidecar.model_copy(update=changes))
+    return save_sidecar(weights, sidecar.model_copy(update=changes))
 
 
 def cross_fitted(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Callable
@@ -9,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import labels_of_split
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint
-from regressor.network.stored import SHIPPED, load_weights
+from regressor.network.stored import load_weights
 from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_scores
 from regressor.studies.report import summary
 from regressor.training.begun import digest_of
@@ -233,10 +235,16 @@ def test_the_test_part_stays_untouched(tmp_path: Path) -> None:
     assert data.tuber.tolist() == labels[:2]
     assert validation.tuber.tolist() == ["t000", "t001"]
     assert _sets(tmp_path / "other", tmp_path / "crop", tmp_path / "out")[1].tuber.tolist() == labels[2:3]
-    for name in ("tuberline-sim.safetensors", "tuberline-sim.json"):
-        shutil.copy(SHIPPED.with_name(name), tmp_path / name)
-    found = recalibrate(tmp_path / "tuberline-sim.safetensors", tmp_path / "crop", cache=None, max_views=None)
+    state, sidecar = load_weights()
+    weights = tmp_path / "other-program.safetensors"
+    save_file(dict(state), weights)
+    before = weights.read_bytes()
+    digest = hashlib.sha256(before).hexdigest()
+    weights.with_suffix(".json").write_text(sidecar.model_copy(update={"sha256": digest}).model_dump_json())
+    found = recalibrate(weights, tmp_path / "crop", cache=None, max_views=None)
     assert found.metrics["calibration"]["tubers"] == 1
+    # Saved again by this program they had other bytes, and so another name in the ledger.
+    assert (weights.read_bytes(), found.sha256) == (before, digest)
 
 
 def test_weights_know_how_far_below_the_belt_their_tubers_lay(
