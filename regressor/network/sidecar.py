@@ -33,6 +33,11 @@ def checked_name(name: str) -> str:
     return name
 
 
+def unit_of(target: str) -> str:
+    """Of what a network gives: 'g', 'ml' or 'mm'."""
+    return target.rpartition("_")[2]
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -124,6 +129,11 @@ class Sidecar(_Part):
                 why = f"{error} is missing" if isinstance(error, KeyError) else str(error)
                 raise ValueError(f"its {name} is damaged or of another version of this program: {why}") from error
         return self
+
+    @property
+    def unit(self) -> str:
+        """Of the target, where code and tables say g."""
+        return unit_of(self.target)
 
     @property
     def interval_rule(self) -> IntervalRule | None:

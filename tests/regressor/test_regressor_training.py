@@ -35,6 +35,7 @@ from regressor.weigh.volume import fit_volume_rule
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import write_pack
 from tests.regressor.training_step import check_same_step, readable_in_training
+from tuberline.cli.train import _tell
 
 QUICK = TrainSettings(epochs=1.0, batch=8, warm_share=1.0, wide_share=0.0, natural_share=0.5, frozen_share=0.25)
 SILENT: dict[str, Any] = dict.fromkeys(("on_prepared", "on_step", "on_validated"), lambda *_: None)
@@ -339,11 +340,13 @@ def test_a_whole_training_writes_weights_that_weigh(packs: Path, data: CloudSet,
         train(options, QUICK, **SILENT)
 
 
-def test_another_target_is_a_setting(packs: Path, tmp_path: Path) -> None:
+def test_another_target_is_a_setting(packs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sidecar = train(_options(packs, tmp_path / "out"), replace(QUICK, epochs=0.2, target="volume_ml"), **SILENT)
     weights = tmp_path / "out" / "weights.safetensors"
     truth = load_cloudset(packs / "train").volume_ml
     assert sidecar.target == "volume_ml"
+    _tell(weights, sidecar)
+    assert f"MAE {sidecar.metrics['validation']['mae_g']:.1f} ml per view" in capsys.readouterr().err, "it said g"
     assert (sidecar.weight_g.low, sidecar.weight_g.high) == pytest.approx((truth.min(), truth.max()), abs=1e-3)
     with pytest.raises(InputError, match="give volume_ml: a line weighs"):
         Weigher.load(weights)

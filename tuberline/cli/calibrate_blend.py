@@ -56,5 +56,6 @@ def calibrate_blend(
     figures = sidecar.metrics["blend"]
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "
-        f"{100 * sidecar.volume_share:.0f} % volume rule; MAE {figures['mae_g']:.2f} g on the unseen views\n"
+        f"{100 * sidecar.volume_share:.0f} % volume rule; MAE {figures['mae_g']:.2f} {sidecar.unit} on the unseen "
+        "views\n"
     )

@@ -159,7 +159,7 @@ def _tell(weights: Path, sidecar: Sidecar) -> None:
     if refused:
         left_out = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items()))
         sys.stderr.write(f"training views left out: {left_out}\n")
-    told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} g per view on the validation set"
+    told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} {sidecar.unit} per view on the validation set"
     sys.stderr.write(f"{weights}: {told}\n")
     if counted := sidecar.metrics.get("interval"):  # weights of a best epoch may be older than that key
         sys.stderr.write(f"{interval_told(int(counted['tubers']), int(counted['recordings']))}\n")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Self
 
+from regressor.network.sidecar import unit_of
 from regressor.training.train import Training
 from tuberline.cli.progress import progress_bar
 
@@ -35,8 +36,9 @@ class TrainingBar:
 
     def validated(self, training: Training, metrics: dict[str, Any]) -> None:
         """A validation is done."""
-        figures = metrics["validation"]
+        figures, unit = metrics["validation"], unit_of(training.settings.target)
         self._bar.console.print(
             f"after {training.progress.seconds / 60:.1f} min, {training.progress.step} steps: validation MAE "
-            f"{figures['mae_g']:.2f} g, RMSE {figures['rmse_g']:.2f} g, bias {figures['bias_g']:+.2f} g per view"
+            f"{figures['mae_g']:.2f} {unit}, RMSE {figures['rmse_g']:.2f} {unit}, bias {figures['bias_g']:+.2f} {unit} "
+            "per view"
         )
