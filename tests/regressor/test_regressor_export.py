@@ -24,6 +24,7 @@ from regressor.weigh.surface import NAMES
 from regressor.weigh.view_features import VIEW_NAMES
 from regressor.weigh.weigher import Weigher
 from tuberline.api.weighing import Weights
+from tuberline.cli.checkpoints import export_onnx as export_command
 
 pytest.importorskip("onnx")
 OUTSIDE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "onnx_outside.py"
@@ -125,6 +126,14 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     assert "belt_distance_m, weights=tuberline.load_weights(FILE)).feed()" in imported
     assert "begins at a random point" in imported
     assert onnx.get_modelmeta().producer_name == "tuberline"
+
+
+def test_an_export_leaves_the_sidecar_of_other_weights(tmp_path: Path) -> None:
+    """It wrote its own over it: the weights of a training beside it belonged to no sidecar any more."""
+    (tmp_path / "weights.safetensors").write_bytes(b"of a training")
+    with pytest.raises(InputError, match=r"weights.json would take the place of that of .*weights.safetensors; choose"):
+        export_command(out=tmp_path / "weights.onnx")
+    assert not (tmp_path / "weights.json").exists()
 
 
 def test_a_cloud_that_is_too_wide_is_not_for_it() -> None:

@@ -58,11 +58,19 @@ def export_onnx(
     from conveyor.files import whole_output
     from regressor.network.checkpoint import load_checkpoint
     from regressor.network.export import export_onnx as write
+    from regressor.network.stored import SHIPPED
+    from regressor.serve.messages import SUFFIXES
     from tuberline.cli.progress import work_bar
 
     if out.suffix != ".onnx":
         raise InputError(f"--out {out} must end in .onnx")
     model, sidecar = load_checkpoint(weights)
+    for other in (out.with_suffix(suffix) for suffix in SUFFIXES):
+        if other.is_file() and not other.samefile(weights or SHIPPED):
+            raise InputError(
+                f"--out {out}: its sidecar {out.with_suffix('.json').name} would take the place of that of {other}; "
+                "choose another name"
+            )
     with whole_output(out) as partial, work_bar("ONNX") as on_work:
         on_work("tracing the network", 0, None)
         write(partial, model, sidecar, batch=batch)
