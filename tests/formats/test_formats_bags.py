@@ -179,6 +179,21 @@ def test_a_broken_message_is_refused_by_its_number_and_the_rest_goes_on(tmp_path
     assert refused == {1: "undecodable", 2: "undecodable", 3: "encoding"}
 
 
+@pytest.mark.parametrize(
+    ("topic", "reasons"), [(DEPTH, ["undecodable", "encoding"]), ("/camera/range", ["undecodable"])]
+)
+def test_a_bag_whose_first_messages_are_damaged_lacks_those_frames(tmp_path: Path, topic: str, reasons: list) -> None:
+    """It was refused whole, while the same damage further on was one frame that is missing."""
+    damaged = {"undecodable": image(0)[:200], "encoding": image(0, encoding="\x7fUC1")}
+    images = [*(damaged[reason] for reason in reasons), image(7)]
+    infos = [info()[:60], info()]
+    channels = {topic: (IMAGE, "cdr", images), "/camera/camera_info": (INFO, "cdr", infos)}
+    *refused, frame = _frames(write_mcap(tmp_path / "bag.mcap", channels))
+    assert [item.reason for item in refused if isinstance(item, Refused)] == reasons
+    assert isinstance(frame, Frame)
+    assert (frame.seq, frame.depth_scale_m, np.array_equal(frame.depth, depth_mm(7))) == (len(reasons), 0.001, True)
+
+
 def test_a_frame_that_no_recording_can_hold_is_left_out_of_one_and_told(tmp_path: Path) -> None:
     """A time before 1970 ended the conversion as a fault of the program, or made a folder that could not be read."""
     bag = _bag(tmp_path, [image(0), image(1, stamp=-55_000_000_000), image(2)])
@@ -189,7 +204,7 @@ def test_a_frame_that_no_recording_can_hold_is_left_out_of_one_and_told(tmp_path
         assert [frame.seq for frame in _frames(tmp_path / target)] == [0, 2]
     channels = {DEPTH: (IMAGE, "cdr", [image(0)]), DEPTH_INFO: (INFO, "cdr", [info()])}
     broken = {"/rear/depth/compressedDepth": (COMPRESSED, "cdr", [b"no image"])}
-    with pytest.raises(InputError, match=r"the first message on /rear/depth/compressedDepth cannot be used"):
+    with pytest.raises(InputError, match=r"no message on /rear/depth/compressedDepth can be decoded; the first: "):
         open_source(write_mcap(tmp_path / "bag.mcap", channels | broken))
 
 
@@ -222,7 +237,7 @@ def test_every_cut_of_a_message_is_an_error_of_ours() -> None:
         ),
         (
             {DEPTH: (IMAGE, "cdr", [image(0)]), DEPTH_INFO: (INFO, "cdr", [info(k=(0.0,) * 9)[:-200]])},
-            r"first message on .*camera_info cannot be used",
+            r"no message on .*camera_info can be decoded; the first: ",
         ),
         (
             {

@@ -23,7 +23,7 @@ from conveyor.formats.rosbag.depth import (
     unsupported,
 )
 from conveyor.formats.rosbag.messages import RosCalibration, RosCompressed, RosImage, RosMessage
-from conveyor.formats.rosbag.streams import Stream, depth_streams, stream_of
+from conveyor.formats.rosbag.streams import Stream, depth_streams, first_of, stream_of
 from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
 
@@ -65,7 +65,7 @@ class RosBagSource:
 
     def _describe(self, bag: BagReader, stream: Stream) -> CameraDescription:
         where = f"topic {stream.info} in {self._path}"
-        info, image = _first(bag, stream.info), _first(bag, stream.images)
+        info, image = first_of(bag, stream.info), first_of(bag, stream.images, sound=_is_depth)
         if not isinstance(info, RosCalibration):
             raise InputError(f"{where} is no camera info")
         if not isinstance(image, RosImage | RosCompressed):
@@ -74,7 +74,7 @@ class RosBagSource:
         if fault:
             raise InputError(f"{self._path}: depth topic {stream.images} {fault}")
         self._in_metres = depth_encoding(image) == FLOAT_ENCODING
-        unit = _first(bag, stream.unit) if stream.unit else None
+        unit = first_of(bag, stream.unit) if stream.unit else None
         scale_m = round(unit, 9) if isinstance(unit, float) and not self._in_metres else None
         if scale_m is not None and not 0 < scale_m <= MOST_UNIT_M:
             raise InputError(
@@ -124,14 +124,8 @@ class RosBagSource:
         )
 
 
-def _first(bag: BagReader, topic: str) -> RosMessage:
-    stored = next(iter(bag.stored(topic)), None)
-    if stored is None:
-        raise InputError(f"topic {topic} has no message, though the bag's index counts some")
-    try:
-        return bag.decode(stored)
-    except MessageError as error:
-        raise InputError(f"the first message on {topic} cannot be used: {error}") from error
+def _is_depth(message: RosMessage) -> bool:
+    return isinstance(message, RosImage | RosCompressed) and unsupported(message) is None
 
 
 def _notes(info: RosCalibration, stream: Stream, *, rectified: bool) -> Iterator[str]:

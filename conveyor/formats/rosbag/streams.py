@@ -7,13 +7,14 @@ taken (uncompressed before compressed, as measured before aligned); the others a
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from conveyor.errors import InputError, MessageError
 from conveyor.formats.rosbag.bags import BagReader, Topic
 from conveyor.formats.rosbag.depth import SHORT_ENCODINGS, depth_encoding, unsupported
-from conveyor.formats.rosbag.messages import RosCompressed, RosImage
+from conveyor.formats.rosbag.messages import RosCompressed, RosImage, RosMessage
 
 DEPTH_TYPES = "sensor_msgs/msg/Image, sensor_msgs/msg/CompressedImage (compressedDepth), foxglove.RawImage"
 _COLOUR = ("color", "colour", "rgb")
@@ -103,6 +104,30 @@ def nearest(topic: str, others: list[str]) -> str | None:
     return best if best is not None and shared(best) >= 2 else None
 
 
+def first_of(bag: BagReader, topic: str, *, sound: Callable[[RosMessage], bool] = lambda message: True) -> RosMessage:
+    """The first message of a topic that can be decoded and is `sound`; where none is, the first that can be decoded.
+    A damaged one says nothing of the topic: it is one frame that is missing.
+
+    Raises:
+        InputError: there is none, or none can be decoded.
+    """
+    first, fault = None, None
+    for stored in bag.stored(topic):
+        try:
+            message = bag.decode(stored)
+        except MessageError as error:
+            fault = fault or error
+            continue
+        if sound(message):
+            return message
+        first = first or message
+    if first is not None:
+        return first
+    if fault is not None:
+        raise InputError(f"no message on {topic} can be decoded; the first: {fault}") from fault
+    raise InputError(f"topic {topic} has no message, though the bag's index counts some")
+
+
 def _depth_topics(bag: BagReader) -> list[str]:
     """Topics named after depth; where there are none, images whose first one is of a depth encoding."""
     images = [topic for topic in bag.topics if topic.kind == "image"]
@@ -122,13 +147,7 @@ def _is_depth(image: RosImage | RosCompressed) -> bool:
 
 
 def _first_image(bag: BagReader, topic: Topic) -> RosImage | RosCompressed:
-    stored = next(iter(bag.stored(topic.name)), None)
-    if stored is None:
-        raise InputError(f"topic {topic.name} has no message, though the bag's index counts {topic.messages}")
-    try:
-        message = bag.decode(stored)
-    except MessageError as error:
-        raise InputError(f"the first message on {topic.name} cannot be used: {error}") from error
+    message = first_of(bag, topic.name)
     if not isinstance(message, RosImage | RosCompressed):
         raise InputError(f"topic {topic.name} holds {topic.type_name}, no images")
     return message
