@@ -6,10 +6,12 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from typing import Protocol
 
+from camera_sim.flow import LONGEST_STEP_S
 from conveyor.formats import CameraDescription, Refused
-from conveyor.formats.source import RecordedSource
+from conveyor.formats.source import FrameKey, RecordedSource
 from conveyor.messages import Frame
 
 BEHIND_S = 0.5
@@ -68,7 +70,7 @@ class ClockedSource:
         keys = self._inner.keys()
         if not keys:
             return
-        due_s = [self._starts_s + (key.captured_ns - keys[0].captured_ns) / 1e9 / self._speed for key in keys]
+        due_s = [self._starts_s + passed_s / self._speed for passed_s in self._passed_s(keys)]
         seqs = [key.seq for key in keys]
         at = bisect_left(seqs, after + 1)
         while at < len(keys):
@@ -85,6 +87,16 @@ class ClockedSource:
                 at += 1
             else:
                 return
+
+    def _passed_s(self, keys: list[FrameKey]) -> Iterator[float]:
+        """Seconds from the first frame to each. A recorded clock that was set back takes no time, one that was set
+        ahead no more than `Pace` gives it; frames that are missing by their numbers take theirs.
+        """
+        passed_s = 0.0
+        for before, key in pairwise([keys[0], *keys]):
+            most_s = max(LONGEST_STEP_S, (key.seq - before.seq) / self._description.fps)
+            passed_s += min(max((key.captured_ns - before.captured_ns) / 1e9, 0.0), most_s)
+            yield passed_s
 
     def _wait(self, until_s: float) -> bool:
         since_s = self._clock.monotonic()

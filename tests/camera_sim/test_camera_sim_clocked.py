@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,10 +12,11 @@ import pytest
 
 from camera_sim.clocked import ClockedSource
 from camera_sim.configured import configured_source
+from camera_sim.flow import LONGEST_STEP_S
 from conveyor.config import parse_config
 from conveyor.errors import ConfigError
 from conveyor.formats import Refused, open_source
-from conveyor.formats.source import RecordedSource
+from conveyor.formats.source import FrameKey, RecordedSource
 from conveyor.messages import Frame
 
 
@@ -64,6 +66,32 @@ def test_late_frames_are_gone_and_the_last_one_stays(recording: Path) -> None:
     seqs = [frame.seq for frame in source.frames(run="r")]
     assert seqs == list(range(seqs[0], last + 1))
     assert due_s[seqs[0]] == pytest.approx(lasts_s - 2.5, abs=0.1), "half a second of frames is kept by a device"
+
+
+@pytest.mark.parametrize("set_s", [3600, -3600])
+def test_a_clock_that_was_set_while_it_was_recorded_stops_nothing(recording: Path, set_s: int) -> None:
+    """It played nothing for an hour; where it was set back, all frames before the last passed for long gone."""
+    inner = open_source(recording, camera="left")
+    keys = inner.keys()
+    before = keys[:2] + keys[34:]  # those between are missing by their numbers
+    stepped = [replace(key, captured_ns=key.captured_ns + (key.seq > 36) * set_s * 10**9) for key in before]
+
+    class Set:
+        description = inner.description
+
+        def keys(self) -> list[FrameKey]:
+            return stepped
+
+        def frames(self, *, run: str, after: int = -1) -> Iterator[Frame | Refused]:
+            return (frame for frame in inner.frames(run=run, after=after) if not 2 <= frame.seq < 34)
+
+    clock = Still()
+    source = ClockedSource(Set(), starts_at_s=clock.now_s, speed=1.0, clock=clock)
+    came = [(frame.seq, clock.now_s - 1.7e9) for frame in source.frames(run="r")]
+    assert [seq for seq, _ in came] == [key.seq for key in before]
+    lasts_s = (before[-1].captured_ns - before[0].captured_ns) / 1e9
+    assert came[-1][1] == pytest.approx(lasts_s, abs=LONGEST_STEP_S + 0.1)
+    assert dict(came)[34] == pytest.approx(34 / inner.description.fps, abs=0.05)
 
 
 def test_what_passes_a_process_that_stands_still_is_a_gap_in_the_numbers(recording: Path) -> None:
