@@ -20,6 +20,7 @@ from aggregator.ledger.files import write_whole
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import InputError, StorageError
 from conveyor.files import check_place, told, unwritable, whole_output
+from conveyor.formats.conversion import convert_recording
 from tuberline.cli.config import check
 from tuberline.doctor import Level
 from tuberline.doctor.bundle import write_bundle
@@ -39,6 +40,7 @@ WRITERS = {
     "simulate-views": lambda out, belt: ("simulate-views", "--out", out / "views", "--tubers", "60", "--views", "1"),
     "convert": lambda out, belt: ("convert", belt, out / "belt.mcap"),
     "convert-ros2": lambda out, belt: ("convert", belt, out / "belt.mcap", "--format", "ros2"),
+    "recover": lambda out, belt: ("recover", belt.with_suffix(".mcap"), "--out", out / "saved.mcap"),
     "export-onnx": lambda out, belt: ("export-onnx", "--out", out / "net.onnx"),
 }
 
@@ -65,10 +67,11 @@ def tuberline(*args: object, limit: int | None = None, stdout: int | None = subp
 
 @pytest.fixture(scope="module")
 def belt(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small recording."""
+    """A small recording, and beside it the same one in an MCAP file."""
     out = tmp_path_factory.mktemp("belt") / "belt"
     code, said = tuberline("simulate", "--out", out, *BELT)
     assert code == 0, said
+    convert_recording(out, out.with_suffix(".mcap"))
     return out
 
 

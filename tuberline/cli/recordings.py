@@ -25,15 +25,12 @@ def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> No
     json
         Say what was saved as JSON.
     """
-    from conveyor.files import whole_output
     from conveyor.formats.mcap.recovery import recover as recover_file
     from tuberline.cli.progress import frames_bar
 
     target = out or path.with_name(f"{path.stem}.recovered.mcap")
-    if target.exists():
-        raise InputError(f"{target} exists; recover to another name with --out")
-    with whole_output(target) as partial, frames_bar("bytes") as on_bytes:
-        saved = recover_file(path, partial, on_bytes=on_bytes)
+    with frames_bar("bytes") as on_bytes:
+        saved = recover_file(path, target, on_bytes=on_bytes)
     total = sum(saved.messages.values())
     if json:
         report = {"out": str(target), "messages": saved.messages, "lost_bytes": saved.lost_bytes, "whole": saved.whole}

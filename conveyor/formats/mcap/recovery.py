@@ -16,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.files import cause, whole_output
 from conveyor.formats.beside import positions_beside
 from conveyor.formats.mcap.reader import DAMAGE
 from conveyor.formats.mcap.writer import CHUNK_BYTES
@@ -40,30 +41,30 @@ class Recovered:
 
 
 def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lambda done, total: None) -> Recovered:
-    """Copy every whole message of `path` to the new file `out`.
+    """Copy every whole message of `path` to the new file `out`, which is made whole or not at all.
 
     Args:
         on_bytes: called with how much of the file is read, and its size.
 
     Raises:
-        InputError: `path` is no MCAP file, or `out` exists.
+        InputError: `path` is no MCAP file, `out` exists or cannot be written.
     """
     if out.exists():
         raise InputError(f"{out} exists; recover to another name with --out")
     try:
-        with path.open("rb") as source, out.open("xb") as target:
-            result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
-            target.flush()
-            os.fsync(target.fileno())
-        if (positions := positions_beside(path)).is_file():
-            shutil.copyfile(positions, positions_beside(out))
+        with path.open("rb") as source, whole_output(out) as partial:
+            with partial.open("xb") as target:
+                result = _copy(source, target, size=path.stat().st_size, on_bytes=on_bytes)
+                target.flush()
+                os.fsync(target.fileno())
+            if (positions := positions_beside(path)).is_file():
+                shutil.copyfile(positions, positions_beside(partial))
     except (InvalidMagic, _Nothing) as error:
-        out.unlink(missing_ok=True)
         raise InputError(
             f"{path} is no MCAP file: it does not begin with MCAP's magic bytes and a whole record"
         ) from error
     except OSError as error:
-        raise InputError(f"{error.filename or path}: {error.strerror or error}") from error
+        raise InputError(f"{path} cannot be read: {cause(error)}") from error
     return result
 
 
@@ -93,7 +94,7 @@ class _Records:
                     raise
                 self.damage = f"{type(error).__name__}: {error}"
                 return
-            except DAMAGE as error:
+            except (*DAMAGE, OSError) as error:  # a disk that cannot read on is damage, too
                 if self.good_bytes == 0:
                     raise _Nothing from error
                 self.damage = f"{type(error).__name__}: {error}"
