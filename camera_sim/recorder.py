@@ -12,7 +12,7 @@ from conveyor import topics
 from conveyor.config import BeltConfig, LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber, ReliableSubscriber
 from conveyor.errors import StorageError
-from conveyor.files import told
+from conveyor.files import free_name, told
 from conveyor.formats.beside import positions_beside
 from conveyor.formats.mcap.writer import CHUNK_BYTES, SYNC_EVERY_S, McapFrameWriter
 from conveyor.formats.positions import PositionsWriter
@@ -120,7 +120,7 @@ class _Parts:
         self._out, self._resting = out, resting
         self.left: set[tuple[str, str]] = set()
         self.done: list[Part] = []
-        self.open = _OpenPart(next_part(out), resting)
+        self.open = _OpenPart(free_name(out), resting)
 
     def write(self, frame: Frame, *, fps: float | None) -> bool:
         """Append `frame`; returns whether a part was begun for it."""
@@ -128,22 +128,13 @@ class _Parts:
         if before != frame.run:
             self.left.add((frame.camera, before))
             self.close()
-            self.open = _OpenPart(next_part(self._out), self._resting)
+            self.open = _OpenPart(free_name(self._out), self._resting)
         self.open.write(frame, fps=fps)
         return before != frame.run
 
     def close(self) -> None:
         """End the part that is open."""
         self.done.append(self.open.close())
-
-
-def next_part(out: Path) -> Path:
-    """`out`, or where it holds a recording already the first free one of `<name>-2.mcap`, `<name>-3.mcap`, ..."""
-    part, n = out, 1
-    while part.exists():
-        n += 1
-        part = out.with_name(f"{out.stem}-{n}{out.suffix}")
-    return part
 
 
 def stated_resting(belt: BeltConfig) -> dict[str, float]:

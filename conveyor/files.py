@@ -74,6 +74,15 @@ def whole_output(target: Path) -> Iterator[Path]:
             shutil.rmtree(scratch, ignore_errors=True)
 
 
+def free_name(path: Path) -> Path:
+    """`path`, or where it is there already the first free one of `<name>-2.<ending>`, `<name>-3.<ending>`, ..."""
+    free, n = path, 1
+    while free.exists():
+        n += 1
+        free = path.with_name(f"{path.stem}-{n}{path.suffix}")
+    return free
+
+
 def remove_partials(folder: Path, names: str) -> int:
     """Remove what `whole_output` left of targets in `folder` whose process was killed; how many there were.
 

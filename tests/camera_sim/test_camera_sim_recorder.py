@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from camera_sim.recorder import next_part, stated_resting
+from camera_sim.recorder import stated_resting
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
 from conveyor import topics
 from conveyor.config import BeltConfig, LinkConfig
 from conveyor.delivery import LatestPublisher, ReliablePublisher
 from conveyor.errors import PASSING
+from conveyor.files import free_name
 from conveyor.formats import describe_recording, open_source
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.mcap.recovery import recover
@@ -126,7 +127,7 @@ def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
 ) -> None:
     """It refused the file that it had begun itself, and a unit that systemd restarts stayed down."""
     out = tmp_path / "line.mcap"
-    assert next_part(out) == out
+    assert free_name(out) == out
     config = line(link, path=small_recording)
     with other_side(config) as side:
         for part in (out, tmp_path / "line-2.mcap"):
@@ -135,7 +136,7 @@ def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
                 recorder.send_signal(signal.SIGTERM)
                 told, _ = recorder.communicate(timeout=30)
                 assert (recorder.returncode, told) == (0, f"0 frames in {part}\n")
-    assert next_part(out) == tmp_path / "line-3.mcap"
+    assert free_name(out) == tmp_path / "line-3.mcap"
 
 
 def test_a_line_that_is_started_again_begins_a_new_part(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import signal
 import time
 from collections import Counter
@@ -13,10 +15,14 @@ import viewer_line as line
 from viewer_line import column
 
 from conveyor import topics
+from conveyor.counters import CounterSet
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.formats.rvl import decode_ros_rvl
 
 pytest.importorskip("rerun")
+
+from viewer.rerun.file_sink import FileSink
+
 pytestmark = pytest.mark.graph
 
 FRAMES = 30
@@ -164,3 +170,18 @@ def test_a_full_disk_share_stops_the_pictures_and_not_the_numbers(tmp_path: Path
         watcher.stop()
     assert len(values(rrd, "/tuber/weight_g", "Scalars:scalars")) == len(tubers)
     assert entities(rrd)["/belt/camera/front/image/depth"] <= 1
+
+
+def test_each_earlier_file_is_kept_also_of_two_within_a_second(tmp_path: Path) -> None:
+    """The second took the name of the first, which was gone."""
+    rrd = tmp_path / "load.rrd"
+    for earlier in (b"one", b"two", b"three"):
+        rrd.write_bytes(earlier)
+        os.utime(rrd, (1_790_000_000.5, 1_790_000_000.5))
+        sink = FileSink(rrd, limit_bytes=1, run="r", tick_s=0.1, counters=CounterSet(), log=logging.getLogger("file"))
+        sink.ask_stop()
+        sink.start()
+        assert sink.join(30)
+    names = ["load-until-20260921T141320Z", "load-until-20260921T141320Z-2", "load-until-20260921T141320Z-3"]
+    assert [(tmp_path / f"{name}.rrd").read_bytes() for name in names] == [b"one", b"two", b"three"]
+    assert len([*tmp_path.iterdir()]) == 4

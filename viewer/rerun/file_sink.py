@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from conveyor.counters import CounterSet
+from conveyor.files import free_name
 from viewer.rerun.sink import RerunSink
 from viewer.scene.primitives import Entry
 from viewer.sink import IDLE_S
@@ -79,7 +80,7 @@ class FileSink(RerunSink):
         if not self._path.is_file() or self._path.stat().st_size == 0:
             return
         written = datetime.fromtimestamp(self._path.stat().st_mtime, UTC).strftime("%Y%m%dT%H%M%SZ")
-        kept = self._path.with_name(f"{self._path.stem}-until-{written}{self._path.suffix}")
+        kept = free_name(self._path.with_name(f"{self._path.stem}-until-{written}{self._path.suffix}"))
         self._path.rename(kept)
         self._log.warning("%s exists: kept as %s", self._path, kept.name)
 
