@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 from conveyor.messages import CameraInfo, Frame, FrameProgress, Mark, Picture, Track, Travel, View, Weight
 from conveyor.messages.tracks import CARRIED, UNFOLLOWED
 from conveyor.processors import Busy
-from conveyor.reasons import FrameDrop, TrackRefusal, ViewLoss
+from conveyor.reasons import FrameDrop, ViewLoss
 from segmenter.balance import FrameBalance
 from segmenter.dispatch.dispatcher import Dispatcher, DispatchSettings
 from segmenter.dispatch.early import EarlyViews
@@ -23,6 +22,7 @@ from segmenter.pipeline import Segmenter, Settings
 from segmenter.provisional import ProvisionalWeights
 from segmenter.results import ClosedTrack, StepResult
 from segmenter.resume import resume_after
+from segmenter.sheets import added, as_logged, but_zeros, lost_share, tracks_left, views_left
 from segmenter.tracklog import TrackLog
 from segmenter.view_for_people import picture_of
 
@@ -104,10 +104,10 @@ class CameraRun:
         self.ended = mark.final
         self.core = Segmenter(self.settings.core, resume=resume_after(mark, self.log.since_mark, self.log.speed_mps))
         self.frames.resume(mark.frames, mark.frames.get("first_seq", 0))
-        self._base_views = _views_left(mark.views, self.log.since_mark)
+        self._base_views = views_left(mark.views, self.log.since_mark)
         self._refusals.know(self._base_views)
-        self._base_tracks = _tracks_left(mark.tracks, self.log.since_mark)
-        self._lost_share = _lost_share(mark.tracks, self._base_tracks)
+        self._base_tracks = tracks_left(mark.tracks, self.log.since_mark)
+        self._lost_share = lost_share(mark.tracks, self._base_tracks)
         self._done_seq = self.frames.newest_seq
 
     def close(self) -> None:
@@ -250,9 +250,9 @@ class CameraRun:
             logged["foreign"] = tracks["foreign"] - foreign
         unseen = {UNFOLLOWED: self.core.unfollowed_ms, CARRIED: self.core.carried_ms}
         return {
-            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0, **_but_zeros(unseen)},
-            "views": _sum(self.dispatcher.balance(), self._base_views),
-            "tracks": _sum(logged, self._base_tracks),
+            "frames": {**self.frames.report(), "first_seq": self.frames.first_seq or 0, **but_zeros(unseen)},
+            "views": added(self.dispatcher.balance(), self._base_views),
+            "tracks": added(logged, self._base_tracks),
         }
 
     def _take(self, closed: list[ClosedTrack], now_s: float) -> None:
@@ -347,50 +347,6 @@ class CameraRun:
             looked_at_m=looked_at_m,
             travelled_m=self.core.travelled_m,
             frames=counts["frames"],
-            views=counts["views"],
+            views=as_logged(counts["views"], self.weighing.settled + self.early.settled),
             tracks=counts["tracks"],
         )
-
-
-def _but_zeros(sheet: dict[str, int]) -> dict[str, int]:
-    return {name: n for name, n in sheet.items() if n}
-
-
-def _tracks_left(sheet: dict[str, int], tracks: list[Track]) -> dict[str, int]:
-    """A dead process's sheet: `tracks` were logged after it was written, the rest of the open ones are lost."""
-    logged, still_open = sum(track.kind == "tuber" for track in tracks), sheet.get("open", 0)
-    foreign = len(tracks) - logged
-    left = {name: n for name, n in sheet.items() if name != "open"}
-    left["opened"] = left.get("opened", 0) + max(0, logged - still_open)
-    left["counted"] = left.get("counted", 0) + logged
-    discarded = f"discarded_{TrackRefusal.RESTART}"
-    left[discarded] = left.get(discarded, 0) + max(0, still_open - logged)
-    if foreign:
-        left["foreign"] = left.get("foreign", 0) + foreign
-    return left
-
-
-def _lost_share(before: dict[str, int], left: dict[str, int]) -> float:
-    """Of a dead process's tubers, those that it took with it: where no frame comes any more, so much of its belt was
-    not seen."""
-    name = f"discarded_{TrackRefusal.RESTART}"
-    lost = left.get(name, 0) - before.get(name, 0)
-    return lost / (lost + left.get("counted", 0)) if lost > 0 else 0.0
-
-
-def _views_left(sheet: dict[str, int], logged: list[Track]) -> dict[str, int]:
-    """A dead process's sheet with the answers of the tracks it logged since; other views without answer are lost."""
-    weighed = sum(len(track.views) for track in logged)
-    lost = Counter(name for track in logged for name in Counter(track.views_lost).elements())
-    answered = weighed + lost.total()
-    outstanding = sheet.get("outstanding", 0)
-    left = {name: n for name, n in sheet.items() if name != "outstanding"}
-    left["sent"] = left.get("sent", 0) + max(0, answered - outstanding)
-    left["weighed"] = left.get("weighed", 0) + weighed
-    restarted = f"lost_{ViewLoss.RESTART}"
-    left[restarted] = left.get(restarted, 0) + max(0, outstanding - answered)
-    return _sum(left, {f"lost_{reason}": n for reason, n in lost.items()})
-
-
-def _sum(sheet: dict[str, int], base: dict[str, int]) -> dict[str, int]:
-    return {name: sheet.get(name, 0) + base.get(name, 0) for name in {**sheet, **base}}

@@ -118,7 +118,8 @@ class Mark:
         frames: published (as far as known), received, processed, gaps, and drops by reason ('dropped_<reason>'):
             received = processed + drops, published = received + gaps. Also `UNFOLLOWED` and `CARRIED`,
             where there is such.
-        views: sent, weighed, and 'lost_<reason>': sent = weighed + lost + outstanding.
+        views: sent, weighed, and 'lost_<reason>': sent = weighed + lost + outstanding. Of tracks that are not
+            logged yet all are outstanding, answered or not.
         tracks: opened, counted, open, and 'discarded_<reason>': opened = counted + discarded + open; 'foreign' of the
             discarded are in the log as what they are.
     """

@@ -7,6 +7,7 @@ with its choice of views, which is the same as without: an answer to a view that
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 from conveyor.messages import View, Weight
@@ -34,6 +35,15 @@ class EarlyViews:
 
     def __len__(self) -> int:
         return len(self._tracks)
+
+    @property
+    def settled(self) -> Counter[str]:
+        """Views that are weighed or lost, of tracks that are not decided; by the name they have on a sheet."""
+        names: Counter[str] = Counter()
+        for early in self._tracks.values():
+            names["weighed"] += len(early.answers)
+            names.update(f"lost_{loss.reason}" for loss in early.losses.values())
+        return names
 
     def sent(self, view: View, now_s: float) -> None:
         """A view went to be weighed."""

@@ -57,6 +57,15 @@ class Weighing:
         """Clods, stones and haulm that wait for their turn in the log."""
         return sum(waiting.closed.track.kind != "tuber" for waiting in self._waiting.values())
 
+    @property
+    def settled(self) -> Counter[str]:
+        """Views that are weighed or lost, of tracks that wait for others; by the name they have on a sheet."""
+        names: Counter[str] = Counter()
+        for waiting in self._waiting.values():
+            names["weighed"] += len(waiting.answers)
+            names.update({f"lost_{reason}": n for reason, n in waiting.losses.items()})
+        return names
+
     def add(self, closed: ClosedTrack, now_s: float) -> None:
         """Start to wait for the weights of a track."""
         self._waiting[closed.track.track_id] = _Waiting(closed, self._added, now_s + self._deadline_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from conveyor.messages import Frame, Track, TrackInView, TracksInView, View, Wei
 from segmenter.camera_run import CameraRun
 from segmenter.in_view import tracks_in_view
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings, StepResult
+from segmenter.sheets import but_zeros
 from tests.laws.virtual_overload import _TRACK, CAMERA, LIVE, RUN, MadeUpBelt, _frame, view
 from tests.segmenter.segmenter_scene import MEDIUM, Scene, scattered
 
@@ -36,9 +38,9 @@ class ScriptedBelt(MadeUpBelt):
 class Line:
     """A live camera's run whose core is scripted, and one regressor that answers when it is told to."""
 
-    def __init__(self) -> None:
+    def __init__(self, log: Path | None = None) -> None:
         self.belt = ScriptedBelt()
-        self.run = CameraRun(CAMERA, RUN, replace(LIVE, spare_grace_s=GRACE_S), None)
+        self.run = CameraRun(CAMERA, RUN, replace(LIVE, spare_grace_s=GRACE_S), log)
         self.run.core = self.belt  # type: ignore[assignment]
         self.run.open()
         self.seq = 0
@@ -73,6 +75,24 @@ class Line:
         return views["sent"] == views["weighed"] + views["outstanding"] + sum(
             n for name, n in views.items() if name.startswith("lost_")
         )
+
+
+@pytest.mark.parametrize("closes", [True, False])
+def test_a_view_counts_once_though_its_process_dies_between_mark_and_track(tmp_path: Path, closes: bool) -> None:
+    """What was weighed before the last mark, and was logged after it, counted twice with the next process."""
+    first = Line(tmp_path / "front.db")
+    first.step(0.0, early=VIEWS[:3])
+    first.answer(VIEWS[0].view_id)
+    first.answer(VIEWS[1].view_id, refused=True)
+    first.seq += 60  # another mark is due, and the next is not
+    first.step(2.0)
+    first.answer(VIEWS[2].view_id)
+    if closes:
+        first.step(2.01, closed=VIEWS[:3])
+    assert len(first.logged()) == closes
+    sheet = but_zeros(Line(tmp_path / "front.db").run.counts()["views"])
+    lost = {"lost_refused_few_points": 1, "weighed": 2} if closes else {"lost_restart": 3}
+    assert sheet == {"sent": 3, **lost}
 
 
 VIEWS = tuple(view(1, rank, 0) for rank in range(4))
