@@ -259,6 +259,7 @@ if [ -n "$certs" ]; then
         done
     done
 fi
+[ -z "$token" ] || { [ -f "$token" ] && [ -r "$token" ]; } || fail "--page-token $token is no file that can be read"
 
 others=
 for file in "$destdir"/etc/tuberline/lines/*.toml; do
@@ -328,7 +329,6 @@ for file in $files; do
 done
 
 if [ -n "$token" ]; then
-    [ -r "$token" ] || fail "--page-token $token cannot be read"
     put "$token" /etc/tuberline/page-token 600
     own tuberline:tuberline "$destdir/etc/tuberline/page-token"
 fi

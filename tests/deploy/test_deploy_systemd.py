@@ -253,6 +253,11 @@ def test_a_page_with_a_token_may_act(tmp_path: Path) -> None:
     (certs / "loader.pem").unlink()
     refused = install(tmp_path / "other", "--roles", "page", "--certs", str(certs), "--page-token", str(token))
     assert (refused.returncode, "loader.pem is not there" in refused.stderr) == (2, True)
+    for wrong in (tmp_path / "nowhere", certs):
+        refused = install(tmp_path / "other", "--roles", "page", "--page-token", str(wrong))
+        assert (refused.returncode, refused.stdout) == (2, ""), "it was told when all but the units was installed"
+        assert refused.stderr == f"install.sh: --page-token {wrong} is no file that can be read\n"
+    assert not (tmp_path / "other").exists()
 
 
 def test_one_page_shows_several_lines(installed: Path, tmp_path: Path) -> None:
