@@ -136,7 +136,10 @@ class LinePrior:
     def judge(self, body: Body) -> float:
         """Log-odds of tuber against other for a body; it counts for those after it."""
         noise = PatchNoise(body.spread_mm, body.error_mm, body.hole_share, body.observations)
-        return believe(self._prior, body.answers, noise, limit=REFUSED_BELOW).log_odds
+        answer = believe(self._prior, body.answers, noise, limit=REFUSED_BELOW)
+        if answer is None:
+            raise ValueError(f"a body's answers are no numbers: {body.answers}")
+        return answer.log_odds
 
 
 RULES: dict[str, Callable[[], Belief]] = {"before": FirstPrior, "now": LinePrior}

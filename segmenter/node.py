@@ -76,6 +76,7 @@ class SegmenterNode:
         self._works: dict[str, LatestPublisher] = {}
         self._belt = BeltWatch()
         self._belt_told: set[str] = set()
+        self._unanswered = 0
         self._aggregator_came = threading.Event()
         self._told_finished = ""
 
@@ -129,7 +130,7 @@ class SegmenterNode:
         else:
             self._committed.wait(COMMITTED_WAIT_S)
         self._take_commits(camera_run)
-        self._belt, self._belt_told, self._oldest_ms = BeltWatch(), set(), 0.0
+        self._belt, self._belt_told, self._oldest_ms, self._unanswered = BeltWatch(), set(), 0.0, 0
         self._node.counters.forget_gauges()
         mark = camera_run.log.last_mark
         self._age, self._clock = FrameAge(self._speed), CameraClock(self._speed, mark.captured_ns if mark else 0)
@@ -196,6 +197,7 @@ class SegmenterNode:
             self._tell_hidden(camera_run, frame)
         counters.add("instances", result.instances)
         self._watch_belt(camera_run)
+        self._tell_unanswered(camera_run.core.unanswered)
         if now_s - self._travel_s >= TRAVEL_EVERY_S and self._travel.has_listener:
             self._travel_s = now_s
             self._travel.put(camera_run.travel(frame.captured_ns))
@@ -247,6 +249,17 @@ class SegmenterNode:
                 "left out frame %d, the %d. of run %s without a belt, until it is seen again: %s",
                 frame.seq, hidden, frame.run, camera_run.core.belt_hidden,
             )  # fmt: skip
+
+    def _tell_unanswered(self, tracks: int) -> None:
+        """A classifier that says no number."""
+        if tracks > self._unanswered and is_told(tracks):
+            self._node.log.error(
+                "the classifier %s said no number of %d tracks of this run: they count unclassified, clods among them. "
+                "Train it again, or leave segmenter.weights out for the shipped one",
+                self._config.segmenter.weights, tracks,
+            )  # fmt: skip
+        self._unanswered = tracks
+        self._node.counters.gauge("classifier_no_number", tracks)
 
     def _watch_belt(self, camera_run: CameraRun) -> None:
         """Levels of the belt, and each finding once in the log."""

@@ -36,7 +36,8 @@ class PerceptionSettings:
 
 
 class Perception:
-    """Finds and classifies. `coarse` counts frames whose cells are too large to show what anything is made of.
+    """Finds and classifies. `coarse` counts frames whose cells are too large to show what anything is made of,
+    `unanswered` tracks of which the classifier said no number.
 
     Raises:
         InputError: the weights cannot be read.
@@ -49,6 +50,7 @@ class Perception:
         self._prior = Prior()
         self._observed_m: float | None = None
         self.coarse = 0
+        self.unanswered = 0
 
     @property
     def classifies(self) -> bool:
@@ -91,8 +93,10 @@ class Perception:
     def classify(self, patch: Patch, *, limit: float) -> Answer | None:
         """What is believed of a track, which is refused below `limit`. Once per track: the prior learns from it.
 
-        None without a classifier, and where a patch has too few observations.
+        None without a classifier, where a patch has too few observations, and where the answer is no number.
         """
         if self._classifier is None or patch.observations < LEAST_OBSERVATIONS:
             return None
-        return believe(self._prior, self._classifier.answers(patch), noise_of(patch), limit=limit)
+        answer = believe(self._prior, self._classifier.answers(patch), noise_of(patch), limit=limit)
+        self.unanswered += answer is None
+        return answer

@@ -46,7 +46,8 @@ class Segmenter:
             web=settings.resting,
             in_use=resume is not None,
         )
-        self._waiting = WaitingSegmenter(settings, Perception(settings.perception, settings.split), resume)
+        self._perception = Perception(settings.perception, settings.split)
+        self._waiting = WaitingSegmenter(settings, self._perception, resume)
         self._running: BeltSegmenter | None = None
 
     def step(self, frame: Frame) -> StepResult:
@@ -149,6 +150,11 @@ class Segmenter:
     def rejected(self) -> deque[Crossing]:
         """Crossings of the newest tracks that were refused as distractors."""
         return self._running.decider.rejected if self._running else deque()
+
+    @property
+    def unanswered(self) -> int:
+        """Tracks of which the classifier said no number: they count as if there were none."""
+        return self._perception.unanswered
 
     @property
     def discarded(self) -> Counter[TrackRefusal]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import islice
-from math import inf, sqrt
+from math import inf, isfinite, sqrt
 
 from segmenter.classify.classifier import SIDES
 from segmenter.classify.evidence import Answer, Evidence, PatchNoise, shrunk
@@ -20,8 +20,9 @@ ASKED = (1, 2, 4, 8)
 """Numbers of answers after which it is looked at whether they are clear."""
 
 
-def believe(prior: Prior, answers: Iterable[float], noise: PatchNoise, *, limit: float) -> Answer:
+def believe(prior: Prior, answers: Iterable[float], noise: PatchNoise, *, limit: float) -> Answer | None:
     """What is believed of a track whose patch gets these answers; call it once per track, for `prior` learns from it.
+    None where an answer is no number: a network that diverged, or one of somebody's own; `prior` learns nothing then.
 
     Args:
         answers: of `Classifier.answers`; no more are taken than are needed.
@@ -33,6 +34,8 @@ def believe(prior: Prior, answers: Iterable[float], noise: PatchNoise, *, limit:
     for count in ASKED:
         given += tuple(islice(coming, count - len(given)))
         evidence = Evidence(given, noise)
+        if not isfinite(evidence.log_odds):
+            return None
         log_odds = prior.log_odds(shrunk(evidence))
         if _spread(count) * CLEAR < abs(log_odds - limit) < inf:
             break

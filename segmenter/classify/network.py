@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,12 @@ class PatchNetwork:
                 f"{path} is no network that onnxruntime {onnxruntime.__version__} can read: {error}"
             ) from error
         self._input = self._session.get_inputs()[0].name
-        self.answer(np.zeros((CHANNELS, SIZE, SIZE), np.float32))
+        answer = self.answer(np.zeros((CHANNELS, SIZE, SIZE), np.float32))
+        if not isfinite(answer):
+            raise InputError(
+                f"{path} answers {answer} to an empty patch; a finite number is needed: train it again, or set "
+                'segmenter.method to "classical"'
+            )
 
     def answer(self, channels: NDArray[np.float32]) -> float:
         """The network's number for one patch, (10, 48, 48) float32."""

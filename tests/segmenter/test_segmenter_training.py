@@ -21,7 +21,8 @@ from conveyor.errors import InputError
 from segmenter.classify.classifier import Classifier
 from segmenter.classify.network import PatchNetwork
 from segmenter.classify.patch import CHANNELS, Observation, Patch
-from segmenter.perception import PerceptionSettings
+from segmenter.frame.instances import SplitSettings
+from segmenter.perception import Perception, PerceptionSettings
 from segmenter.pipeline import Settings
 from segmenter.studies.evaluate import evaluate_recording
 from segmenter.studies.offline import segment_recording
@@ -145,6 +146,38 @@ def test_onnxruntime_answers_as_torch_does(tmp_path: Path) -> None:
         with torch.inference_mode():
             expected = float(net(torch.from_numpy(image)[None]))
         assert abs(network.answer(image) - expected) < 1e-4
+
+
+class Diverged(torch.nn.Module):
+    """A number where nothing is inside an instance, and none of a body; always none where it is `wholly` so."""
+
+    def __init__(self, *, wholly: bool = False) -> None:
+        super().__init__()
+        self.least = 1.0 if wholly else 0.0
+
+    def forward(self, patch: torch.Tensor) -> torch.Tensor:
+        return torch.sqrt(-patch[:, 2].sum(dim=(1, 2)) - self.least)[:, None]
+
+
+def test_a_classifier_that_says_no_number_teaches_the_belt_nothing(tmp_path: Path) -> None:
+    """One NaN and all later tubers of the run were refused as out of range, those with a number among them."""
+    empty = torch.zeros(1, CHANNELS, 48, 48)
+    export_net(Diverged(), tmp_path / "net.onnx", empty)
+    perception = Perception(PerceptionSettings(weights=tmp_path / "net.onnx"), SplitSettings())
+    bare, body = Patch(), Patch()
+    some = np.ones((48, 48), np.float32)
+    for patch, inside in ((bare, 0 * some), (body, some)):
+        for _ in range(3):
+            patch.add(Observation(30 * some, some, inside))
+    before = perception.classify(bare, limit=-3.0)
+    assert before is not None
+    assert perception.classify(body, limit=-3.0) is None
+    after = perception.classify(bare, limit=-3.0)
+    assert after is not None
+    assert (after.log_odds, perception.unanswered) == (pytest.approx(before.log_odds, abs=0.1), 1)
+    export_net(Diverged(wholly=True), tmp_path / "never.onnx", empty)
+    with pytest.raises(InputError, match=r"never\.onnx answers nan to an empty patch; a finite number is needed"):
+        PatchNetwork(tmp_path / "never.onnx")
 
 
 def observations_of(sample: TrainingSample) -> list[Observation]:
