@@ -9,13 +9,21 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from conveyor.errors import TuberlineError
-from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM
+from conveyor.stated import BELT_SD_MM, RESTING_OFFSET_MM, RESTING_SD_MM, level_fault
 from conveyor.topics import check_name
 
 Metres = Annotated[float, Field(gt=0, le=10)]
 BeltSd = Annotated[float, Field(ge=BELT_SD_MM[0], le=BELT_SD_MM[1])]
-RestingOffset = Annotated[float, Field(ge=RESTING_OFFSET_MM[0], le=RESTING_OFFSET_MM[1])]
-RestingSd = Annotated[float, Field(ge=RESTING_SD_MM[0], le=RESTING_SD_MM[1])]
+
+
+def _level(stated_mm: float) -> float:
+    if fault := level_fault(stated_mm):
+        raise ValueError(fault)
+    return stated_mm
+
+
+RestingOffset = Annotated[float, Field(ge=RESTING_OFFSET_MM[0], le=RESTING_OFFSET_MM[1]), AfterValidator(_level)]
+RestingSd = Annotated[float, Field(ge=RESTING_SD_MM[0], le=RESTING_SD_MM[1]), AfterValidator(_level)]
 
 
 class Section(BaseModel):

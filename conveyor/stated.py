@@ -10,3 +10,12 @@ RESTING_OFFSET_MM = (-20.0, 40.0)
 """How far undersides of tubers lie below the belt."""
 RESTING_SD_MM = (0.0, 20.0)
 """How well that is known, standard deviation."""
+LEAST_LEVEL_MM = 0.05
+"""Of a resting level, and of how well it is known; who states less but 0 stated metres."""
+
+
+def level_fault(stated_mm: float) -> str:
+    """Why a height in millimetres is none that was measured; empty where it may be one."""
+    if not 0 < abs(stated_mm) < LEAST_LEVEL_MM:
+        return ""
+    return f"less than {LEAST_LEVEL_MM} mm cannot be known; {stated_mm:g} m are {1000 * stated_mm:g} mm"

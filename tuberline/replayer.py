@@ -18,6 +18,7 @@ from conveyor.errors import InputError, LinkError, StorageError, TuberlineError
 from conveyor.files import cause, unwritable, whole_output
 from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
+from conveyor.stated import level_fault
 from conveyor.taken_port import check_port_free, free_port
 from conveyor.topics import check_name
 from tuberline.places import belt_in, places_in
@@ -257,12 +258,15 @@ def take_positions(recording: Path, out: Path) -> None:
 def stated_belt(
     cameras: Iterable[CameraDescription], *, offset_mm: float | None = None, sd_mm: float | None = None
 ) -> dict[str, float]:
-    """Section `belt` of a line: the resting level as given, else as a recording's cameras state it, in the mean."""
+    """Section `belt` of a line: the resting level as given, else as a recording's cameras state it, in the mean; 0
+    where that is less than can be known, which `described_doubtfully` tells.
+    """
     stated = [(d.resting_offset_mm, d.resting_sd_mm) for d in cameras if d.resting_offset_mm is not None]
     if offset_mm is None and stated:
         offset_mm = sum(offset for offset, _ in stated) / len(stated)
         known = [sd for _, sd in stated if sd is not None]
         sd_mm = max(known, default=None) if sd_mm is None else sd_mm
+        offset_mm, sd_mm = (0.0 if value and level_fault(value) else value for value in (offset_mm, sd_mm))
     values = {"resting_offset_mm": offset_mm, "resting_sd_mm": sd_mm}
     return {key: value for key, value in values.items() if value is not None}
 

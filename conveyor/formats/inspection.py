@@ -16,6 +16,7 @@ from conveyor.formats.scale_check import expected_distance_m, median_depth_m, sc
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
 from conveyor.geometry import Intrinsics, belt_distance_m
 from conveyor.messages import Frame
+from conveyor.stated import level_fault
 
 SAMPLES = 8
 BELT_QUANTILE = 0.75
@@ -132,7 +133,7 @@ def _inspect(source: RecordedSource) -> CameraReport:
 
 def described_doubtfully(d: CameraDescription) -> tuple[str, ...]:
     """What is suspicious about a camera before any frame is looked at, in words."""
-    return (*d.notes, *_intrinsics_warnings(d.intrinsics), *_pose_warnings(d))
+    return (*d.notes, *_intrinsics_warnings(d.intrinsics), *_pose_warnings(d), *_resting_warnings(d))
 
 
 def _samples(keys: list[FrameKey]) -> list[FrameKey]:
@@ -205,6 +206,16 @@ def _intrinsics_warnings(k: Intrinsics) -> list[str]:
             f"fx {k.fx:g} and fy {k.fy:g} differ, but depth cameras have square pixels: correct one of them"
         )
     return warnings
+
+
+def _resting_warnings(d: CameraDescription) -> list[str]:
+    """Where metres were taken for millimetres; a recording's own reader may state as little, so it is not refused."""
+    stated = {"resting_offset_mm": d.resting_offset_mm, "resting_sd_mm": d.resting_sd_mm}
+    return [
+        f"{key} says {value:g}: {fault}; taken for 0"
+        for key, value in stated.items()
+        if value and (fault := level_fault(value))
+    ]
 
 
 def _pose_warnings(d: CameraDescription) -> list[str]:

@@ -33,6 +33,7 @@ def test_defaults_need_no_file() -> None:
         ("[cameras.front]\nbelt_distance = 0.4", "did you mean 'belt_distance_m'"),
         ("[segmenter]\nring = 0", "greater than or equal to 1 .got 0"),
         ('name = "two words"', "two words"),
+        ("[belt]\nresting_offset_mm = 0.0055", r"belt.resting_offset_mm: .*cannot be known; 0.0055 m are 5.5 mm"),
         ("[cameras.front]\nbelt_distance_m = 345", "less than or equal to 10 .got 345"),
         ("name = ", "is not TOML"),
         ('[regressor]\ndevice = "cuda"\nprecision = "bfloat16"', "a GPU weighs in float32 with all centroids"),

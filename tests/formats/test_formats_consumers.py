@@ -12,6 +12,7 @@ import pytest
 from conveyor.errors import InputError
 from conveyor.formats import CameraDescription, describe_recording
 from conveyor.formats.conversion import convert_recording
+from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.mcap import writer as mcap_writer
 from conveyor.formats.ros2.writer import Ros2McapWriter
 from conveyor.formats.turned import QuarterTurn
@@ -33,6 +34,7 @@ from tests.formats.consumers import (
     write_folder,
     write_mcap,
 )
+from tuberline.replayer import stated_belt
 
 NOT_RIGID = "belt_from_camera is no rigid transform (rotation rows must be orthonormal and right-handed"
 
@@ -161,6 +163,14 @@ def test_what_is_known_of_the_resting_level_goes_through_every_format(tmp_path: 
         (camera,) = describe_recording(path).cameras
         assert (camera.resting_offset_mm, camera.resting_sd_mm) == (7.0, 1.5)
     assert (tmp_path / "back/front/camera.json").read_bytes() == (root / "front/camera.json").read_bytes()
+
+
+def test_a_resting_level_in_metres_is_told_and_the_recording_read(tmp_path: Path) -> None:
+    """Nothing said it, and undersides lay 5 thousandths of a millimetre below the belt."""
+    root = write_folder(tmp_path / "r", resting_offset_mm=0.0055, resting_sd_mm=1.5)
+    (warning,) = [text for text in inspect_recording(root).cameras[0].warnings if "resting" in text]
+    assert warning.startswith("resting_offset_mm says 0.0055: less than 0.05 mm cannot be known; 0.0055 m are 5.5 mm")
+    assert stated_belt(describe_recording(root).cameras) == {"resting_offset_mm": 0.0, "resting_sd_mm": 1.5}
 
 
 def test_an_mcap_recording_of_a_newer_version_is_refused_by_all(

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 
 from cyclopts import CoercionError, Parameter, Token, convert
 
-from conveyor.stated import BELT_DISTANCE_M, RESTING_OFFSET_MM, RESTING_SD_MM
+from conveyor.stated import BELT_DISTANCE_M, RESTING_OFFSET_MM, RESTING_SD_MM, level_fault
 
 EXAMPLES = {float: "8.61", int: "12"}
 
@@ -60,10 +60,6 @@ class Within:
             raise ValueError(f"Allowed is {self.low:.15g} to {self.high:.15g}{unit}.")
 
 
-LEAST_MM = 0.05
-"""Of a resting level; who gives less but 0 gave metres."""
-
-
 @dataclass(frozen=True, slots=True)
 class Level(Within):
     """The same of a height in millimetres that was measured: metres are no such number."""
@@ -71,8 +67,8 @@ class Level(Within):
     def __call__(self, kind: Any, value: float | None) -> None:
         """Raises ValueError, which cyclopts tells with the option and the value."""
         Within.__call__(self, kind, value)
-        if value and abs(value) < LEAST_MM:
-            raise ValueError(f"Less than {LEAST_MM} mm cannot be known; {value:g} m are {1000 * value:g} mm.")
+        if value is not None and (fault := level_fault(value)):
+            raise ValueError(f"{fault.capitalize()}.")
 
 
 def within(low: float, high: float, unit: str = "") -> Parameter:
