@@ -261,7 +261,8 @@ def stated_belt(
     """Section `belt` of a line: the resting level as given, else as a recording's cameras state it, in the mean; 0
     where that is less than can be known, which `described_doubtfully` tells.
     """
-    stated = [(d.resting_offset_mm, d.resting_sd_mm) for d in cameras if d.resting_offset_mm is not None]
+    told = [(d.resting_offset_mm, d.resting_sd_mm) for d in cameras]
+    stated = [(offset or 0.0, sd) for offset, sd in told if (offset, sd) != (None, None)]
     if offset_mm is None and stated:
         offset_mm = sum(offset for offset, _ in stated) / len(stated)
         known = [sd for _, sd in stated if sd is not None]

@@ -26,7 +26,7 @@ _CHUNK = struct.Struct(">I4s")
 _HEADER_SIZE = struct.Struct(">II")
 MISSING = Refusal("missing_file", "does not exist; its frame is a gap")
 BROKEN = Refusal("broken_png", "is truncated or no PNG; copy it again")
-NOT_16_BIT = Refusal("not_16_bit", "is no 16-bit single-channel PNG; write depth as uint16")
+NOT_16_BIT = Refusal("not_16_bit", "is no 16-bit single-channel PNG; write it as uint16")
 
 
 def read_png16(path: Path) -> NDArray[np.uint16] | Refusal:

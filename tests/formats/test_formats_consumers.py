@@ -170,7 +170,9 @@ def test_a_resting_level_in_metres_is_told_and_the_recording_read(tmp_path: Path
     root = write_folder(tmp_path / "r", resting_offset_mm=0.0055, resting_sd_mm=1.5)
     (warning,) = [text for text in inspect_recording(root).cameras[0].warnings if "resting" in text]
     assert warning.startswith("resting_offset_mm says 0.0055: less than 0.05 mm cannot be known; 0.0055 m are 5.5 mm")
-    assert stated_belt(describe_recording(root).cameras) == {"resting_offset_mm": 0.0, "resting_sd_mm": 1.5}
+    (camera,) = describe_recording(root).cameras
+    assert stated_belt([camera]) == {"resting_offset_mm": 0.0, "resting_sd_mm": 1.5}
+    assert stated_belt([replace(camera, resting_offset_mm=None)]) == stated_belt([camera]), "a doubt without an offset"
 
 
 def test_an_mcap_recording_of_a_newer_version_is_refused_by_all(

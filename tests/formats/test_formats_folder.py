@@ -89,6 +89,13 @@ def test_an_8_bit_image_and_a_wrong_size_are_refused(small_recording: Path) -> N
     assert refused[1].reason == "not_16_bit"
     assert refused[3].reason == "wrong_size"
     assert "is 320x90, camera.json says 320x180" in refused[3].text
+    mask = small_recording / "front" / "mask"
+    for seq, image in ((5, np.zeros((180, 320), np.uint8)), (6, np.zeros((90, 320), np.uint16))):
+        cv2.imwrite(str(mask / f"{seq:06d}.png"), image)
+    refused = {item.seq: item for item in _items(small_recording) if isinstance(item, Refused)}
+    assert refused[5].reason == refused[6].reason == "bad_mask"
+    assert refused[5].text.endswith("mask/000005.png is no 16-bit single-channel PNG; write it as uint16")
+    assert refused[6].text.endswith("mask/000006.png is 320x90, its depth 320x180")
 
 
 def test_camera_json_without_intrinsics_names_what_is_missing(small_recording: Path) -> None:

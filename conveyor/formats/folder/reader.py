@@ -79,8 +79,11 @@ class FolderSource:
             )
         mask_path = self._folder / "mask" / f"{row.seq:06d}.png"
         mask = read_png16(mask_path) if mask_path.is_file() else None
-        if isinstance(mask, Refusal) or (mask is not None and mask.shape != depth.shape):
-            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} is broken or of another size than depth")
+        if isinstance(mask, Refusal):
+            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} {mask.text}")
+        if mask is not None and mask.shape != depth.shape:
+            size = f"{mask.shape[1]}x{mask.shape[0]}, its depth {depth.shape[1]}x{depth.shape[0]}"
+            return Refused(row.seq, "bad_mask", f"frame {row.seq}: {mask_path} is {size}")
         d = self._description
         return Frame(
             camera=d.name,
