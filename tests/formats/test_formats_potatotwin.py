@@ -51,6 +51,15 @@ def test_seasons_are_cameras_with_their_belt_distance(tmp_path: Path) -> None:
     assert cameras[0].depth_scale_m == 0.001
 
 
+def test_a_table_of_a_spreadsheet_and_a_label_without_images_are_no_cameras_of_their_own(tmp_path: Path) -> None:
+    """'2023.0' had no belt distance, and one empty folder refused all: no depth 'of season unknown'."""
+    root = _twin(tmp_path, {"R1-1": ("2023.0", [10, 20]), "S3-9": ("", [])})
+    assert [(c.name, c.belt_distance_m, c.frames) for c in describe_recording(root).cameras] == [("2023", 0.345, 2)]
+    shutil.rmtree(root / "1_rgbd/1_image/R1-1")
+    with pytest.raises(InputError, match=r"1_image holds no <label>/<label>_depth_<row>\.png of any tuber"):
+        describe_recording(root)
+
+
 def test_labels_follow_each_other_with_masks_and_travel(tmp_path: Path) -> None:
     root = _twin(tmp_path, {"R1-2": ("2023", [35, 15]), "R1-1": ("2023", [10, 20, 30])})
     frames = list(open_source(root).frames(run="x"))

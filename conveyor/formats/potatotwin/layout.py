@@ -68,9 +68,10 @@ def has_images(folder: Path) -> bool:
 
 
 def image_labels(folder: Path) -> list[str]:
-    """Labels that have a folder of images, sorted."""
+    """Labels that have depth images, sorted; an empty folder is left of a label that was not downloaded."""
     images = folder / RGBD / IMAGES
-    return sorted(path.name for path in images.iterdir() if path.is_dir()) if images.is_dir() else []
+    labels = sorted(path.name for path in images.iterdir() if path.is_dir()) if images.is_dir() else []
+    return [label for label in labels if depth_files(folder, label)]
 
 
 def depth_files(folder: Path, label: str) -> list[ViewFile]:
@@ -191,8 +192,10 @@ def _truth_row(row: dict[str, str], where: str) -> TruthRow:
 
 
 def _season(said: str, label: str) -> str:
-    """The table's word; else the year that a label begins with ('2025-000')."""
-    return said or (label[:4] if label[:4].isdigit() and len(label) > 4 else UNKNOWN)
+    """The table's word, as a year where a program wrote it as 2025.0; else the year that a label begins with
+    ('2025-000').
+    """
+    return said.removesuffix(".0") or (label[:4] if label[:4].isdigit() and len(label) > 4 else UNKNOWN)
 
 
 def _belt_distance_m(text: str, where: str) -> float | None:

@@ -126,15 +126,21 @@ def _captured_ns(seq: int) -> int:
 
 
 def _groups(path: Path) -> dict[str, _Group]:
-    """The cameras by name, sorted."""
+    """The cameras by name, sorted.
+
+    Raises:
+        InputError: no tuber has a depth image, or the table cannot be used.
+    """
     truth = read_truth(path)
     distances: dict[str, dict[float | None, list[str]]] = {}
-    for label in image_labels(path):
+    if not (labels := image_labels(path)):
+        raise InputError(f"{path / RGBD / IMAGES} holds no <label>/<label>_depth_<row>.png of any tuber")
+    for label in labels:
         row = truth_of(truth, label)
         distances.setdefault(row.season, {}).setdefault(row.belt_distance_m, []).append(label)
     found = {}
     for season, labels_at in distances.items():
-        for distance_m, labels in labels_at.items():
+        for distance_m, seen_at in labels_at.items():
             name = season if len(labels_at) == 1 else f"{season}-{UNKNOWN if distance_m is None else distance_m}"
-            found[name] = _Group(distance_m, tuple(labels))
+            found[name] = _Group(distance_m, tuple(seen_at))
     return dict(sorted(found.items()))
