@@ -18,7 +18,6 @@ from conveyor.config_camera import CameraConfig
 from conveyor.errors import ConfigError, DeviceError, InputError, MessageError
 from conveyor.formats.mcap.reader import rate_of
 from conveyor.formats.png16 import Refusal
-from conveyor.formats.prepared import CHECKED_FRAMES
 from conveyor.formats.rosbag.bags import decode_ros, ros2_typestore
 from conveyor.formats.rosbag.depth import (
     FLOAT_ENCODING,
@@ -29,7 +28,7 @@ from conveyor.formats.rosbag.depth import (
     unsupported,
 )
 from conveyor.formats.rosbag.messages import RosCalibration, RosCompressed, RosImage
-from conveyor.formats.scale_check import check_depth_scale, median_depth_m
+from conveyor.formats.scale_check import ScaleCheck
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.messages import Frame
 from conveyor.session import ENCRYPTED, open_client
@@ -93,7 +92,7 @@ class Ros2Source:
         self._images, self._infos = _Inbox(), _Inbox()
         self._subscribers: list[Any] = []
         self._calibrations = Calibrations(self._info_topic, rectified="rect" in self._topic)
-        self._checked = 0
+        self._scale = ScaleCheck(f"ROS topic {self._topic}")
         self._poll: Callable[[float], bool] = lambda still_s: True
 
     @classmethod
@@ -197,19 +196,7 @@ class Ros2Source:
             belt_distance_m=d.belt_distance_m,
             depth=depth,
         )
-        return self._fitting(frame)
-
-    def _fitting(self, frame: Frame) -> Frame | Refused:
-        """The frame, until some have fitted only where its depth fits the belt distance. A view that is blocked at the
-        start looks like a wrong scale, and is clear again later."""
-        if self._checked >= CHECKED_FRAMES or median_depth_m(frame) is None:
-            return frame
-        try:
-            check_depth_scale(frame, where=f"ROS topic {self._topic}")
-        except InputError as error:
-            return Refused(frame.seq, "depth_scale", f"{error}; or something is before the camera")
-        self._checked += 1
-        return frame
+        return self._scale.refusal(frame) or frame
 
     def _listen(self) -> None:
         domain = self._settings.ros_domain

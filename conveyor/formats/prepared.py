@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
-from conveyor.formats.scale_check import check_depth_scale
+from conveyor.formats.scale_check import ScaleCheck
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
 from conveyor.formats.turned import QuarterTurn, quarter_turn
 from conveyor.geometry import belt_distance_m as distance_along_axis_m
 from conveyor.messages import Frame
 
-CHECKED_FRAMES = 3
+MOST_MISFITS = 10
+"""Frames at a recording's start that contradict its belt distance, before one that fits: a camera that settles, a hand
+before it. Where there are more, or no other, the depth unit or the distance is wrong."""
 
 
 class PreparedSource:
@@ -73,10 +75,9 @@ class PreparedSource:
         """The source's frames, with name and overrides, turned where the belt runs along the image's columns.
 
         Raises:
-            InputError: the depth scale contradicts the belt distance in one of the first frames.
+            InputError: the depth scale contradicts the belt distance in all of the first frames.
         """
-        d, checked = self._description, 0
-        turn = self.turn
+        d, turn, scale = self._description, self.turn, ScaleCheck(self._where)
         for frame in self._inner.frames(run=run, after=after):
             if isinstance(frame, Refused):
                 yield frame
@@ -91,10 +92,14 @@ class PreparedSource:
                 )
             if self._ignore_masks and frame.mask is not None:
                 frame = replace(frame, mask=None)
-            if checked < CHECKED_FRAMES:
-                checked += 1
-                check_depth_scale(frame, where=self._where)
+            if (refused := scale.refusal(frame)) is not None:
+                if scale.against and scale.misfits >= MOST_MISFITS:
+                    raise InputError(scale.against.text)
+                yield refused
+                continue
             yield turn.frame(frame) if turn else frame
+        if scale.against:
+            raise InputError(scale.against.text)
 
 
 def _at_place(

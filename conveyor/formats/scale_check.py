@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from conveyor.errors import InputError
+from conveyor.formats.source import Refused
 from conveyor.geometry import belt_distance_m
 from conveyor.messages import Frame
 
@@ -16,6 +16,8 @@ ENOUGH_SHARE = 0.25
 """Beside a narrow belt the floor is seen: a scale that fits so much of the image is right."""
 RODS_LOW, RODS_HIGH, RODS_SHARE = 0.92, 1.03, 0.05
 """Between the rods of a web the ground is seen: rods that lie where the belt is said to be are enough."""
+ENOUGH_FIT = 3
+"""Frames that fit, after which no more is asked."""
 
 
 def expected_distance_m(frame: Frame) -> float | None:
@@ -50,21 +52,44 @@ def scale_fault(seen_m: float, expected_m: float, depth_scale_m: float) -> str |
     return f"{text}; fix belt_distance_m (measure it) or depth_scale_m ({depth_scale_m:g})"
 
 
-def check_depth_scale(frame: Frame, *, where: str) -> None:
-    """Refuse a frame whose depth contradicts its belt distance; nothing to say where that is unknown.
+class ScaleCheck:
+    """The first frames of one camera. Until `ENOUGH_FIT` of them have fitted their belt distance, those that do not are
+    refused: a view that is blocked, or a picture that failed, looks like a wrong scale, and is none where others fit.
 
-    Raises:
-        InputError: with both numbers and the fix.
+    Attributes:
+        against: the first refusal, while no frame has fitted; None where one has, or all is well.
+        misfits: frames that were refused.
     """
-    expected, seen = expected_distance_m(frame), median_depth_m(frame)
-    if expected is None or seen is None:
-        return
-    fault = scale_fault(seen, expected, frame.depth_scale_m)
-    fits = _share_at(frame, expected) >= ENOUGH_SHARE or (
-        _share_at(frame, expected, low=RODS_LOW, high=RODS_HIGH) >= RODS_SHARE
+
+    def __init__(self, where: str) -> None:
+        self.against: Refused | None = None
+        self.misfits = 0
+        self._where = where
+        self._fitted = 0
+
+    def refusal(self, frame: Frame) -> Refused | None:
+        """Why a frame is not to be used; None where it may be."""
+        expected, seen = expected_distance_m(frame), median_depth_m(frame)
+        if self._fitted >= ENOUGH_FIT or expected is None or seen is None:
+            return None
+        fault = scale_fault(seen, expected, frame.depth_scale_m)
+        if fault is None or _shows_belt(frame, expected):
+            self._fitted += 1
+            self.against = None
+            return None
+        text = f"{self._where}, camera '{frame.camera}', frame {frame.seq}: {fault}"
+        refused = Refused(frame.seq, "depth_scale", f"{text}; or something is before the camera")
+        if not self._fitted:
+            self.against = self.against or refused
+        self.misfits += 1
+        return refused
+
+
+def _shows_belt(frame: Frame, expected_m: float) -> bool:
+    """Enough of the image, or the rods of a web, lie where the belt is said to be."""
+    return _share_at(frame, expected_m) >= ENOUGH_SHARE or (
+        _share_at(frame, expected_m, low=RODS_LOW, high=RODS_HIGH) >= RODS_SHARE
     )
-    if fault and not fits:
-        raise InputError(f"{where}, camera '{frame.camera}', frame {frame.seq}: {fault}")
 
 
 def _share_at(frame: Frame, expected_m: float, *, low: float = LOW, high: float = HIGH) -> float:

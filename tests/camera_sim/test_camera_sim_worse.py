@@ -169,7 +169,7 @@ def test_a_recording_that_claims_the_wrong_unit_is_refused_when_it_is_read(
 ) -> None:
     record_scene(tmp_path / "r", replace(small_settings, tubers=1), faults=("wrong-scale",))
     with pytest.raises(InputError, match=r"depth_scale_m is 0\.001 and should be 0\.0001"):
-        next(iter(open_source(tmp_path / "r").frames(run="x")))
+        list(open_source(tmp_path / "r").frames(run="x"))
 
 
 def test_fault_names_are_forgiving_and_unknown_ones_are_not() -> None:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
 from conveyor.errors import InputError
-from conveyor.formats.scale_check import check_depth_scale
+from conveyor.formats import Refused, open_source
+from conveyor.formats.scale_check import ScaleCheck
 from conveyor.geometry import Intrinsics
 from conveyor.messages import Frame
 
@@ -21,6 +27,27 @@ def web(rods: int) -> Frame:
 
 
 def test_rods_where_the_belt_is_said_to_be_are_enough() -> None:
-    check_depth_scale(web(12), where="web")
-    with pytest.raises(InputError, match=r"median depth is 0\.62 m but the belt is said to be 0\.46 m"):
-        check_depth_scale(web(0), where="ground alone")
+    assert ScaleCheck("web").refusal(web(12)) is None
+    refused = ScaleCheck("ground alone").refusal(web(0))
+    assert refused is not None
+    assert re.search(r"median depth is 0\.62 m but the belt is said to be 0\.46 m", refused.text)
+
+
+@pytest.mark.parametrize(("blocked", "refused"), [([0], {0}), (range(9), set(range(9))), ([1, 3, 5], {1, 3})])
+def test_a_view_that_is_blocked_at_the_start_is_no_wrong_scale(
+    small_recording: Path, blocked: Iterable[int], refused: set[int]
+) -> None:
+    """One saturated picture, the first, and a whole recording was refused for its depth unit."""
+    block(small_recording, blocked)
+    source = open_source(small_recording)
+    items = list(source.frames(run="x"))
+    assert {item.seq for item in items if isinstance(item, Refused) and item.reason == "depth_scale"} == refused
+    assert len(items) == len(source.keys())
+    block(small_recording, range(10))
+    with pytest.raises(InputError, match=r"frame 0: the median depth is 65\.5\d? m .*something is before the camera"):
+        list(source.frames(run="x"))
+
+
+def block(recording: Path, seqs: Iterable[int]) -> None:
+    for seq in seqs:
+        cv2.imwrite(str(recording / f"front/depth/{seq:06d}.png"), np.full((180, 320), 65535, np.uint16))
