@@ -54,7 +54,7 @@ class Segmenter:
         """Take the next frame.
 
         Raises:
-            InputError: the belt seen contradicts the calibration from the first frame on, or there is neither.
+            InputError: the belt seen contradicts the calibration in all of the first frames, or there is neither.
         """
         drop = self._gate.drop(frame)
         if drop is not None:
@@ -75,7 +75,12 @@ class Segmenter:
         return result
 
     def finish(self) -> list[ClosedTrack]:
-        """Decide all tracks still open: the camera has ended."""
+        """Decide all tracks still open: the camera has ended.
+
+        Raises:
+            InputError: all that was seen contradicts the calibration.
+        """
+        self._belts.finish()
         return self._running.finish() if self._running else []
 
     def tracks_in_view(self) -> list[TrackState]:

@@ -36,8 +36,9 @@ class BeltKeeper:
 
     A web of rods (`web`) stays as given: its rods are compared with it, and what is seen between them is the ground.
 
-    A first look that contradicts the belt given is an error. One in a run whose belt was in use already is a hand, a
-    sheet or a board in front of it, or a camera that was knocked: there is no belt until it is seen again.
+    A look that contradicts the belt given is a hand, a sheet or a board in front of it, or a camera that was knocked:
+    there is no belt until it is seen again. Where the first `BELT_PATIENCE` looks of a run do, or all of a shorter one,
+    it is an error.
 
     Args:
         in_use: the belt was in use before, by an earlier process of the run.
@@ -61,6 +62,7 @@ class BeltKeeper:
         self.hidden = ""
         self._in_use = in_use
         self._hidden_looks = 0
+        self._contradicted = 0
         self._web = web if web is not None and web.surface == "rods" else None
         self._follow_m = 0.0 if self._web else follow_m
         self._trust = given_sd_m**2 / (given_sd_m**2 + SEEN_SD_M**2)
@@ -76,8 +78,8 @@ class BeltKeeper:
         """The belt to use for this frame; None where none is given and none was seen yet, and while it is hidden.
 
         Raises:
-            InputError: the belt seen contradicts the calibration from the first look on, or there is neither after many
-                frames.
+            InputError: the belt seen contradicts the calibration in all of the first looks, or there is neither after
+                many frames.
         """
         if self.belt is None or self.hidden or self._due():
             self._look(frame)
@@ -85,6 +87,15 @@ class BeltKeeper:
             return None
         self._frames += 1
         return self.belt
+
+    def finish(self) -> None:
+        """No frame comes any more.
+
+        Raises:
+            InputError: something else than the belt given was seen in all of them.
+        """
+        if self._contradicted and not self._in_use:
+            raise InputError(self.hidden)
 
     def may_follow(self, reach_m: float) -> None:
         """Follow a given belt by `reach_m` at least from now on: a gauge says that the mount moved.
@@ -138,13 +149,14 @@ class BeltKeeper:
         """Whether the belt is where it is said to be; once something else was seen there, only where it is seen again.
 
         Raises:
-            InputError: something else is seen there, and the belt was not in use before.
+            InputError: something else was seen there in all of the first looks.
         """
         try:
             check, share = self._compared(frame, fit, pose)
         except InputError as error:
             if not self._in_use:
-                raise
+                self._contradict(error)
+                return
             if fit is not None and self._hidden_looks % CHECK_EVERY == 0:  # as often as a belt that is seen is checked
                 self.check = BeltCheck(fit, fit.distance_m - belt_distance_m(pose))
             self.hidden = str(error)
@@ -153,6 +165,13 @@ class BeltKeeper:
         if self.hidden and share < CLEAR_SHARE and (check.drift_m is None or abs(check.drift_m) > REFUSE_M):
             return
         self.check, self.hidden, self._hidden_looks, self._in_use = check, "", 0, True
+
+    def _contradict(self, error: InputError) -> None:
+        """A look at the start of a run that contradicts the belt given. What was seen says nothing of the pose."""
+        self._contradicted += 1
+        if self._contradicted >= BELT_PATIENCE:
+            raise error
+        self.hidden, self.belt, self._pose = str(error), None, None
 
     def _compared(self, frame: Frame, fit: PlaneFit | None, pose: NDArray[np.float64]) -> tuple[BeltCheck, float]:
         """The belt seen against the one at `pose`, and the share of the frame that bears that out."""

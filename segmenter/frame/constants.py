@@ -83,7 +83,7 @@ belts, 1.9 mm on one that heaves by 3 mm, more where another surface is seen now
 CHECK_EVERY = 30
 """Frames between checks of a known belt: once a second."""
 BELT_PATIENCE = 60
-"""Frames without any belt before the run is refused: two seconds."""
+"""First frames of a run without any belt, or with another than is given, before the run is refused: two seconds."""
 
 # What is on the raster (`heights`, `instances`, `edges`)
 CEILING_MM = 250.0

@@ -149,11 +149,21 @@ def test_a_belt_in_use_that_is_said_to_be_elsewhere_stays_hidden_under_load() ->
     assert keeper.belt_of(at_first) is not None
 
 
-def test_a_first_look_that_contradicts_is_an_error_but_for_a_run_that_goes_on() -> None:
-    """A segmenter that was started again while a board lay there gave up for good."""
-    board = covered(frames(TRUE_M, n=1)[0], 0.12)
+def test_first_looks_that_all_contradict_are_an_error_but_for_a_run_that_goes_on() -> None:
+    """A segmenter that was started, or started again, while a board lay there gave up for good."""
+    board, bare = covered(frames(TRUE_M, n=1)[0], 0.12), frames(TRUE_M, n=1)[0]
+    for looks in (1, BELT_PATIENCE - 1):
+        wrong, right = BeltKeeper(), BeltKeeper()
+        assert {keeper.belt_of(board) for _ in range(looks) for keeper in (wrong, right)} == {None}
+        with pytest.raises(InputError, match=r"lies at 0\.120 m"):
+            wrong.finish()
+        belt, alone = right.belt_of(bare), BeltKeeper().belt_of(bare)
+        right.finish()
+        assert belt is not None
+        assert alone is not None
+        assert np.array_equal(belt.belt_from_camera, alone.belt_from_camera), "a board says nothing of the camera"
     with pytest.raises(InputError, match=r"lies at 0\.120 m"):
-        BeltKeeper().belt_of(board)
+        wrong.belt_of(board)
     keeper = BeltKeeper(in_use=True)
     assert keeper.belt_of(board) is None
     assert keeper.belt_of(frames(TRUE_M, n=1)[0]) is not None

@@ -200,8 +200,10 @@ def test_a_web_is_checked_by_its_rods_and_the_ground_between_is_no_belt() -> Non
     for check in (BeltCheck(None, 0.001), BeltCheck(None, 0.0082)):
         watch.step(check, None, travel_m=0.0, told=False)
     assert watch.gauges()["belt_alarm"] == 0.0
+    wrong = BeltKeeper(web=web)
+    assert wrong.belt_of(replace(frames[0], belt_distance_m=0.40, belt_from_camera=None)) is None
     with pytest.raises(InputError, match=r"calibrated for a belt at 0\.400 m"):
-        BeltKeeper(web=web).belt_of(replace(frames[0], belt_distance_m=0.40, belt_from_camera=None))
+        wrong.finish()
     with pytest.raises(InputError, match="from the camera to the rods' tops"):
         BeltKeeper(web=web).belt_of(replace(frames[0], belt_distance_m=None, belt_from_camera=None))
 

@@ -11,6 +11,8 @@ from segmenter_scene import MEDIUM, SMALL, Scene, scattered, tilted
 from conveyor.camera_place import CameraPlace
 from conveyor.errors import InputError
 from conveyor.geometry import belt_distance_m, straight_down_belt_from_camera
+from conveyor.messages import Frame
+from conveyor.reasons import FrameDrop
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.plane import fit_plane, given_or_fitted, plane_pose
 from segmenter.pipeline import Segmenter, Settings
@@ -44,14 +46,21 @@ def test_no_belt_no_fit() -> None:
 def test_a_depth_scale_wrong_by_ten_is_named_with_both_distances() -> None:
     frame = Scene(scattered(6, seed=1)).frame(0, 0.2)
     with pytest.raises(InputError, match=r"0\.460 m.*4\.600 m.*depth scale of 0\.01 m is wrong \(try 0\.001\)"):
-        Segmenter(Settings()).step(replace(frame, depth_scale_m=0.01))
+        step_and_finish(replace(frame, depth_scale_m=0.01))
 
 
 def test_a_belt_of_another_season_is_refused_with_both_distances() -> None:
     frame = Scene(scattered(6, seed=1)).frame(0, 0.2)
     wrong = replace(frame, belt_from_camera=straight_down_belt_from_camera(0.345))
     with pytest.raises(InputError, match=r"calibrated for a belt at 0\.345 m.*lies at 0\.460 m"):
-        Segmenter(Settings()).step(wrong)
+        step_and_finish(wrong)
+
+
+def step_and_finish(frame: Frame) -> None:
+    """A recording of one frame."""
+    core = Segmenter(Settings())
+    assert core.step(frame).dropped == FrameDrop.NO_BELT
+    core.finish()
 
 
 def test_a_belt_that_sank_a_little_raises_the_alarm_and_is_measured() -> None:
