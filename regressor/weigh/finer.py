@@ -22,6 +22,11 @@ _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
+def pixel_width_m(belt_from_camera: NDArray[np.float64], fx: float) -> float:
+    """How wide a pixel is on the belt under a camera, metres. `belt_from_camera`: (4, 4). `fx`: in pixels."""
+    return float(belt_from_camera[2, 3]) / fx
+
+
 def times_finer(pixel_m: float, pixels: int) -> int:
     """By how much a pixel of that width on the belt is divided, so that none is wider than those of the training.
 

@@ -18,7 +18,7 @@ from conveyor.errors import InputError
 from conveyor.geometry import straight_down_belt_from_camera
 from conveyor.kernels import kernel
 from conveyor.messages import View
-from regressor.weigh.finer import WIDEST_PIXEL_M, finer, times_finer
+from regressor.weigh.finer import WIDEST_PIXEL_M, finer, pixel_width_m, times_finer
 from regressor.weigh.grown import cut_back, view_heights_m
 from regressor.weigh.outline import BESIDE_M, angle_image, drop_islands, fill_holes
 from regressor.weigh.pixel_grid import pixel_grid
@@ -93,7 +93,7 @@ def prepare_view(view: View) -> PreparedCloud:
         RefusedCloud: empty, too few points, or not above its resting level.
     """
     depth = np.ascontiguousarray(view.depth)
-    pixel_m = _pixel_m(view.belt_from_camera, view.intrinsics.fx)
+    pixel_m = pixel_width_m(view.belt_from_camera, view.intrinsics.fx)
     kept = clean_depth(depth, view.depth_scale_m, pixel_m)
     cut = cut_back(depth, kept, view_heights_m(kept, view))
     if cut is not None:
@@ -137,7 +137,7 @@ def prepare_depth(
         RefusedCloud: empty, too few points, or not above its resting level.
     """
     depth = np.ascontiguousarray(depth)
-    pixel_m = _pixel_m(belt_from_camera, fx)
+    pixel_m = pixel_width_m(belt_from_camera, fx)
     kept = clean_depth(depth, depth_scale_m, pixel_m) if kept is None else kept
     seen = int(np.count_nonzero(kept))
     if seen < MIN_POINTS:
@@ -350,15 +350,8 @@ def _centred(
     return points, centre, box, nearest_m
 
 
-def _pixel_m(belt_from_camera: NDArray[np.float64], fx: float) -> float:
-    """How wide a pixel is on the belt under the camera, metres."""
-    return float(belt_from_camera[2, 3]) / fx
-
-
 def clean_depth(depth: NDArray[np.uint16], depth_scale_m: float, pixel_m: float = WIDEST_PIXEL_M) -> NDArray[np.uint16]:
     """`depth` without flying pixels and islands of false matches.
-
-    Flying pixels: zero where fewer than two, or all but one, of the 4 neighbours are near in depth.
 
     A pixel stays if at least two of its four neighbours lie within 6 mm of it in depth and at most one neighbour
     inside the mask is farther. From a pixel to the next a flank falls by more where pixels are wide (`pixel_m`, on

@@ -106,7 +106,8 @@ def test_a_bucket_that_was_also_weighed_one_by_one_is_told(
         kg, part = 1.1 * sum(tuber.weight_g for tuber in some) / 1000, PartOptions(first=1, last=len(some))
         assert "same tubers" not in capsys.readouterr().out
         calibrate_bucket(folder, kg=kg, weighed=part, options=replace(options, again=True))
-        said, aside = capsys.readouterr().out, f"--run calm0 --kind bucket --part 'tubers 1 to {len(some)}'"
+        said = capsys.readouterr().out
+        aside = f"--run {tubers[0].run} --kind bucket --part 'tubers 1 to {len(some)}'"
         assert ("are of the same tubers, and each counts in full" in said) is told
         assert (f"set-aside {options.tickets} {aside}" in said) is told
 

@@ -132,7 +132,8 @@ def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) ->
     (folder / "alarms").mkdir()
     alarm = AlarmMessage("a", "a", "begin", "line", "", "disk", "trouble", "The disk is full.", "", 1_790_000_000.0)
     with closing(sqlite3.connect(folder / "alarms" / "alarms.db")) as db:
-        db.executescript(TABLES)
+        for name, columns in TABLES.items():
+            db.execute(f"CREATE TABLE {name} ({columns})")
         db.execute("INSERT INTO active VALUES ('disk', ?, 0)", (alarm.encode(),))
         db.commit()
     for sending in (nullcontext(), Outbox(folder / "alarms", channels=("page",), keep=1)):
