@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from aggregator.core.loads import Span, span_of
-from conveyor.errors import StorageError, TuberlineError
-from conveyor.files import cause
+from conveyor.errors import StorageError
+from conveyor.files import cause, replacing
 from conveyor.messages import Sizes, Tuber
 
 RESULT_FILES = ("summary.json", "tubers.csv")
@@ -86,22 +84,8 @@ def write_whole(path: Path, text: str | Iterable[str]) -> None:
     Raises:
         StorageError: the disk is full or the folder cannot be written.
     """
-    part = path.with_name(path.name + ".part")
     try:
-        with part.open("w", encoding="utf-8", newline="") as file:
-            file.writelines([text] if isinstance(text, str) else text)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except TuberlineError:
-        part.unlink(missing_ok=True)
-        raise
+        with replacing(path) as file:
+            file.writelines(part.encode() for part in ([text] if isinstance(text, str) else text))
     except OSError as error:
-        with suppress(OSError):  # on a read-only disk this is refused too, whether there is one or not
-            part.unlink(missing_ok=True)
         raise StorageError(f"{path} cannot be written: {cause(error)}") from error

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-from contextlib import suppress
 from pathlib import Path
 
 import torch
 from safetensors.torch import save as save_safetensors
 from torch import Tensor, nn
 
+from conveyor.files import replacing
 from regressor.network.pointraft import PointRaft
 from regressor.network.sidecar import FORMAT, Sidecar
 from regressor.network.stored import State, embeds_height, load_weights, read_weights
@@ -43,17 +42,8 @@ def _text(sidecar: Sidecar) -> str:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError:
-        with suppress(OSError):  # a part of it on a full disk would keep it full
-            partial.unlink(missing_ok=True)
-        raise
+    with replacing(path) as file:
+        file.write(data)
 
 
 def load_checkpoint(path: Path | None = None, *, any_target: bool = False) -> tuple[PointRaft, Sidecar]:

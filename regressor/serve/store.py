@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import tempfile
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from conveyor.errors import InputError, StorageError
-from conveyor.files import cause, told
+from conveyor.files import cause, replacing, told
 from regressor.serve.messages import digest_of, write_checkpoint
 from regressor.weigh.weigher import Weigher
 
@@ -166,16 +164,10 @@ class WeightsStore:
 
     @staticmethod
     def _write(path: Path, data: bytes) -> None:
-        partial = path.with_name(path.name + ".partial")
         try:
-            with partial.open("wb") as file:
+            with replacing(path) as file:
                 file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            partial.replace(path)
         except OSError as error:
-            with suppress(OSError):  # on a read-only disk this is refused too
-                partial.unlink(missing_ok=True)
             raise StorageError(f"{path} cannot be written: {cause(error)}") from error
 
 
