@@ -23,7 +23,7 @@ from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.errors import InputError, LinkError, UnsendableError
 from conveyor.messages import LoadAnswer, LoadOrder
-from conveyor.session import open_client
+from conveyor.session import open_client, refusal_of
 
 LOADER = "loader"
 TRY_S = 3.0
@@ -92,7 +92,7 @@ def _ask(session: zenoh.Session, key: str, order: LoadOrder, *, timeout_s: float
     for reply in replies:
         if reply.ok is not None:
             return LoadAnswer.decode(reply.ok.payload.to_bytes())
-        text = reply.err.payload.to_string()
+        text = refusal_of(reply.err)
         if "imeout" not in text:
             raise LinkError(f"the order is refused: {text}")
     return None

@@ -19,7 +19,7 @@ from conveyor.delivery.kept import KeptSubscriber
 from conveyor.delivery.presence import Presence
 from conveyor.errors import LinkError
 from conveyor.messages import Counters, Totals
-from conveyor.session import open_client
+from conveyor.session import open_client, refusal_of
 from conveyor.topics import Topic
 
 TRY_FOR_S = 1.0
@@ -88,7 +88,7 @@ class Observer:
                 except (ValueError, RecursionError) as error:
                     raise LinkError(f"{selector}: the answer is no JSON: {error}") from error
             if reply.err is not None:
-                raise LinkError(f"{selector}: {reply.err.payload.to_string()}")
+                raise LinkError(f"{selector}: {refusal_of(reply.err)}")
         raise LinkError(
             f"no one answered {selector} within {timeout_s:g} s: is the aggregator of line '{self.line}' up?"
         )

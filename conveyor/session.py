@@ -207,6 +207,11 @@ def _config(settings: dict[str, Any]) -> zenoh.Config:
     return zenoh.Config.from_json5(json.dumps(settings))
 
 
+def refusal_of(error: zenoh.ReplyError) -> str:
+    """Why a question was refused, in the words of who refused it; what is no UTF-8 of it is replaced."""
+    return error.payload.to_bytes().decode(errors="replace")
+
+
 def short_reason(error: Exception) -> str:
     """The first clause of Zenoh's error, without its source locations."""
     return str(error).split(" at ")[0].split(" - ")[0].strip()[:200]

@@ -12,6 +12,7 @@ from contextlib import suppress
 import zenoh
 
 from conveyor.errors import InputError, LinkError, MessageError
+from conveyor.session import refusal_of
 from conveyor.topics import ORDER_MODEL, QUERY_MODEL, Topic
 from regressor.serve.messages import MAX_PARCEL_BYTES, WeightsReport, WeightsState, digest_of
 
@@ -136,5 +137,5 @@ def _ask(
     for reply in replies:
         if reply.ok is not None:
             yield reply.ok.payload.to_bytes()
-        elif reply.err is not None and (refusal := reply.err.payload.to_bytes()) != b"Timeout":
-            yield InputError(refusal.decode(errors="replace"))
+        elif reply.err is not None and (why := refusal_of(reply.err)) != "Timeout":
+            yield InputError(why)

@@ -15,11 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from aggregator.core.loads import span_of
 from aggregator.ledger.check import check_file
 from aggregator.ledger.load_rows import read_book, read_span_sums
 from aggregator.ledger.reader import read_sums, read_tubers, reading
+from conveyor import topics
 from conveyor.config import LineConfig, LinkConfig
 from conveyor.load_orders import new_request, send_order
 from conveyor.messages import LoadAnswer, LoadOrder
@@ -197,3 +199,20 @@ def test_no_aggregator_is_said_in_words(link: LinkConfig) -> None:
         pytest.raises(LinkError, match=r"is the aggregator of line 't' up"),
     ):
         send_order(session, "t", LoadOrder("x", "end"), within_s=1.0)
+
+
+def test_a_refusal_that_is_no_text_is_one_all_the_same(link: LinkConfig) -> None:
+    """What any peer may answer ended who asked with a UnicodeDecodeError."""
+    from conveyor.errors import LinkError
+
+    def refuse(query: zenoh.Query) -> None:
+        query.reply_err(b"no \xff")
+        query.drop()  # type: ignore[no-untyped-call, unused-ignore]
+
+    with open_client(link, name="other") as other, Observer(link, line="t") as observer:
+        for topic in (topics.ORDER_LOAD, topics.QUERY_LOADS):
+            other.declare_queryable(topic.key("t"), zenoh.handlers.Callback(refuse, indirect=True))
+        with pytest.raises(LinkError, match="the order is refused: no \ufffd"):
+            send_order(observer.session, "t", LoadOrder("x", "end"), within_s=10.0)
+        with pytest.raises(LinkError, match="loads: no \ufffd"):
+            observer.query(topics.QUERY_LOADS, timeout_s=10.0)
