@@ -12,6 +12,7 @@ from aggregator.calibration.correction import Correction, Prior, usable
 from aggregator.calibration.robust import correction_of
 from aggregator.calibration.sensitivity import TYPICAL_PER_MM
 from aggregator.calibration.tickets import Ticket
+from aggregator.core.load_sums import CameraDoubt
 from conveyor.load_spread import OTHER_CAMERA_SD, UNGAUGED_SD
 from conveyor.statistics import NORMAL_90
 
@@ -102,16 +103,13 @@ def calibrated(
     return Calibrated(weight_g, low_sd_g, high_sd_g, shared_g, corrections, own_g, between_g)
 
 
-def camera_sd(other_share: float, off_mm: float, ungauged_share: float) -> float:
+def camera_sd(doubt: CameraDoubt) -> float:
     """Standard deviation, as a share of a load, of what is doubtful of its cameras, whatever the tickets say: a camera
     may have changed since.
-
-    Args:
-        other_share: of its weight, seen by cameras unlike good ones.
-        off_mm: how far the belt was seen off its calibration with no gauge to say why, mean over its weight.
-        ungauged_share: of its weight, seen by cameras that did not find the rods that are their gauge.
     """
-    return math.hypot(OTHER_CAMERA_SD * other_share, OFF_SD_PER_MM * off_mm, UNGAUGED_SD * ungauged_share)
+    return math.hypot(
+        OTHER_CAMERA_SD * doubt.unlike_share, OFF_SD_PER_MM * doubt.off_mm, UNGAUGED_SD * doubt.ungauged_share
+    )
 
 
 def _one(correction: Correction, weighed_g: float, per_mm_g: float, cultivar: str) -> tuple[float, dict[str, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from aggregator.calibration.sensitivity import tuber_g_per_mm
 from aggregator.core.foreign import ForeignBody, ForeignSums
@@ -24,6 +24,19 @@ QUIET_S = 15.0
 """Without a tuber for so long none passes; they are committed some seconds after they crossed."""
 HISTOGRAM_CLASSES = 64
 """The last class takes everything heavier."""
+
+
+class CameraDoubt(NamedTuple):
+    """What is doubtful of the cameras that saw a load.
+
+    `unlike_share`: of its weight, seen by cameras with flags of `UNLIKE`. `off_mm`: how far the belt was seen off its
+    calibration with no gauge to say why, in the mean of its weight. `ungauged_share`: of its weight, seen by cameras
+    that did not find the rods that are their gauge.
+    """
+
+    unlike_share: float
+    off_mm: float
+    ungauged_share: float
 
 
 @dataclass(slots=True)
@@ -133,14 +146,12 @@ class LoadSums:
         """Sum of the tubers' weights, grams."""
         return sum(weight_g for _, weight_g in self.weighed.values())
 
-    def camera_doubt(self) -> tuple[float, float, float]:
-        """(share of the weight with flags of `UNLIKE`, mean mm the belt was off, cause unknown, share of the weight
-        seen by cameras that did not find the rods that are their gauge).
-        """
+    def camera_doubt(self) -> CameraDoubt:
+        """What is doubtful of its cameras; nothing where nothing was weighed."""
         whole_g = self.as_weighed_g
         if whole_g <= 0:
-            return 0.0, 0.0, 0.0
-        return self.noisy_g / whole_g, self.off_g_mm / whole_g, self.ungauged_g / whole_g
+            return CameraDoubt(0.0, 0.0, 0.0)
+        return CameraDoubt(self.noisy_g / whole_g, self.off_g_mm / whole_g, self.ungauged_g / whole_g)
 
     @property
     def mean_square_g2(self) -> float | None:

@@ -62,7 +62,7 @@ class LoadTotals:
             found = calibrated(
                 {key: grams for key, (_, grams) in self.sums.weighed.items()},
                 per_mm_g=self.sums.per_mm_g,
-                camera_sd=camera_sd(*self.sums.camera_doubt()),
+                camera_sd=camera_sd(self.sums.camera_doubt()),
                 own_variance_g2=(self.sums.low_variance_g2, self.sums.high_variance_g2),
                 tickets=self._tickets,
                 prior=self._prior,

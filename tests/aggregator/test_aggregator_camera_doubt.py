@@ -9,7 +9,7 @@ import pytest
 
 from aggregator.calibration.apply import OFF_SD_PER_MM
 from aggregator.calibration.correction import Prior, prior_told
-from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_sums import CameraDoubt, LoadSums
 from aggregator.core.totals import LoadTotals
 from conveyor.camera_flags import BELT_DISTANCE, CAMERA_NOISE, CAMERA_UNLIKE, RODS_UNSEEN, belt_off_flag
 from conveyor.load_spread import OTHER_CAMERA_SD
@@ -81,7 +81,7 @@ def test_the_parts_still_add_up_and_name_the_camera() -> None:
 def test_sums_that_are_kept_come_back_and_old_ones_without_a_camera_do_too() -> None:
     sums = _load((CAMERA_NOISE,), belt_off_flag(0.003))
     assert LoadSums.from_plain(sums.plain()).same_as(sums)
-    assert sums.camera_doubt() == (0.5, 1.5, 0.0)
+    assert sums.camera_doubt() == CameraDoubt(unlike_share=0.5, off_mm=1.5, ungauged_share=0.0)
     old = {
         name: value for name, value in _load(()).plain().items() if name not in ("noisy_g", "off_g_mm", "ungauged_g")
     }

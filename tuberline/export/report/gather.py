@@ -10,7 +10,7 @@ from typing import Any
 
 from aggregator.core.class_totals import class_totals, classes_together
 from aggregator.core.foreign_totals import foreign_total
-from aggregator.core.load_sums import LoadSums
+from aggregator.core.load_sums import CameraDoubt, LoadSums
 from aggregator.core.totals import LoadTotals
 from aggregator.ledger.ends import End, end_of
 from aggregator.ledger.reader import all_runs, ledger_file, read_sums, reading, run_being_written
@@ -93,7 +93,7 @@ class DayFacts:
     classes: tuple[ClassTotal, ...]
     foreign: ForeignTotal | None
     calibrated_by: tuple[str, ...]
-    camera_doubt: tuple[float, float, float]
+    camera_doubt: CameraDoubt
     late: int
     refused: tuple[str, ...]
     doubts: tuple[str, ...]

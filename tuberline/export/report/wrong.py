@@ -78,13 +78,14 @@ def _outside(load: LoadFacts, ticket_kg: float) -> str:
 
 
 def _weighing(facts: DayFacts) -> Iterator[str]:
-    noisy, off_mm, ungauged = facts.camera_doubt
-    if noisy > FEW:
-        yield f"{100 * noisy:.0f} % of the weight was seen by a camera unlike those the network was trained for."
-    if off_mm > 1:
-        yield f"The belt was seen {off_mm:.0f} mm off its calibration, in the mean."
-    if ungauged > FEW:
-        yield f"{100 * ungauged:.0f} % of the weight was seen by a camera that did not find its gauge, the rods."
+    doubt = facts.camera_doubt
+    unlike, ungauged = 100 * doubt.unlike_share, 100 * doubt.ungauged_share
+    if doubt.unlike_share > FEW:
+        yield f"{unlike:.0f} % of the weight was seen by a camera unlike those the network was trained for."
+    if doubt.off_mm > 1:
+        yield f"The belt was seen {doubt.off_mm:.0f} mm off its calibration, in the mean."
+    if doubt.ungauged_share > FEW:
+        yield f"{ungauged:.0f} % of the weight was seen by a camera that did not find its gauge, the rods."
     if facts.late:
         yield f"{facts.late} tubers came late to the ledger: they are counted, and some may be counted twice."
 
