@@ -69,7 +69,7 @@ def counted(path: Path, *, run: str | None) -> Counted:
         chosen = the_run(view, ledger, run)
         sums = read_sums(view, chosen.run)
         tubers = tuple(read_tubers(view, chosen.run))
-        belt = belt_of_run(view, chosen.run, stated_beside(ledger))
+        belt = belt_of_run(view, chosen.run, sums, stated_beside(ledger))
         seen = coverage_of(chosen, sums, moment_of(chosen, run_being_written(view)))
     load = LoadTotals(sums.load)
     coverage = seen.share or 0.0

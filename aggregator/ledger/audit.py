@@ -11,6 +11,7 @@ from aggregator.ledger.check import view_faults
 from aggregator.ledger.ends import End, end_of
 from aggregator.ledger.reader import RunRow, read_marks, read_sums, run_being_written
 from aggregator.ledger.schema import TUBER
+from aggregator.ledger.stated import summary_told
 from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.errors import LedgerError
@@ -80,8 +81,10 @@ def audit_run(view: LedgerView, run: RunRow) -> Audit:
     """The balance sheet of `run`, finished or not, after every row of the ledger was verified and added up."""
     faults = tuple(view_faults(view))
     try:
-        found = audit_sums(run, read_sums(view, run.run), read_marks(view, run), faults=faults)
-        return replace(found, end=end_of(view, run, run_being_written(view)))
+        sums = read_sums(view, run.run)
+        found = audit_sums(run, sums, read_marks(view, run), faults=faults)
+        summary = summary_told(view, run.run, sums)
+        return replace(found, end=end_of(run, run_being_written(view), sums=sums, summary=summary))
     except LedgerError as error:
         return Audit(run.run, run.finished, dict.fromkeys(run.cameras), {}, {}, faults=(*faults, str(error)))
 

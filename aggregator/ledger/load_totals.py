@@ -151,7 +151,8 @@ class ReadLoads:
         self._view = view
         self.loads = read_book(view)
         self.runs = {run.run: run for run in read_runs(view)}
-        self._sums: dict[str, dict[int, SpanSums]] = {}
+        self._sums: dict[str, RunSums] = {}
+        self._span_sums: dict[str, dict[int, SpanSums]] = {}
         self._priors: dict[str, Prior] = {}
 
     @cached_property
@@ -162,21 +163,27 @@ class ReadLoads:
     def prior(self, run: str) -> Prior:
         """What the line stated of its resting level in `run`; as wide as before any calibration where it did not."""
         if run not in self._priors:
-            self._priors[run] = prior_told(belt_of_run(self._view, run, self.stated) or {})
+            self._priors[run] = prior_told(belt_of_run(self._view, run, self.sums(run), self.stated) or {})
         return self._priors[run]
+
+    def sums(self, run: str) -> RunSums:
+        """The sums of a run."""
+        if run not in self._sums:
+            self._sums[run] = read_sums(self._view, run)
+        return self._sums[run]
 
     def span_sums(self, run: str) -> Mapping[int, SpanSums]:
         """The sums of each stretch of a run."""
-        if run not in self._sums:
-            self._sums[run] = read_span_sums(self._view, run)
-        return self._sums[run]
+        if run not in self._span_sums:
+            self._span_sums[run] = read_span_sums(self._view, run)
+        return self._span_sums[run]
 
     @cached_property
     def seen(self) -> dict[str, Seen]:
         """What the cameras of each run looked at: it is over, but for the one that a line is writing."""
         found, written = {}, run_being_written(self._view)
         for name, run in self.runs.items():
-            found[name] = Seen(sights_of(run, read_sums(self._view, name)), moment_of(run, written))
+            found[name] = Seen(sights_of(run, self.sums(name)), moment_of(run, written))
         return found
 
     def load_of(self, tuber: Tuber) -> int:
@@ -186,5 +193,5 @@ class ReadLoads:
 
     def whole(self, run: RunRow) -> LoadCounted:
         """A run in which no load was started: it is one load by itself."""
-        sums = read_sums(self._view, run.run)
+        sums = self.sums(run.run)
         return counted([(sums.load, coverage_of(run, sums, self.seen[run.run].moment))])

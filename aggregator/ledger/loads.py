@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from typing import Any
 
 from aggregator.ledger.ends import end_of
-from aggregator.ledger.reader import RunRow, read_runs, read_summary, read_sums, run_being_written
+from aggregator.ledger.reader import RunRow, read_runs, read_sums, run_being_written
+from aggregator.ledger.stated import summary_told
+from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 
 
@@ -17,22 +19,19 @@ def last_loads(view: LedgerView, *, limit: int) -> list[dict[str, Any]]:
     and no coverage.
     """
     newest, written = read_runs(view)[::-1][:limit], run_being_written(view)
-    return [
-        {
-            "run": known.run,
-            "started_unix_s": known.started_ns / 1e9,
-            "end": end_of(view, known, written),
-            **_came_to(view, known),
-        }
-        for known in newest
-    ]
+    found = []
+    for known in newest:
+        sums = read_sums(view, known.run)
+        summary = summary_told(view, known.run, sums)
+        end = end_of(known, written, sums=sums, summary=summary)
+        begun = {"run": known.run, "started_unix_s": known.started_ns / 1e9}
+        found.append({**begun, "end": end, **_came_to(known, sums, summary)})
+    return found
 
 
-def _came_to(view: LedgerView, known: RunRow) -> dict[str, Any]:
-    summary = read_summary(view, known.run)
-    if summary is not None:
-        totals = json.loads(summary)["totals"]
+def _came_to(known: RunRow, sums: RunSums, summary: Mapping[str, Any]) -> dict[str, Any]:
+    if known.finished:
+        totals = summary["totals"]
         return {name: totals[name] for name in ("count", "weight_g", "low_g", "high_g", "coverage", "final")}
-    load = read_sums(view, known.run).load
     nothing = {"low_g": None, "high_g": None, "coverage": None, "final": False}
-    return {"count": load.count, "weight_g": load.as_weighed_g, **nothing}
+    return {"count": sums.load.count, "weight_g": sums.load.as_weighed_g, **nothing}

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from aggregator.calibration.tickets import Ticket, read_tickets
-from aggregator.ledger.reader import read_summary, read_sums
+from aggregator.ledger.reader import read_summary
+from aggregator.ledger.sums import RunSums
 from aggregator.ledger.verified import LedgerView
 from conveyor.config import LineConfig, load_config
 from conveyor.config_yield import ForeignConfig
@@ -59,8 +60,8 @@ def told_belt(config: LineConfig) -> dict[str, Any]:
     return {**config.belt.model_dump(), "plane_sd_mm": config.segmenter.belt_sd_mm}
 
 
-def summary_told(view: LedgerView, run: str) -> dict[str, Any]:
-    """The summary of a run; {} where there is none.
+def summary_told(view: LedgerView, run: str, sums: RunSums) -> dict[str, Any]:
+    """The summary of a run that has these sums; {} where there is none.
 
     A line that is stopped before its cameras ended leaves it beside the ledger alone: it is taken where it is of that
     run and of all that is committed.
@@ -70,16 +71,16 @@ def summary_told(view: LedgerView, run: str) -> dict[str, Any]:
         return summary
     try:
         beside = json.loads((view.path.parent / SUMMARY_FILE).read_text(encoding="utf-8"))
-        same = (beside["run"], beside["tubers"]["committed"]) == (run, read_sums(view, run).load.count)
+        same = (beside["run"], beside["tubers"]["committed"]) == (run, sums.load.count)
     except (OSError, ValueError, LookupError, TypeError):
         return {}
     return dict(beside) if same else {}
 
 
-def belt_of_run(view: LedgerView, run: str, stated: Stated) -> Mapping[str, Any] | None:
-    """What tubers of `run` lay on, by its summary; by the config beside the ledger where there is none yet. None where
-    neither says.
+def belt_of_run(view: LedgerView, run: str, sums: RunSums, stated: Stated) -> Mapping[str, Any] | None:
+    """What tubers of `run`, which has these sums, lay on, by its summary; by the config beside the ledger where there
+    is none yet. None where neither says.
     """
-    summary = summary_told(view, run)
+    summary = summary_told(view, run, sums)
     told: Mapping[str, Any] | None = summary.get("belt") if summary else stated.belt
     return told

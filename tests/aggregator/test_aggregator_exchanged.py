@@ -13,7 +13,7 @@ from aggregator.core.device import MOST_DEVICES, Device
 from aggregator.core.loads import Load
 from aggregator.core.sight import CameraSight
 from aggregator.ledger.exchanged import cameras_exchanged
-from aggregator.ledger.reader import RunRow, reading
+from aggregator.ledger.reader import RunRow, read_sums, reading
 from aggregator.ledger.stated import summary_told
 from aggregator.ledger.writer import Ledger
 from aggregator.report import Reporter
@@ -64,7 +64,7 @@ def test_another_device_is_told_in_its_run_and_after_a_restart_and_not_in_the_ne
             reporter.write(tmp_path, 1.0)
             if story.run == "r3":
                 with reading(tmp_path / "ledger.db") as view:
-                    summary = summary_told(view, "r3")
+                    summary = summary_told(view, "r3", read_sums(view, "r3"))
                 assert exchanged_in_words(told["r3"]) in reporter.headline(1.0)
     third, fourth = CameraExchanged("cam0", FORMER, NOW, 300 * 10**9), CameraExchanged("cam0", NOW, FORMER, 410 * 10**9)
     assert told == {"r1": (), "r2": (), "r3": (third,), "r4": (fourth,), "r5": ()}

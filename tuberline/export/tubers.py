@@ -123,8 +123,9 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
         file = ledger_file(path)
         with reading(file) as db:
             known = all_runs(db, file)
-            models = {model for run in known for model in read_sums(db, run.run).load.models()}
-            belt = belt_of_run(db, known[-1].run, stated_beside(file))
+            sums_of = {run.run: read_sums(db, run.run) for run in known}
+            models = {model for sums in sums_of.values() for model in sums.load.models()}
+            belt = belt_of_run(db, known[-1].run, sums_of[known[-1].run], stated_beside(file))
         loads = read.of(path)
         sums, by = total_of(ALL, loads).sums, (load.one.totals.calibrated().told for load in loads)
         counted = sums.tubers > 0

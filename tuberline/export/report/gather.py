@@ -176,9 +176,10 @@ def _runs(file: Path, loads: Sequence[Labelled], day: str | None) -> list[RunFac
     with reading(file) as view:
         written, found = run_being_written(view), []
         for run in (run for run in all_runs(view, file) if day is None or run.run in of_day):
-            models, summary = read_sums(view, run.run).load.models(), summary_told(view, run.run)
-            end = end_of(view, run, written)
-            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, models))
+            sums = read_sums(view, run.run)
+            summary = summary_told(view, run.run, sums)
+            end = end_of(run, written, sums=sums, summary=summary)
+            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models()))
         return found
 
 
