@@ -140,6 +140,11 @@ def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) ->
         with sending:  # which holds the file: it 'cannot be read: database is locked'
             told = what_went_wrong(day_facts([folder]))
         assert [words for words in told if "larm" in words] == ["Alarm since 2026-09-21 14:13 UTC: The disk is full."]
+    (folder / "alarms").rename(tmp_path / "alarms of the line")
+    (folder / "line.toml").write_text(
+        '[cameras.left]\npath = "x"\n[alarms]\nchannels = ["https://a.example"]\nstate_dir = "../alarms of the line"\n'
+    )
+    assert what_went_wrong(day_facts([folder]))[-1].endswith("The disk is full."), "alarms.state_dir was not looked at"
 
 
 def test_the_report_of_a_day_tells_of_its_runs_alone(run: Path, tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from aggregator.ledger.stated import CONFIG_FILE
 from conveyor.apart import apart_in_words
+from conveyor.config import load_config
 from conveyor.exchanged import exchanged_in_words
 from conveyor.heights import heights_in_words
 from conveyor.messages import CameraExchanged, CamerasApart, HeightChange
@@ -27,7 +29,6 @@ REASONS = {
     "after_last_frame": "after the last frame",
     "camera_never_looked": "under a camera that never looked",
 }
-ALARMS = Path(outbox.FOLDER) / outbox.FILE
 
 
 def what_went_wrong(facts: DayFacts) -> list[str]:
@@ -140,7 +141,7 @@ def _words(name: str, prefix: str) -> str:
 
 def _alarms(ledger: Path) -> Iterator[str]:
     """Alarms that had begun and not ended when the report was made; the file may be another program's, or none."""
-    file = ledger.parent / ALARMS
+    file = _alarms_file(ledger)
     if not file.is_file():
         return
     try:
@@ -151,6 +152,14 @@ def _alarms(ledger: Path) -> Iterator[str]:
     for alarm in begun:
         since = datetime.fromtimestamp(alarm.since_unix_s, UTC).strftime("%Y-%m-%d %H:%M")
         yield f"Alarm since {since} UTC: {alarm.text}"
+
+
+def _alarms_file(ledger: Path) -> Path:
+    """Where the config beside the ledger keeps them, else beside the ledger, which may have been moved since."""
+    config = ledger.parent / CONFIG_FILE
+    alarms = load_config(config).alarms if config.is_file() else None
+    stated = alarms.state_dir if alarms is not None else None
+    return (stated or ledger.parent / outbox.FOLDER) / outbox.FILE
 
 
 def _begun(file: Path) -> list[str]:
