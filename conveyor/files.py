@@ -76,17 +76,21 @@ def whole_output(target: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(path: Path, *, mode: int = 0o666) -> Iterator[BinaryIO]:
     """A file to write, which takes the place of `path` durably where the block ends: who reads sees the old file or the
     new one, also after a power cut. Where anything is raised what was written is gone: a part of it on a full disk
     would keep it full.
+
+    Args:
+        mode: of the file from its first byte on, less what the umask takes; 0o600 for a private key.
 
     Raises:
         OSError: the disk is full, or the folder cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
     try:
-        with partial.open("wb") as file:
+        partial.unlink(missing_ok=True)  # of one that was killed: its mode would stay
+        with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode), "wb") as file:
             yield file
             file.flush()
             os.fsync(file.fileno())

@@ -7,7 +7,6 @@ certificates for clients only: a stolen camera certificate cannot play the route
 from __future__ import annotations
 
 import ipaddress
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from conveyor.errors import ConfigError, InputError
 from conveyor.extras import missing_package
-from conveyor.files import cause
+from conveyor.files import cause, replacing
 from conveyor.identity import CA_FILE, Identity
 
 try:
@@ -252,15 +251,8 @@ def _write_pair(
 
 def _write_private(path: Path, data: bytes) -> None:
     """Write with mode 0600 from the first byte on, whole or not at all."""
-    draft = path.with_name(path.name + ".new")
-    draft.unlink(missing_ok=True)
     try:
-        descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(descriptor, "wb") as file:
+        with replacing(path, mode=0o600) as file:
             file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.replace(path)
     except OSError as error:
-        draft.unlink(missing_ok=True)
         raise InputError(f"{path} cannot be written: {cause(error)}") from error

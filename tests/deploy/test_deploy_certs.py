@@ -13,6 +13,7 @@ import zenoh
 
 from conveyor.config import load_config
 from conveyor.errors import ConfigError, InputError
+from conveyor.files import replacing
 from conveyor.identity import Identity
 from tests.conftest import ROOT
 from tests.deploy.deploy_site import site_config
@@ -66,6 +67,17 @@ def test_make_gives_every_node_its_own_private_files(line: Path) -> None:
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert {file.stem for file in folder.glob("*.key")} == set(names)
     assert read_certificate(folder / "router.pem").hosts == ("10.0.0.7", "localhost", "127.0.0.1")
+
+
+def test_a_key_is_private_from_its_first_byte_on(tmp_path: Path) -> None:
+    """Also where a process that was killed left a part of one that all could read."""
+    key, half = tmp_path / "camera.front.key", tmp_path / "camera.front.key.partial"
+    half.write_bytes(b"left")
+    half.chmod(0o644)
+    with replacing(key, mode=0o600) as file:
+        file.write(b"PRIVATE")
+        assert stat.S_IMODE(half.stat().st_mode) == 0o600
+    assert (key.read_bytes(), stat.S_IMODE(key.stat().st_mode)) == (b"PRIVATE", 0o600)
 
 
 def test_nothing_is_overwritten_unless_asked(line: Path, capsys: pytest.CaptureFixture[str]) -> None:
