@@ -45,12 +45,14 @@ def open_run(
     fingerprint: str = "",
 ) -> Restored:
     """Begin `run` of this line now, or go on with it; arguments and errors as `Ledger.open_run` has them."""
+    now_ns = time.time_ns()
     return ledger.open_run(
         run,
         line=config.name,
         cameras=cameras,
         version=__version__,
-        started_ns=time.time_ns(),
+        started_ns=now_ns,
+        utc_offset_s=time.localtime(now_ns / 1e9).tm_gmtoff,
         fingerprint=fingerprint,
         may_be_finished=may_be_finished,
         histogram_step_g=config.aggregator.histogram_step_g,

@@ -35,6 +35,7 @@ def write_run(
     sd_share: float = 0.08,
     stopped: bool = False,
     line: str = "line",
+    utc_offset_s: int | None = None,
 ) -> None:
     """Write ledger.db, summary.json and tubers.csv of a finished run of one camera into `folder`.
 
@@ -44,6 +45,7 @@ def write_run(
         crossed_ns: (N,) when each tuber crossed, Unix nanoseconds, ascending.
         weight_g: (N,) as weighed; its 90 % interval is `sd_share` wide as a standard deviation.
         stopped: its line was stopped before the camera ended, as a live one is. line: its name.
+        utc_offset_s: of its clock, where the ledger is to state it.
     """
     config = parse_config(
         {"name": line, "cameras": {CAMERA: {"path": "x"}}, "aggregator": {"out": str(folder)}}, where="written run"
@@ -51,7 +53,10 @@ def write_run(
     folder.mkdir(parents=True, exist_ok=True)
     half = 1.645 * sd_share
     with Ledger(folder / "ledger.db") as ledger:
-        restored = ledger.open_run(run, line=line, cameras=(CAMERA,), version="1", started_ns=int(crossed_ns[0]))
+        begun_ns = int(crossed_ns[0])
+        restored = ledger.open_run(
+            run, line=line, cameras=(CAMERA,), version="1", started_ns=begun_ns, utc_offset_s=utc_offset_s
+        )
         core = Aggregation(
             run,
             cameras=(CAMERA,),

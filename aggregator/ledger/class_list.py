@@ -19,7 +19,7 @@ from conveyor.messages.base import plain
 
 def classes_of_run(ledger: ReadLoads, run: RunRow, contract: Contract) -> tuple[ClassTotal, ...]:
     """The classes of a run: of its loads together, each as its tickets calibrate it."""
-    ones = run_loads(ledger, run, tickets_beside(ledger)[0])
+    ones = run_loads(ledger, run, tickets_beside(ledger))
     return classes_together([one.totals for one in ones], contract, whole=[one.whole for one in ones])
 
 

@@ -18,12 +18,14 @@ UNNAMED = {LINE_NAME, REPLAY_NAME}
 
 @dataclass(frozen=True, slots=True)
 class LedgerTickets:
-    """`tickets`: all that calibrate a ledger. In words, `refused`: why others of its own cannot; `unshared`: why those
-    of its loads calibrate no other ledger of a line that is called the same.
+    """`tickets`: all that calibrate a ledger. In words, `unread`: what of the line's config cannot be read; `refused`:
+    why tickets of its own loads cannot calibrate, by their numbers; `unshared`: why those of its loads calibrate no
+    other ledger of a line that is called the same.
     """
 
     tickets: list[Ticket]
-    refused: list[str]
+    unread: tuple[str, ...]
+    refused: dict[int, str]
     unshared: list[str]
 
 
@@ -42,7 +44,7 @@ def line_tickets(ledgers: Sequence[ReadLoads], given: Sequence[Ticket] = ()) -> 
         aside = [ticket for ticket in named if ticket.set_aside]
         others = [t for t in _of_line(ledger, loads) if not any(same_tubers(t, one) for one in aside)]
         unshared = _unshared(ledger, ledgers) if mine else []
-        found.append(LedgerTickets(with_own(named, [*mine, *others]), [*ledger.stated.words, *words], unshared))
+        found.append(LedgerTickets(with_own(named, [*mine, *others]), ledger.stated.words, words, unshared))
     return found
 
 
@@ -68,10 +70,10 @@ def _of_line(ledger: ReadLoads, loads: Sequence[tuple[ReadLoads, Sequence[Ticket
     return list(found.values())
 
 
-def tickets_beside(ledger: ReadLoads) -> tuple[list[Ticket], list[str]]:
-    """(all that calibrates a ledger that is read by itself; what of it cannot, in words)."""
+def tickets_beside(ledger: ReadLoads) -> list[Ticket]:
+    """All that calibrates a ledger that is read by itself."""
     (found,) = line_tickets([ledger])
-    return found.tickets, found.refused
+    return found.tickets
 
 
 def tickets_by_ledger(paths: Sequence[Path]) -> list[list[Ticket]]:

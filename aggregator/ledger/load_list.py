@@ -34,7 +34,7 @@ def told_loads(
     """
     ledger = ReadLoads(view)
     seen = ledger.seen
-    tickets, _ = tickets_beside(ledger)
+    tickets = tickets_beside(ledger)
     contradictions = contradicting_all(tickets)
     chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
     if wanted:

@@ -99,19 +99,19 @@ def _stated_mm(ledger: Sums, load: Load) -> float:
     return sum_g_mm / worth_g if worth_g > 0 else load.stated_offset_mm
 
 
-def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], list[str]]:
-    """(the tickets of a ledger's loads that can calibrate, why the others cannot, in words).
+def tickets_of(ledger: Sums, seen: Mapping[str, Seen], *, cultivar: str = "") -> tuple[list[Ticket], dict[int, str]]:
+    """(the tickets of a ledger's loads that can calibrate; why the others cannot, in words by the load's number).
 
     `cultivar`: of loads that name no variety.
     """
-    tickets, refused = [], []
+    tickets, refused = [], {}
     for load in ledger.loads.loads.values():
         if load.ticket(net=True) is None:
             continue
         try:
             ticket = load_ticket(load, count_load(ledger, load, seen), cultivar=cultivar)
         except InputError as error:
-            refused.append(str(error))
+            refused[load.number] = str(error)
         else:
             tickets += [ticket] if ticket is not None else []
     return tickets, refused
@@ -171,6 +171,14 @@ class ReadLoads:
         if run not in self._sums:
             self._sums[run] = read_sums(self._view, run)
         return self._sums[run]
+
+    def utc_offset_s(self, run: str) -> int | None:
+        """Of the line's clock when a run began; where its sums do not state it, as a load of it or of the ledger does.
+        None where none does.
+        """
+        stated = self.sums(run).utc_offset_s
+        loads = sorted(self.loads.loads.values(), key=lambda load: load.run != run)
+        return stated if stated is not None else next((load.utc_offset_s for load in loads), None)
 
     def span_sums(self, run: str) -> Mapping[int, SpanSums]:
         """The sums of each stretch of a run."""

@@ -160,7 +160,7 @@ def _sums(own: Rows, old: RunSums | None) -> RunSums:
     sums = recounted(rows, histogram_step_g=old.load.histogram_step_g if old else DEFAULT_STEP_G)
     sums.sights = old.sights if old else rebuild.sights(own)
     sums.head_start_m, sums.turns = (old.head_start_m, old.turns) if old else (None, [])
-    sums.stopped = old.stopped if old else False
+    sums.stopped, sums.utc_offset_s = (old.stopped, old.utc_offset_s) if old else (False, None)
     return sums
 
 

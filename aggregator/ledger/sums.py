@@ -36,6 +36,7 @@ class RunSums:
         head_start_m, turns: of travel that is estimated (`aggregator.core.travel.TravelKnown`).
         load: sums over the tubers; sights: what each camera looked at.
         stopped: its line was stopped since the last entry came.
+        utc_offset_s: of the line's clock when the run began; None in a ledger of a version that did not state it.
     """
 
     load: LoadSums
@@ -52,6 +53,7 @@ class RunSums:
     turns: list[tuple[int, float]] = field(default_factory=list)
     sights: dict[str, CameraSight] = field(default_factory=dict)
     stopped: bool = False
+    utc_offset_s: int | None = None
 
     def add_rows(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
         """Rows as they are written, their checksum last."""
@@ -113,7 +115,8 @@ class RunSums:
 
     def text(self) -> str:
         """As the ledger keeps it."""
-        not_needed = {name for name in ("turns", "stopped") if not getattr(self, name)}  # a version before reads it
+        added = {"turns": self.turns or None, "stopped": self.stopped or None, "utc_offset_s": self.utc_offset_s}
+        not_needed = {name for name, value in added.items() if value is None}  # a version before reads it
         left_out = {"load", "sights", *not_needed}
         values = {name: getattr(self, name) for name in self.__slots__ if name not in left_out}
         values["load"] = self.load.plain()

@@ -36,10 +36,12 @@ def load_doubts(load: Load, contradictions: Sequence[LeftOut]) -> list[str]:
     return [*own, *gross_below_net(load)]
 
 
-def ledger_doubts(ledger: Sums, tickets: Sequence[Ticket]) -> list[str]:
-    """What speaks against `tickets`, which calibrate a ledger, and against the gross ones of its loads."""
-    found = [entry.told for entry in contradicting_all(tickets)]
-    return [*found, *(words for load in ledger.loads.loads.values() for words in gross_below_net(load))]
+def ledger_doubts(loads: Iterable[Load], tickets: Sequence[Ticket], asked: Callable[[Ticket], bool]) -> list[str]:
+    """What speaks against those of `tickets`, which calibrate a ledger, that are `asked` for, and against the gross
+    ones of `loads` of it.
+    """
+    found = [entry.told for entry in contradicting_all(tickets) if asked(entry.ticket)]
+    return [*found, *(words for load in loads for words in gross_below_net(load))]
 
 
 def of_other_weights(tickets: Sequence[Ticket], models: Iterable[str]) -> list[str]:

@@ -25,6 +25,7 @@ from conveyor.errors import InputError
 BY = ("load", "field", "variety", "day", "season")
 NOT_TOLD = "(not told)"
 ALL = "all"
+DAY = "%Y-%m-%d"
 DAYS_FROM_NS = 946_684_800_000_000_000
 """The year 2000: times before it are a camera's own, of no day."""
 
@@ -110,7 +111,7 @@ def sums_by(loads: Sequence[Labelled], by: str) -> list[Total]:
     return [*grouped(loads, by), total_of(ALL, loads)] if loads else []
 
 
-def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLoads:
+def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str | None = None) -> AllLoads:
     """Every load of these ledgers, each calibrated by the tickets of its line (`aggregator.ledger.line_tickets`).
 
     A run in which no load was started is one load by itself; what passed while none was open is told as that.
@@ -118,6 +119,7 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLo
     Args:
         paths: folders of runs, or ledgers.
         tickets: more, which calibrate all of them. Of two of the same load its own is taken, else the one given here.
+        day: YYYY-MM-DD; where it is given, what is said of tickets is said of those of its loads alone.
 
     Raises:
         LedgerError: a ledger that cannot be read.
@@ -125,15 +127,32 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = ()) -> AllLo
     with ExitStack() as stack:
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)
         ledgers = {file: ReadLoads(stack.enter_context(reading(file))) for file in files}
-        loads, refused, doubts = {}, [], dict[str, None]()
-        for (file, ledger), known in zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True):
-            loads[file] = labelled(ledger, known.tickets)
-            refused += known.refused
-            weighed = [key for load in loads[file] for key in load.one.totals.sums.weighed]
-            models = [model for method, model in weighed if method != "volume"]
-            told = (*known.unshared, *of_other_weights(known.tickets, models), *ledger_doubts(ledger, known.tickets))
-            doubts |= dict.fromkeys(told)
+        each = list(zip(ledgers.items(), line_tickets(list(ledgers.values()), tickets), strict=True))
+        loads = {file: labelled(ledger, known.tickets) for (file, ledger), known in each}
+        of_day = [load for found in loads.values() for load in found if load.labels["day"] == day]
+
+        def asked(ticket: Ticket) -> bool:
+            return day is None or _is_of(ticket, of_day)
+
+        refused, doubts = list[str](), dict[str, None]()
+        for (file, ledger), known in each:
+            own, book = loads[file], list(ledger.loads.loads.values())
+            if day is not None:
+                own = [load for load in own if load.labels["day"] == day]
+                book = [load.load for load in own if load.load is not None]
+            if own or day is None:
+                refused += [*known.unread, *filter(None, (known.refused.get(load.number) for load in book))]
+                models = [model for load in own for method, model in load.one.totals.sums.weighed if method != "volume"]
+                told = (*of_other_weights(known.tickets, models), *ledger_doubts(book, known.tickets, asked))
+                doubts |= dict.fromkeys((*known.unshared, *told))
         return AllLoads(loads, refused, list(doubts))
+
+
+def _is_of(ticket: Ticket, loads: Sequence[Labelled]) -> bool:
+    """Whether a ticket is of one of these loads, or of a run in which one of them has belt."""
+    if ticket.kind == "load" and ticket.part.startswith("load "):
+        return any(load.load and (load.run, f"load {load.load.number}") == (ticket.run, ticket.part) for load in loads)
+    return any(ticket.run in load.runs for load in loads)
 
 
 def grouped(loads: Sequence[Labelled], by: str) -> list[Total]:
@@ -161,7 +180,7 @@ def labelled(ledger: ReadLoads, tickets: Sequence[Ticket]) -> list[Labelled]:
         if rest is not None:
             label = f"{name}, without a load" if name in ledger.loads.spans else name
             one = _one(rest, tickets, ledger.prior(name), ledger.stated.cultivar)
-            labels = _run_labels(label, _harvested_ns(run, seen[name]))
+            labels = _run_labels(label, _harvested_ns(run, seen[name]), ledger.utc_offset_s(name))
             found.append((run.started_ns, Labelled(labels, one, None, None, rest.unseen_m, name)))
     return [load for _, load in sorted(found, key=lambda pair: pair[0])]
 
@@ -213,7 +232,7 @@ def _one(found: LoadCounted, tickets: Sequence[Ticket], prior: Prior, variety: s
 
 
 def _labels(load: Load) -> dict[str, str]:
-    day = time.strftime("%Y-%m-%d", time.gmtime(load.began_ns / 1e9 + load.utc_offset_s))
+    day = time.strftime(DAY, time.gmtime(load.began_ns / 1e9 + load.utc_offset_s))
     name = f"{load.number} {load.name}".strip()
     described = {"field": load.field or NOT_TOLD, "variety": load.variety or NOT_TOLD}
     return {"load": name, **described, "day": day, "season": day[:4]}
@@ -227,8 +246,10 @@ def _harvested_ns(run: RunRow, seen: Seen) -> int:
     return min(stamped) if run.line == REPLAY_NAME and stamped and min(stamped) >= DAYS_FROM_NS else run.started_ns
 
 
-def _run_labels(label: str, began_ns: int) -> dict[str, str]:
-    day = time.strftime("%Y-%m-%d", time.localtime(began_ns / 1e9))
+def _run_labels(label: str, began_ns: int, utc_offset_s: int | None) -> dict[str, str]:
+    """Its day is by the line's own clock, as that of a load; by this computer's where the ledger states no zone."""
+    began_s = began_ns / 1e9
+    day = time.strftime(DAY, time.localtime(began_s) if utc_offset_s is None else time.gmtime(began_s + utc_offset_s))
     return {"load": label, "field": NOT_TOLD, "variety": NOT_TOLD, "day": day, "season": day[:4]}
 
 

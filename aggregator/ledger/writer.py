@@ -161,6 +161,7 @@ class Ledger:
         fingerprint: str = "",
         may_be_finished: bool = False,
         histogram_step_g: float = 50.0,
+        utc_offset_s: int | None = None,
     ) -> Restored:
         """Begin `run`, or go on with it where the ledger holds it; its state is rebuilt from the ledger alone.
 
@@ -168,6 +169,7 @@ class Ledger:
             fingerprint: of the recording, where there is one; the same recording is not counted twice into one ledger.
             may_be_finished: go on with a finished run (its entries are all duplicates) instead of refusing it.
             histogram_step_g: width of a weight class, grams; another one than before is counted again from all tubers.
+            utc_offset_s: of the line's clock at `started_ns`; None: not known.
 
         Raises:
             LedgerError: the run is finished, has other cameras, or its recording is in the ledger under another run.
@@ -176,9 +178,8 @@ class Ledger:
             known = read_run(self.view, run)
             if known is None:
                 self._refuse_same_recording(run, fingerprint)
-                self._begin(
-                    run, (line, json.dumps(sorted(cameras)), fingerprint, version, started_ns), histogram_step_g
-                )
+                begun = row((run, line, json.dumps(sorted(cameras)), fingerprint, version, started_ns))
+                self._begin(run, begun, RunSums(LoadSums(histogram_step_g), utc_offset_s=utc_offset_s))
                 return Restored()
             if known.finished and not may_be_finished:
                 raise LedgerError(
@@ -192,8 +193,7 @@ class Ledger:
                 )
             return restore(self.view, known, self._go_on(run, histogram_step_g))
 
-    def _begin(self, run: str, columns: tuple[Any, ...], histogram_step_g: float) -> None:
-        sums, begun = RunSums(LoadSums(histogram_step_g)), row((run, *columns))
+    def _begin(self, run: str, begun: tuple[Any, ...], sums: RunSums) -> None:
         sums.add_rows(RUN, [begun])
         with self._transaction("run"):
             self._db.execute(RUN.insert, begun)

@@ -129,7 +129,7 @@ def score_run(path: Path, *, truth: Path, match_mm: float = 25.0, run: str | Non
 
 def _calibrated(ledger: ReadLoads, run: RunRow) -> dict[str, Any]:
     """What the tickets of a ledger and of the config beside it make of a run, as `Score` names it; {} without any."""
-    loads = run_loads(ledger, run, tickets_beside(ledger)[0])
+    loads = run_loads(ledger, run, tickets_beside(ledger))
     sums = together(loads)
     if not sums.tickets:
         return {}

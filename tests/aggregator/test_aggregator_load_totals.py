@@ -336,4 +336,4 @@ def test_a_replay_is_of_the_day_that_was_recorded(line: str, first_ns: int | Non
     """A load of October that was replayed in November was a harvest of November, in totals, reports and exports."""
     run = RunRow("r", line, ("a",), "", "0", 1_795_780_800 * 10**9, True)
     seen = Seen({"a": CameraSight(first_ns=first_ns)}, Moment(over=True))
-    assert _run_labels("r", _harvested_ns(run, seen))["day"] == day
+    assert _run_labels("r", _harvested_ns(run, seen), None)["day"] == day

@@ -104,6 +104,9 @@ def test_contradicting_tickets_are_told_wherever_they_are_met(
     assert values["tickets_refused"] == []
     assert apart(" ".join(values["tickets_doubted"])) == said
     assert apart(" ".join(what_went_wrong(day_facts([path])))) == said
+    for day, number in (("1970-01-02", "1"), ("1970-01-03", "2")):
+        of_day = " ".join(what_went_wrong(day_facts([path], day=day)))
+        assert apart(of_day) == {number: said[number]}, "the tickets of all days were told"
 
     assert told_by_calibrate_load(path, tmp_path, capsys) == said, "by the same rule"
     again = order_at_rest(path, LoadOrder(f"B-{1.3 * raw_kg['B']}-True", "ticket", load="B", kg=1.3 * raw_kg["B"]))
@@ -153,6 +156,13 @@ def test_a_gross_ticket_below_the_net_one_is_kept_and_told(
     assert words in all_loads([path]).doubts[0]
     assert words in ticket(path, "A", raw_kg["A"] - 0.1).text, "the net one that comes after it, too"
     assert ticket(path, "A", raw_kg["A"] + 0.3, net=False).text.endswith("on the scale")
+
+
+def test_the_report_of_a_day_tells_of_its_refused_tickets_alone(path: Path, raw_kg: dict[str, float]) -> None:
+    assert ticket(path, "A", 2 * raw_kg["A"]).done
+    told = {day: day_facts([path], day=day).refused for day in (None, "1970-01-02", "1970-01-03")}
+    assert ["a ratio of 2.00" in words for words in told["1970-01-02"]] == [True]
+    assert (told[None], told["1970-01-03"]) == (told["1970-01-02"], ())
 
 
 def test_a_running_line_says_it_as_a_ledger_at_rest_does(path: Path, raw_kg: dict[str, float], tmp_path: Path) -> None:

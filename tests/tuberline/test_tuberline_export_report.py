@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import subprocess
+import time
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from html import escape
@@ -145,6 +146,24 @@ def test_a_run_that_was_stopped_is_told_as_stopped(run: Path, tmp_path: Path) ->
         '[cameras.left]\npath = "x"\n[alarms]\nchannels = ["https://a.example"]\nstate_dir = "../alarms of the line"\n'
     )
     assert what_went_wrong(day_facts([folder]))[-1].endswith("The disk is full."), "alarms.state_dir was not looked at"
+
+
+def test_a_run_without_loads_is_of_the_day_by_the_clock_of_its_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was of the day by the clock of who reads it: a report made in an office abroad was of another day."""
+    late_ns = (1_790_033_400 + np.arange(20)) * 1_000_000_000  # 23:30 of September 21st, UTC
+    for name, utc_offset_s in (("stated", 7200), ("older", None)):
+        folder, grams = tmp_path / name, np.full(20, 170.0)
+        write_run(folder, run=name, crossed_ns=late_ns, weight_g=grams, utc_offset_s=utc_offset_s)
+    try:
+        for zone, older in (("UTC", "2026-09-21"), ("Asia/Tokyo", "2026-09-22")):
+            monkeypatch.setenv("TZ", zone)
+            time.tzset()
+            assert [day_facts([tmp_path / name]).days for name in ("stated", "older")] == [("2026-09-22",), (older,)]
+    finally:
+        monkeypatch.undo()
+        time.tzset()
 
 
 def test_the_report_of_a_day_tells_of_its_runs_alone(run: Path, tmp_path: Path) -> None:

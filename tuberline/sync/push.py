@@ -177,7 +177,7 @@ def _loads(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> int:
     run of the ledger go.
     """
     ledger = ReadLoads(view)
-    tickets, _ = tickets_beside(ledger)
+    tickets = tickets_beside(ledger)
     rows = []
     for place, load in enumerate(labelled(ledger, tickets)):
         sums, raw_g = together_of([load])

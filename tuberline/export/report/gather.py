@@ -80,8 +80,8 @@ class RunFacts:
 
 @dataclass(frozen=True, slots=True)
 class DayFacts:
-    """All that a report tells; `runs` are those in which something of these days was. `refused`: tickets that do not
-    calibrate, `doubts`: what speaks against others.
+    """All that a report tells; `runs` are those in which something of these days was. `refused`: tickets of
+    these loads that do not calibrate, `doubts`: what speaks against others.
     """
 
     days: tuple[str, ...]
@@ -106,7 +106,7 @@ def day_facts(runs: Sequence[Path], *, day: str | None = None, contract: Path | 
     Raises:
         InputError: no load on that day; the text says which days there are. LedgerError: a ledger cannot be trusted.
     """
-    read = all_loads(runs)
+    read = all_loads(runs, day=day)
     found = read.loads
     days = sorted({load.labels["day"] for load in found})
     # Belt without a load that carried nothing is nothing to tell.
