@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aggregator.calibration.tickets import Ticket, same_tubers
+from aggregator.ledger.copies import refuse_copies
 from aggregator.ledger.load_totals import ReadLoads, tickets_of
 from aggregator.ledger.reader import ledger_file, reading
 from conveyor.config import LINE_NAME, REPLAY_NAME
@@ -35,7 +36,11 @@ def line_tickets(ledgers: Sequence[ReadLoads], given: Sequence[Ticket] = ()) -> 
     Its loads' own tickets, those that the config beside it names, those of the loads of the same line in the other
     ledgers, and those `given`, which hold for all. A line that was started in another folder has the same cameras.
     Lines that no one named may be different ones: they share none.
+
+    Raises:
+        LedgerError: two of them hold the same run.
     """
+    refuse_copies(ledgers)
     own = [tickets_of(ledger, ledger.seen, cultivar=ledger.stated.cultivar) for ledger in ledgers]
     loads = [(ledger, tickets) for ledger, (tickets, _) in zip(ledgers, own, strict=True)]
     found = []

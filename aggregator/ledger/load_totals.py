@@ -23,6 +23,7 @@ from aggregator.ledger.reader import (
     coverage_of,
     ledger_file,
     moment_of,
+    read_entry,
     read_runs,
     read_sums,
     reading,
@@ -149,6 +150,7 @@ class ReadLoads:
 
     def __init__(self, view: LedgerView) -> None:
         self._view = view
+        self.path = view.path
         self.loads = read_book(view)
         self.runs = {run.run: run for run in read_runs(view)}
         self._sums: dict[str, RunSums] = {}
@@ -165,6 +167,11 @@ class ReadLoads:
         if run not in self._priors:
             self._priors[run] = prior_told(belt_of_run(self._view, run, self.sums(run), self.stated) or {})
         return self._priors[run]
+
+    def first_entries(self, run: RunRow) -> list[bytes | None]:
+        """The payload of the first entry of each camera's log; empty where there is none."""
+        found = [read_entry(self._view, run.run, camera, 1) for camera in run.cameras]
+        return found if any(found) else []
 
     def sums(self, run: str) -> RunSums:
         """The sums of a run."""

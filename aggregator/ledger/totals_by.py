@@ -122,7 +122,7 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str
         day: YYYY-MM-DD; where it is given, what is said of tickets is said of those of its loads alone.
 
     Raises:
-        LedgerError: a ledger that cannot be read.
+        LedgerError: a ledger that cannot be read, or two that hold the same run.
     """
     with ExitStack() as stack:
         files = dict.fromkeys(ledger_file(path).resolve() for path in paths)

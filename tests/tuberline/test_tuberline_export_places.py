@@ -1,4 +1,4 @@
-"""Places of tubers in exports: by the machine's positions alone."""
+"""Places of tubers in exports: by the machine's positions alone, and each tuber once."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conveyor.errors import InputError
+from benchmarks.written_run import write_run
+from conveyor.errors import InputError, LedgerError
 from tests.tuberline.test_tuberline_export import HOW, run
+from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
 from tuberline.export.isoxml.archive import read_time_logs
+from tuberline.maps.field import Settings, field_map
 
 __all__ = ["run"]
 
@@ -50,6 +53,24 @@ def test_a_run_without_positions_beside_one_with_them_is_named(
 ) -> None:
     """The tubers of both lost their places, and nothing was said."""
     bare = tmp_path / "bare"
-    shutil.copytree(run, bare, ignore=shutil.ignore_patterns("positions.csv"))
+    crossed_ns = (1_790_000_000 + np.arange(20)) * 1_000_000_000
+    write_run(bare, run="tuesday", crossed_ns=crossed_ns, weight_g=np.full(20, 170.0))
     export([run, bare], format="csv", out=tmp_path / "out.csv", **HOW)  # type: ignore[arg-type]
     assert f"tubers without their places: run {bare} has no positions.csv" in capsys.readouterr().err
+
+
+def test_a_run_and_a_copy_of_it_are_not_added_up(run: Path, tmp_path: Path) -> None:
+    """After `cp -r runs/monday runs/safe` each tuber counted twice, in totals, exports, reports and maps."""
+    safe = tmp_path / "safe"
+    shutil.copytree(run, safe)
+    words = (
+        r"monday/ledger\.db \((\d+) tubers\) and .*safe/ledger\.db \(\1 tubers\) both hold run 'monday': one is a copy"
+    )
+    for read in (
+        lambda: export([run, safe], format="csv", out=tmp_path / "out"),
+        lambda: export([run, safe], format="html", out=tmp_path / "out"),
+        lambda: read_totals(run, safe),
+        lambda: field_map([run, safe], [], Settings(**HOW)),
+    ):
+        with pytest.raises(LedgerError, match=words):
+            read()
