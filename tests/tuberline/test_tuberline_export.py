@@ -201,7 +201,7 @@ def test_isoxml_keeps_each_machines_own_kilograms(run: Path) -> None:
     field = field_map([run], [], Settings(**HOW))
     (own,) = field.shares
     other = replace(own, factor=1.25, points=own.points.scaled(1.25))
-    told = {"weights": ["a---b@0"], "calibrated_by": "nothing", "coverage": None}
+    told = {"weights": ["a---b@0"], "calibrated_by": "nothing", "coverage": None, "grown": []}
     root = ElementTree.fromstring(task_xml(replace(field, shares=(own, other)), {"runs": [told, told]}))
     for share, task in zip((own, other), root.iter("TSK"), strict=True):
         totals = {value.get("A"): int(value.get("B", "")) for value in task.iter("DLV")}
@@ -222,6 +222,18 @@ def test_isoxml_validates_against_the_schemas(run: Path, shared: Path, tmp_path:
     log = xmlschema.XMLSchema(folder / "ISO11783_TimeLog_V4-3.xsd")
     task.validate(tmp_path / "TASKDATA" / "TASKDATA.XML")
     faults = [error.reason for error in log.iter_errors(tmp_path / "TASKDATA" / "TLG00001.XML")]
+    told = {"weights": [], "calibrated_by": "nothing", "coverage": None}
+    grown = [{"field": "Kamp", "variety": "Agria"}, {"field": "Berg", "variety": ""}, {"field": "", "variety": "agria"}]
+    grown.append({"field": "Hof " * 20, "variety": "Fontane"})
+    about = {"runs": [{**told, "grown": grown[:1]}, {**told, "grown": grown}]}
+    field = field_map([run], [], Settings(**HOW))
+    xml = task_xml(replace(field, shares=field.shares * 2), about).decode()
+    task.validate(xml)
+    root = ElementTree.fromstring(xml)
+    assert [each.get("B") for each in root.iter("CVT")] == ["Agria", "Fontane"]
+    fields = [(each.get("C"), each.get("G"), each.get("H")) for each in root.iter("PFD")]
+    assert fields == [("Kamp", "CTP-1", "CVT-1"), ("Berg", "CTP-1", None), ("Hof " * 8, "CTP-1", "CVT-2")]
+    assert [each.get("E") for each in root.iter("TSK")] == ["PFD-1", None], "a task is of one field at most"
     # A log refers to the device element of its TASKDATA.XML, which the schema of one file cannot see.
     assert set(faults) <= {"IDREF 'DET-1' not found in XML document"}
 

@@ -11,6 +11,7 @@ from aggregator.ledger.writer import Ledger
 from tests.aggregator.loaded_story import Loads, story
 from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
+from tuberline.export.tubers import about
 
 
 def test_as_weighed_is_of_what_was_seen_and_raw_is_made_up_for_the_rest(tmp_path: Path) -> None:
@@ -19,7 +20,7 @@ def test_as_weighed_is_of_what_was_seen_and_raw_is_made_up_for_the_rest(tmp_path
         it = Loads(ledger, story())
         for n in it.commits():
             if n == 2:
-                it.order("a", "start", x_m=-0.3, fields={"name": "A"})
+                it.order("a", "start", x_m=-0.3, fields={"name": "A", "field": "Kamp", "variety": "Agria"})
             if n == 30:  # the line is stopped
                 break
         ledger.open_run("dark", line="story", cameras=("left",), version="1", started_ns=1)
@@ -27,6 +28,7 @@ def test_as_weighed_is_of_what_was_seen_and_raw_is_made_up_for_the_rest(tmp_path
     export([tmp_path], format="csv", what="loads", out=tmp_path / "loads.csv")
     with (tmp_path / "loads.csv").open() as file:
         *loads, whole = csv.DictReader(file)
+    assert about([tmp_path])["runs"][0]["grown"] == [{"field": "Kamp", "variety": "Agria"}]
     (dark,) = (row for row in loads if row["load"] == "dark")
     assert (dark["tubers"], dark["coverage"], dark["ticket_kg"]) == ("0", "", "")
     assert {dark[name] for name in dark if name.endswith("_kg")} == {""}, "nothing was seen: it said 0 kg, 0 to 0"

@@ -12,8 +12,9 @@ import numpy as np
 from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import all_runs, ledger_file, read_sums, read_tubers, reading, runs_in_words
 from aggregator.ledger.stated import belt_of_run, stated_beside
-from aggregator.ledger.totals_by import ALL, Total, all_loads, labelled, total_of, totals_by
+from aggregator.ledger.totals_by import ALL, Labelled, Total, all_loads, labelled, total_of, totals_by
 from conveyor import __version__
+from conveyor.cultivar import cultivar_key
 from conveyor.errors import InputError
 from conveyor.messages import Tuber
 from tuberline.export.table import Column, Table
@@ -133,6 +134,7 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
             {
                 "run": runs_in_words([run.run for run in known]),
                 "line": known[-1].line,
+                "grown": _grown(loads),
                 "finished": all(run.finished for run in known),
                 "weights": sorted(models),
                 "calibrated_by": "; ".join(dict.fromkeys(filter(None, by))) or "nothing",
@@ -144,6 +146,16 @@ def about(runs: Sequence[Path]) -> dict[str, Any]:
             }
         )
     return {"made_by": f"tuberline {__version__}", "made_at": _time(datetime.now(UTC).timestamp()), "runs": found}
+
+
+def _grown(loads: Sequence[Labelled]) -> list[dict[str, str]]:
+    """Field and variety of what was counted, each pair once; '' where a load does not name it."""
+    pairs: dict[tuple[str, str], tuple[str, str]] = {}
+    for load in loads:
+        if load.one.totals.sums.count:
+            field, variety = load.load.field if load.load else "", load.one.variety
+            pairs.setdefault((field, cultivar_key(variety)), (field, variety))
+    return [{"field": field, "variety": variety} for field, variety in pairs.values() if field or variety]
 
 
 def _tuber(tuber: Tuber) -> tuple[Any, ...]:

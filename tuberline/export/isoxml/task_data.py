@@ -1,4 +1,5 @@
-"""TASKDATA of a field's map: one task per run with its time log, and the totals of the run.
+"""TASKDATA of a field's map: one task per run with its time log, the totals of the run, and the field and the varieties
+that its loads name.
 
 Second by second the log has where the share was, the yield per area (DDI 84, mg/m2), the mass and count per time
 (87, mg/s; 88, 0.001/s) and the working width (67, mm). Seconds that the map leaves out have a place and no yield.
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from conveyor import __version__
+from conveyor.cultivar import as_first_given, cultivar_key
 from tuberline.export.isoxml.time_log import LoggedValue, LogRecord, header_xml, pack_records
 from tuberline.maps.field import FieldPlaces, MachineShare
 
@@ -24,6 +27,9 @@ DEVICE, ELEMENT = "DVC-1", "DET-1"
 PER_AREA, PER_TIME, COUNT_PER_TIME, WIDTH = (LoggedValue(ddi, ELEMENT) for ddi in (84, 87, 88, 67))
 COLUMNS = (PER_AREA, PER_TIME, COUNT_PER_TIME, WIDTH)
 TOTAL_MASS, TOTAL_COUNT = 90, 91
+CROP = "Potatoes"
+MOST_TEXT = 32
+"""Characters of a designator."""
 _NAMES = {
     84: "Yield per area",
     87: "Mass flow",
@@ -75,9 +81,10 @@ def task_xml(field: FieldPlaces, about: dict[str, Any]) -> bytes:
         DataTransferOrigin="2",
     )
     _device(root)
-    ElementTree.SubElement(root, "PDT", A="PDT-1", B="Potatoes")
+    ElementTree.SubElement(root, "PDT", A="PDT-1", B=CROP)
+    partfields = _partfields(root, [pair for told in about["runs"] for pair in told["grown"]])
     for n, share in enumerate(field.shares, start=1):
-        _task(root, n, share, about["runs"][n - 1])
+        _task(root, n, share, about["runs"][n - 1], partfields)
     ElementTree.indent(root)
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root) + b"\n"
 
@@ -89,7 +96,7 @@ def _device(root: ElementTree.Element) -> None:
         "DVC",
         A=DEVICE,
         B="Tuberline",
-        C=__version__[:32],
+        C=__version__[:MOST_TEXT],
         D="A000000000000000",
         F="00000000000000",
         G="FF000000000000",
@@ -101,8 +108,36 @@ def _device(root: ElementTree.Element) -> None:
         ElementTree.SubElement(device, "DPD", A=str(n), B=f"{ddi:04X}", C="0", D=trigger, E=_NAMES[ddi])
 
 
-def _task(root: ElementTree.Element, n: int, share: MachineShare, told: dict[str, Any]) -> None:
-    task = ElementTree.SubElement(root, "TSK", A=f"TSK-{n}", B=share.run[:32], G="4")
+def _partfields(root: ElementTree.Element, grown: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Crop, varieties and fields that the loads name; ids of the fields by their names. Of a field with several
+    varieties none is said to be its own; how large a field is no load says (0).
+    """
+    varieties = as_first_given(pair["variety"] for pair in grown if pair["variety"])
+    fields: dict[str, set[str]] = {}
+    for pair in grown:
+        if pair["field"]:
+            fields.setdefault(pair["field"], set()).add(cultivar_key(pair["variety"]))
+    if not grown:
+        return {}
+    crop = ElementTree.SubElement(root, "CTP", A="CTP-1", B=CROP)
+    variety_ids = {key: f"CVT-{n}" for n, key in enumerate(varieties, start=1)}
+    for key, variety in varieties.items():
+        ElementTree.SubElement(crop, "CVT", A=variety_ids[key], B=variety[:MOST_TEXT])
+    ids = {name: f"PFD-{n}" for n, name in enumerate(fields, start=1)}
+    for name, keys in fields.items():
+        of_field = ElementTree.SubElement(root, "PFD", A=ids[name], C=name[:MOST_TEXT], D="0", G="CTP-1")
+        if len(keys) == 1 and (variety_id := variety_ids.get(*keys)):
+            of_field.set("H", variety_id)
+    return ids
+
+
+def _task(
+    root: ElementTree.Element, n: int, share: MachineShare, told: dict[str, Any], partfields: Mapping[str, str]
+) -> None:
+    task = ElementTree.SubElement(root, "TSK", A=f"TSK-{n}", B=share.run[:MOST_TEXT], G="4")
+    fields = list(dict.fromkeys(pair["field"] for pair in told["grown"] if pair["field"]))
+    if len(fields) == 1:  # a task is of one field at most
+        task.set("E", partfields[fields[0]])
     start, stop = (datetime.fromtimestamp(at, UTC) for at in (share.points.time_s[0], share.points.time_s[-1]))
     time = ElementTree.SubElement(
         task, "TIM", A=_iso(start), B=_iso(stop), C=str(round((stop - start).total_seconds())), D="4"
@@ -114,7 +149,9 @@ def _task(root: ElementTree.Element, n: int, share: MachineShare, told: dict[str
     coverage = told.get("coverage")
     seen = "" if coverage is None else f", {100 * coverage:.0f} % of the belt seen"
     scaled = "" if share.factor == 1 else f", yields times {share.factor:.3f} to meet the other machines"
-    text = f"weights {'+'.join(told['weights']) or 'unknown'}, calibrated by {told['calibrated_by']}{seen}{scaled}"
+    several = f", of the fields {', '.join(fields)}" if len(fields) > 1 else ""
+    by = f"weights {'+'.join(told['weights']) or 'unknown'}, calibrated by {told['calibrated_by']}"
+    text = f"{by}{seen}{scaled}{several}"
     task.append(ElementTree.Comment(f" {re.sub('-{2,}', '-', text)} "))  # a comment holds no two hyphens
 
 
