@@ -31,6 +31,10 @@ COLUMNS = ("n", "time_ns", "fix_ns", "lat_deg", "lon_deg", "quality", "hdop", "s
 MOST_QUALITY = 9
 LAST_NS = 2**63 - 1
 """The year 2262: no time is later, and milliseconds taken for seconds are."""
+SEPARATORS = (",", ";", "\t")
+"""Of columns: the one that the header has most of."""
+_BEYOND = "beyond the header"
+_TOO_MANY = "it has more values than the header has names; numbers with decimal commas need ; between them, or quotes"
 _LATITUDE = ("lat_deg", "lat", "latitude")
 _LONGITUDE = ("lon_deg", "lon", "long", "lng", "longitude")
 _TIME = ("time_ns", "time_s", "time", "timestamp", "datetime", "utc")
@@ -132,7 +136,8 @@ def _whole_rows(path: Path) -> int:
 def _table(data: bytes, path: Path) -> Iterator[Place]:
     text = data.decode("utf-8", errors="replace")
     whole = text[: text.rfind("\n") + 1] if text.startswith(",".join(COLUMNS)) else text
-    rows = csv.DictReader(io.StringIO(whole))
+    head = whole.partition("\n")[0]
+    rows = csv.DictReader(io.StringIO(whole), delimiter=max(SEPARATORS, key=head.count), restkey=_BEYOND)
     names = {name.strip().lower(): name for name in rows.fieldnames or () if name}
     found = [next((names[name] for name in known if name in names), None) for known in (_TIME, _LATITUDE, _LONGITUDE)]
     if None in found:
@@ -145,13 +150,29 @@ def _table(data: bytes, path: Path) -> Iterator[Place]:
         if "crc" in names:
             _check(row, path, number)
         try:
+            if any(row.pop(_BEYOND, None) or ()):
+                raise ValueError(_TOO_MANY)
+            if None in row.values():
+                raise ValueError(f"it has fewer values than the header has names: {', '.join(names)}")
             quality = int(row[names["quality"]] or 0) if "quality" in names else 1
             told = _told(row) if "crc" in names else (None, None, 0)
             time_ns = _time_ns(row[time], time.strip().lower())
-            place = _within(Place(time_ns, float(row[lat]), float(row[lon]), quality, *told))
+            place = _within(Place(time_ns, _number(row[lat]), _number(row[lon]), quality, *told))
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(f"track {path}, line {number}: {error}") from error
         yield place
+
+
+def _number(text: str) -> float:
+    """A number with a decimal point, or a decimal comma as spreadsheets of many countries write it.
+
+    Raises:
+        ValueError: none; one with a point and a comma, which may be thousands, is refused.
+    """
+    try:
+        return float(text.replace(",", ".") if text.count(",") == 1 and "." not in text else text)
+    except ValueError as error:
+        raise ValueError(f"'{text}' is no number; give one with a decimal point or comma and nothing else") from error
 
 
 def _within(place: Place) -> Place:
@@ -188,9 +209,12 @@ def _time_ns(text: str, column: str) -> int:
     if column == "time_ns":
         return int(text)
     try:
-        return round(float(text) * 1000) * 1_000_000
+        return round(_number(text) * 1000) * 1_000_000
     except ValueError:
-        at = datetime.fromisoformat(text.strip())
+        try:
+            at = datetime.fromisoformat(text.strip())
+        except ValueError as error:
+            raise ValueError(f"its time is '{text}'; give Unix seconds, or ISO 8601: 2026-09-21T14:13:20Z") from error
         return round((at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp() * 1000) * 1_000_000
 
 

@@ -127,6 +127,9 @@ def test_tracks_of_others_are_read(tmp_path: Path) -> None:
         "a.gpx": (gpx.format("2026-09-14T10:00:00Z") + "</trkseg></trk></gpx>").encode(),
         "b.csv": b"time,latitude,longitude\n2026-09-14T10:00:00+00:00,52.7,5.75\n",
         "c.csv": b"timestamp,lat,long\n1789380000,52.7,5.75\n",
+        "c2.csv": b"Time;Latitude;Longitude;\r\n1789380000;52,7;5.75;\r\n",
+        "c3.csv": b'time_s,lat,lon\n"1789380000,0","52,7","5,75"\n',
+        "c4.tsv": b"utc\tlat\tlon\n2026-09-14T12:00:00,000+02:00\t52,7\t5,75\n",
         "d.nmea": rmc("100000.00", "140926") + gga("100000.00"),
     }
     for name, data in files.items():
@@ -135,7 +138,10 @@ def test_tracks_of_others_are_read(tmp_path: Path) -> None:
         assert (place.time_ns, place.lat_deg, place.lon_deg) == (1789380000 * 10**9, 52.7, 5.75), name
     for text, told in (
         ("a,b\n1,2\n", "needed are a time"),
-        ("time,lat,lon\nnoon,1,2\n", "line 2"),
+        ("time,lat,lon\nnoon,1,2\n", "line 2: its time is 'noon'; give Unix seconds, or ISO 8601"),
+        ("time,lat,lon\n1789380000,52,7,5,75\n", "line 2: it has more values .* decimal commas need ; between them"),
+        ("time;lat;lon\n1789380000;52,7\n", "line 2: it has fewer values than the header has names: time, lat, lon"),
+        ("time;lat;lon\n1789380000;1.052,7;5\n", "line 2: '1.052,7' is no number; give one with a decimal point or"),
         ("<gpx>", "no GPX"),
         ("timestamp,lat,lon\n1789380000000,52.7,5.75\n", "line 2: its time lies 1.78938e\\+12 s after 1970"),
         ("time,lat,lon\ninf,52.7,5.75\n", "line 2"),
