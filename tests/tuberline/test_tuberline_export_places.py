@@ -15,7 +15,11 @@ from conveyor.errors import InputError, LedgerError
 from tests.tuberline.test_tuberline_export import HOW, run
 from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
+from tuberline.export.binary_files import write_parquet
+from tuberline.export.cells import cut_at_180
 from tuberline.export.isoxml.archive import read_time_logs
+from tuberline.export.table import Column, Ring, Table
+from tuberline.export.text_files import write_geojson
 from tuberline.maps.field import Settings, field_map
 
 __all__ = ["run"]
@@ -74,3 +78,27 @@ def test_a_run_and_a_copy_of_it_are_not_added_up(run: Path, tmp_path: Path) -> N
     ):
         with pytest.raises(LedgerError, match=words):
             read()
+
+
+def test_cells_on_the_180th_meridian_lie_on_both_sides_of_it(tmp_path: Path) -> None:
+    """Their rings went around the Earth the other way."""
+    shapely, parquet = pytest.importorskip("shapely"), pytest.importorskip("pyarrow.parquet")
+    across: Ring = [(179.9999, -16.8), (-179.9998, -16.8), (-179.9998, -16.7), (179.9999, -16.7), (179.9999, -16.8)]
+    beside: Ring = [(179.9998, -16.8), (179.9999, -16.8), (179.9999, -16.7), (179.9998, -16.7), (179.9998, -16.8)]
+    touching: Ring = [(179.9999 if lon == 179.9999 else -180.0, lat) for lon, lat in across]
+    areas = [cut_at_180(ring) for ring in (across, beside, touching)]
+    table = Table("cells", (Column("kg", "number", "kg", ""),), [(1.0,), (2.0,), (3.0,)], {}, areas)
+    write_geojson(table, tmp_path / "cells.geojson")
+    write_parquet(table, tmp_path / "cells.parquet", geometry=True)
+    features = json.loads((tmp_path / "cells.geojson").read_text())["features"]
+    made = [shapely.from_geojson(json.dumps(feature["geometry"])) for feature in features]
+    stored = parquet.read_table(tmp_path / "cells.parquet")
+    assert all(shapely.equals(shapely.from_wkb(stored["geometry"].to_pylist()), made))
+    assert [shape.geom_type for shape in made] == ["MultiPolygon", "Polygon", "Polygon"]
+    assert all(shapely.is_valid(made))
+    assert [part.exterior.is_ccw for part in made[0].geoms] == [True, True]
+    assert [shape.area for shape in made] == pytest.approx([3e-5, 1e-5, 1e-5])
+    assert [part.bounds[::2] for part in made[0].geoms] == [(179.9999, 180.0), (-180.0, pytest.approx(-179.9998))]
+    geo = json.loads(stored.schema.metadata[b"geo"])["columns"]["geometry"]
+    assert geo["geometry_types"] == ["MultiPolygon", "Polygon"]
+    assert geo["bbox"] == [179.9998, -16.8, pytest.approx(-179.9998), -16.7]

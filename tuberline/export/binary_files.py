@@ -99,27 +99,49 @@ def write_xlsx(tables: Sequence[Table], path: Path) -> None:
 
 
 def _shapes(table: Table) -> list[Any]:
+    """Of each row its point, its area (a list of rings), or None."""
     if table.polygons is not None:
         return list(table.polygons)
     pairs = zip(table.column("lon_deg"), table.column("lat_deg"), strict=True)
     return [None if lon is None else (lon, lat) for lon, lat in pairs]
 
 
-def _wkb(shape: Any) -> bytes:
-    """A point or a polygon of one ring as well-known binary, little-endian."""
+def _kind(shape: Any) -> str:
     if isinstance(shape, tuple):
-        return struct.pack("<BIdd", 1, 1, *shape)
-    return struct.pack(f"<BIII{2 * len(shape)}d", 1, 3, 1, len(shape), *(value for point in shape for value in point))
+        return "Point"
+    return "MultiPolygon" if len(shape) > 1 else "Polygon"
+
+
+def _wkb(shape: Any) -> bytes:
+    """A point, a polygon or several, each of one ring, as well-known binary, little-endian."""
+    match _kind(shape):
+        case "Point":
+            return struct.pack("<BIdd", 1, 1, *shape)
+        case "Polygon":
+            (ring,) = shape
+            values = (value for point in ring for value in point)
+            return struct.pack(f"<BIII{2 * len(ring)}d", 1, 3, 1, len(ring), *values)
+        case _:
+            return struct.pack("<BII", 1, 6, len(shape)) + b"".join(_wkb([ring]) for ring in shape)
 
 
 def _geo(shapes: Sequence[Any]) -> dict[str, Any]:
-    points = [p for s in shapes if s is not None for p in ([s] if isinstance(s, tuple) else s)]
-    kind = "Point" if shapes and isinstance(next((s for s in shapes if s is not None), ()), tuple) else "Polygon"
-    column: dict[str, Any] = {"encoding": "WKB", "geometry_types": [kind]}
+    known = [shape for shape in shapes if shape is not None]
+    kinds = sorted({_kind(shape) for shape in known}) or ["Point"]
+    column: dict[str, Any] = {"encoding": "WKB", "geometry_types": kinds}
+    points = [p for s in known for p in ([s] if isinstance(s, tuple) else [p for ring in s for p in ring])]
     if points:
         lons, lats = zip(*points, strict=True)
-        column["bbox"] = [min(lons), min(lats), max(lons), max(lats)]
+        west, east = _west_and_east(lons)
+        column["bbox"] = [west, min(lats), east, max(lats)]
     return {"version": GEOPARQUET_VERSION, "primary_column": "geometry", "columns": {"geometry": column}}
+
+
+def _west_and_east(lons: Sequence[float]) -> tuple[float, float]:
+    """Bounds of a field; west is the larger one of a field that lies on the 180th meridian (RFC 7946, 5.2)."""
+    if max(lons) - min(lons) <= 180:
+        return min(lons), max(lons)
+    return min(lon for lon in lons if lon > 0), max(lon for lon in lons if lon < 0)
 
 
 def _flat(values: Any, name: str = "") -> list[tuple[str, str]]:

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+Ring = Sequence[tuple[float, float]]
+"""Longitudes and latitudes, the first point once more at the end."""
+
 
 @dataclass(frozen=True, slots=True)
 class Column:
@@ -19,7 +22,8 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows in the order of `columns`; `polygons` are (longitude, latitude) rings of the rows, where they have an area.
+    """Rows in the order of `columns`; `polygons` are the areas of the rows, where they have one: a ring each, or one on
+    either side of the 180th meridian.
 
     Attributes:
         name: 'tubers', 'loads' or 'cells'.
@@ -30,7 +34,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: Sequence[tuple[Any, ...]]
     about: dict[str, Any]
-    polygons: Sequence[Sequence[tuple[float, float]]] | None = None
+    polygons: Sequence[Sequence[Ring]] | None = None
 
     def column(self, name: str) -> list[Any]:
         """All values of one column."""

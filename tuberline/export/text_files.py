@@ -57,6 +57,7 @@ def write_geojson(table: Table, path: Path) -> None:
 
 def _geometry(table: Table, n: int, values: dict[str, Any]) -> dict[str, Any] | None:
     if table.polygons is not None:
-        return {"type": "Polygon", "coordinates": [table.polygons[n]]}
+        first, *more = parts = [[ring] for ring in table.polygons[n]]
+        return {"type": "MultiPolygon", "coordinates": parts} if more else {"type": "Polygon", "coordinates": first}
     lat, lon = values.pop("lat_deg"), values.pop("lon_deg")
     return None if lat is None else {"type": "Point", "coordinates": [lon, lat]}
