@@ -23,9 +23,9 @@ from aggregator.ledger.reader import (
     coverage_of,
     ledger_file,
     moment_of,
-    read_entry,
     read_runs,
     read_sums,
+    read_tubers,
     reading,
     run_being_written,
     sights_of,
@@ -168,10 +168,9 @@ class ReadLoads:
             self._priors[run] = prior_told(belt_of_run(self._view, run, self.sums(run), self.stated) or {})
         return self._priors[run]
 
-    def first_entries(self, run: RunRow) -> list[bytes | None]:
-        """The payload of the first entry of each camera's log; empty where there is none."""
-        found = [read_entry(self._view, run.run, camera, 1) for camera in run.cameras]
-        return found if any(found) else []
+    def first_tuber(self, run: str) -> Tuber | None:
+        """The first one of a run; None where there is none."""
+        return next(read_tubers(self._view, run, limit=1), None)
 
     def sums(self, run: str) -> RunSums:
         """The sums of a run."""
