@@ -136,8 +136,8 @@ def check_ticket(ticket: Ticket) -> Ticket:
     low, high = RATIO_RANGE
     if not low <= ratio <= high:
         raise InputError(
-            f"the ticket says {ticket.ticket_g / 1000:.1f} kg, {ticket.name} {ticket.estimated_g / 1000:.1f} kg: "
-            f"a ratio of {ratio:.2f}, allowed is {low} to {high}; is it the same load, net, in kilograms?"
+            f"the ticket says {ticket.ticket_g / 1000:.1f} kg, {ticket.name} came to {ticket.estimated_g / 1000:.1f} "
+            f"kg: a ratio of {ratio:.2f}, allowed is {low} to {high}; is it the same load, net, in kilograms?"
         )
     if (ticket.kind == "tubers") != bool(ticket.singles):
         raise InputError(f"{ticket.name}: single weights belong to kind 'tubers', and to no other")

@@ -147,11 +147,10 @@ def find(book: LoadBook, wanted: str, run: str) -> Load:
     found = numbered or named
     if len(found) == 1:
         return found[0]
-    newest = (found or there)[-NAMED_IN_ERRORS:]
-    told = ", ".join(load.told for load in newest) or "none"
+    told = ", ".join(load.told for load in (found or there)[-NAMED_IN_ERRORS:])
     if found:
         raise InputError(f"{len(found)} loads are named {wanted!r}: give the number; they are {told}")
-    raise InputError(f"no load {wanted!r}; the last ones are {told}")
+    raise InputError(f"no load {wanted!r}; {f'the last ones are {told}' if told else 'this ledger has none yet'}")
 
 
 def _two_meanings(wanted: str, meant: Load, others: list[Load]) -> str:

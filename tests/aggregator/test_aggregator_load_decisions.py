@@ -171,7 +171,7 @@ def test_an_undo_is_the_history_without_the_change(seed: int) -> None:
         ("end", {}, "no load is open: nothing to end"),
         ("undo", {}, "nothing to undo"),
         ("note", {"note": "x"}, "has no load yet: start one"),
-        ("ticket", {"kg": 100.0, "load": "A"}, "no load 'A'; the last ones are none"),
+        ("ticket", {"kg": 100.0, "load": "A"}, "no load 'A'; this ledger has none yet"),
     ],
 )
 def test_what_cannot_be_done_is_refused_in_words(

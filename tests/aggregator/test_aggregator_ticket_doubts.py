@@ -26,6 +26,8 @@ from tuberline.cli.ledger_totals import totals
 from tuberline.cli.load_table import print_load, print_loads
 from tuberline.cli.ticket_options import TicketOptions
 from tuberline.export.report.gather import day_facts
+from tuberline.export.report.page import Grid
+from tuberline.export.report.sections import kg, report_of
 from tuberline.export.report.wrong import what_went_wrong
 from viewer.page.state import ToldLoad
 
@@ -163,6 +165,10 @@ def test_the_report_of_a_day_tells_of_its_refused_tickets_alone(path: Path, raw_
     told = {day: day_facts([path], day=day).refused for day in (None, "1970-01-02", "1970-01-03")}
     assert ["a ratio of 2.00" in words for words in told["1970-01-02"]] == [True]
     assert (told[None], told["1970-01-03"]) == (told["1970-01-02"], ())
+    report = report_of(day_facts([path]), map_png=None, map_note="")
+    (grid,) = [block for block in report.blocks if isinstance(block, Grid) and block.title == "Loads"]
+    scale = kg(2 * raw_kg["A"], unit=False)
+    assert [row[-1] for row in grid.rows] == ["–", scale, "–", f"{scale} (1 of 3)"], "it stood beside the weight of all"
 
 
 def test_a_running_line_says_it_as_a_ledger_at_rest_does(path: Path, raw_kg: dict[str, float], tmp_path: Path) -> None:

@@ -61,6 +61,13 @@ def test_a_run_without_positions_beside_one_with_them_is_named(
     write_run(bare, run="tuesday", crossed_ns=crossed_ns, weight_g=np.full(20, 170.0))
     export([run, bare], format="csv", out=tmp_path / "out.csv", **HOW)  # type: ignore[arg-type]
     assert f"tubers without their places: run {bare} has no positions.csv" in capsys.readouterr().err
+    track = run / "positions.csv"
+    for day, tracks, words in (
+        ("2026-09-21", [track], "2 runs and 1 tracks are given"),  # an IndexError, or the one of another run
+        ("2020-01-01", [track, track], "no load of 2020-01-01: they hold 2026-09-21"),  # 'counted no tuber'
+    ):
+        with pytest.raises(InputError, match=words):
+            export([bare, run], format="html", day=day, track=tracks, out=tmp_path / "day.html", **HOW)  # type: ignore[arg-type]
 
 
 def test_a_run_and_a_copy_of_it_are_not_added_up(run: Path, tmp_path: Path) -> None:

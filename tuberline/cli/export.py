@@ -131,7 +131,7 @@ def _field(
     if not tracks and not any((ledger_file(run).parent / POSITIONS_FILE).is_file() for run in runs):
         return None
     from tuberline.export.tubers import read_day
-    from tuberline.maps.field import field_map, field_places
+    from tuberline.maps.field import check_tracks, field_map, field_places
     from tuberline.maps.settings import settings_of
 
     settings = settings_of(runs, **how)
@@ -139,8 +139,11 @@ def _field(
         return field_places(runs, tracks, settings, tubers=tubers)
     if day is None:
         return field_map(runs, tracks, settings)
+    check_tracks(runs, tracks)
     of_day = read_day(runs, day)
-    there = [n for n, found in enumerate(of_day) if found] or range(len(runs))  # of none it is said that there is none
+    there = [n for n, found in enumerate(of_day) if found]
+    if not there:
+        return None  # the report itself says which days there are
     return field_map(
         [runs[n] for n in there],
         [tracks[n] for n in there if tracks],

@@ -65,8 +65,8 @@ def _found(ask: Callable[[str, int], list[dict[str, Any]]], wanted: str, limit: 
     loads = ask(wanted, MOST_ASKED)
     if found := [load for load in loads if is_meant(wanted, number=load["number"], name=load["name"])]:
         return found
-    known = ", ".join(f"{load['number']} ({load['name']})" for load in ask("", NAMED)) or "none"
-    raise InputError(f"no load {wanted!r} is there; the newest are {known}")
+    known = ", ".join(f"{load['number']} ({load['name']})" for load in ask("", NAMED))
+    raise InputError(f"no load {wanted!r} is there; {f'the newest are {known}' if known else 'none was started yet'}")
 
 
 def print_loads(loads: list[dict[str, Any]]) -> None:

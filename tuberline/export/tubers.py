@@ -49,7 +49,7 @@ LOAD_COLUMNS = (
     Column("low_kg", "number", "kg", "lower end of the weight's 90 % interval"),
     Column("high_kg", "number", "kg", "upper end of the weight's 90 % interval"),
     Column("coverage", "number", "share", "of the belt that was looked at"),
-    Column("ticket_kg", "number", "kg", "what a scale said, net"),
+    Column("ticket_kg", "number", "kg", "what a scale said, net; of all: of the loads that have a ticket"),
     Column("raw_kg", "number", "kg", "not calibrated, made up for belt that was not seen"),
 )
 

@@ -174,6 +174,16 @@ def field_places(
     return _places_of(runs, tracks, _of_each(runs, settings), None, tubers)[0]
 
 
+def check_tracks(runs: Sequence[Path], tracks: Sequence[Path]) -> None:
+    """Refuse tracks of which it is not known to which run each belongs.
+
+    Raises:
+        InputError: there are some, and more or fewer than runs.
+    """
+    if tracks and len(tracks) != len(runs):
+        raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
+
+
 def _of_each(runs: Sequence[Path], settings: Settings | Sequence[Settings]) -> Sequence[Settings]:
     if not runs:
         raise InputError("name at least one run: `tuberline map RUN`")
@@ -191,8 +201,7 @@ def _places_of(
     for each in settings:
         Machine(each.width_m, 0.0, each.overlap_m)
         check_cell(each.cell_m)
-    if tracks and len(tracks) != len(runs):
-        raise InputError(f"{len(runs)} runs and {len(tracks)} tracks are given: give one --track for each run, or none")
+    check_tracks(runs, tracks)
     known: Sequence[Sequence[Tuber] | None] = tubers or [None] * len(runs)
     found_tracks = tracks or _own_tracks(runs)
     calibrating = tickets_by_ledger(runs)

@@ -84,7 +84,9 @@ def _loads(facts: DayFacts) -> Grid:
         for load in facts.loads
     ]
     sums = facts.total.sums
-    weighed = f"{kg(facts.total.net_g / 1000, unit=False)}" if facts.total.weighed else NONE
+    total = facts.total
+    some = f" ({total.weighed} of {total.loads})" if total.weighed < total.loads else ""
+    weighed = f"{kg(total.net_g / 1000, unit=False)}{some}" if total.weighed else NONE
     rows.append(
         (
             "all", "", "", "", str(sums.tubers), kg(facts.total.raw_g / 1000, unit=False),
