@@ -74,7 +74,7 @@ class AllLoads:
     Attributes:
         by_ledger: those of each, by its file. refused: tickets that cannot calibrate, in words. doubts: what else is
             to be said of tickets: that others contradict them, that they hold for one ledger alone, or for other
-            weights.
+            weights, or that those which a line's config names cannot be read.
     """
 
     by_ledger: Mapping[Path, list[Labelled]]
@@ -141,10 +141,10 @@ def all_loads(paths: Sequence[Path], *, tickets: Sequence[Ticket] = (), day: str
                 own = [load for load in own if load.labels["day"] == day]
                 book = [load.load for load in own if load.load is not None]
             if own or day is None:
-                refused += [*known.unread, *filter(None, (known.refused.get(load.number) for load in book))]
+                refused += [known.refused[load.number] for load in book if load.number in known.refused]
                 models = [model for load in own for method, model in load.one.totals.sums.weighed if method != "volume"]
                 told = (*of_other_weights(known.tickets, models), *ledger_doubts(book, known.tickets, asked))
-                doubts |= dict.fromkeys((*known.unshared, *told))
+                doubts |= dict.fromkeys((*known.unread, *known.unshared, *told))
         return AllLoads(loads, refused, list(doubts))
 
 

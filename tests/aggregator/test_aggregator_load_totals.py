@@ -28,7 +28,7 @@ from aggregator.ledger.class_list import told_classes
 from aggregator.ledger.load_list import told_loads
 from aggregator.ledger.load_totals import Seen
 from aggregator.ledger.reader import RunRow, reading
-from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, totals_by
+from aggregator.ledger.totals_by import ALL, NOT_TOLD, _harvested_ns, _run_labels, all_loads, totals_by
 from aggregator.ledger.writer import Ledger
 from aggregator.report import Reporter
 from aggregator.scoring.classes import score_classes
@@ -286,9 +286,10 @@ def test_what_a_line_is_calibrated_by_holds_for_its_ledger_at_rest(tmp_path: Pat
     tickets.unlink()
     gone, refused = totals_by([path], "load")
     assert [t.sums.estimated_g for t in gone] == [t.sums.estimated_g for t in before.values()]
-    assert f"{config} names them, they are left out" in refused[0]
+    assert f"{config} names them, they are left out" in all_loads([path]).doubts[0]
     config.write_text("[aggregator]\ntickts = 1\n")
-    assert "tickets and cultivar that it names are left out" in totals_by([path], "load")[1][0]
+    assert "tickets and cultivar that it names are left out" in all_loads([path]).doubts[0]
+    assert refused == all_loads([path]).refused == [], "it began with 'a ticket does not calibrate: config ...'"
 
 
 def test_a_ticket_that_cannot_be_of_this_load_is_kept_and_not_used(tmp_path: Path) -> None:
