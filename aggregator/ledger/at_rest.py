@@ -10,10 +10,11 @@ from aggregator.core.load_orders import answer, decide, refusal
 from aggregator.core.loads import LoadEvent
 from aggregator.ledger.line_tickets import with_own
 from aggregator.ledger.load_totals import Seen, tickets_of
+from aggregator.ledger.receipt import is_being_written
 from aggregator.ledger.stated import stated_beside
 from aggregator.ledger.ticket_doubts import ticket_remark
 from aggregator.ledger.writer import Ledger
-from conveyor.errors import InputError
+from conveyor.errors import InputError, StorageError
 from conveyor.load_orders import check_order
 from conveyor.messages import LoadAnswer, LoadOrder
 
@@ -28,6 +29,8 @@ def order_at_rest(path: Path, order: LoadOrder) -> LoadAnswer:
     check_order(order)
     if not path.is_file():
         raise InputError(f"there is no ledger at {path}; give a run's folder or its ledger.db")
+    if is_being_written(path):
+        raise StorageError(f"ledger {path} is being written by a line: give the order to that line, without --ledger")
     if order.action in ("start", "end", "undo"):
         return refusal(
             order, InputError("a load starts, ends or is undone while its line runs; without it, notes and tickets")

@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.check import check_file
 from aggregator.ledger.verified import reading
 from aggregator.ledger.writer import Ledger
 from conveyor.errors import UnmadeError
+from conveyor.messages import LoadOrder
 from tests.aggregator.belt_story import tell
 from tests.aggregator.virtual_line import Aggregator, fresh_run, undisturbed
 
@@ -146,6 +148,8 @@ def test_a_second_writer_is_refused(tmp_path: Path) -> None:
 
     with Ledger(tmp_path / "ledger.db"), pytest.raises(LedgerError, match="being written by another process"):
         Ledger(tmp_path / "ledger.db").__enter__()
+    with Ledger(tmp_path / "ledger.db"), pytest.raises(LedgerError, match="give the order to that line, without --led"):
+        order_at_rest(tmp_path / "ledger.db", LoadOrder("n", "note", note="wet"))
 
 
 def test_the_story_is_the_same_in_every_process() -> None:
