@@ -81,8 +81,10 @@ def test_what_went_wrong_is_said_in_words(run: Path) -> None:
     apart = {"first": "left", "second": "right", "along_mm": 1.0, "across_mm": 40.0}
     apart |= {"shared": 20, "twice": 18, "alarm": True}
     heights = [{"name": "7 trailer", "number": 1, "heights": [lower]}, {"name": "", "number": 2}]
+    heights.append({"name": "of another day", "number": 3, "heights": [lower]})
     broken = replace(
         of_run,
+        loads=frozenset((1, 2)),
         summary={
             "cameras": {"left": sheet},
             "differences": ["tubers do not add up"],

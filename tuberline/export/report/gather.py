@@ -67,7 +67,9 @@ class LoadFacts:
 
 @dataclass(frozen=True, slots=True)
 class RunFacts:
-    """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights."""
+    """One run as its summary has it; `summary` is empty where there is none yet. `models`: tubers by weights. `loads`:
+    numbers of the loads that are told.
+    """
 
     path: Path
     run: str
@@ -76,6 +78,7 @@ class RunFacts:
     summary: dict[str, Any]
     end: End
     models: dict[str, int]
+    loads: frozenset[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,14 +175,16 @@ def _load(found: Labelled, contract: Contract, densities: ForeignConfig) -> Load
 
 def _runs(file: Path, loads: Sequence[Labelled], day: str | None) -> list[RunFacts]:
     """Those of a ledger, or those in which something of `day` was, be it only belt."""
-    of_day = {run for load in loads if load.labels["day"] == day for run in load.runs}
+    told = [load for load in loads if day in (None, load.labels["day"])]
+    of_day = {run for load in told for run in load.runs}
+    numbers = frozenset(load.load.number for load in told if load.load is not None)
     with reading(file) as view:
         written, found = run_being_written(view), []
         for run in (run for run in all_runs(view, file) if day is None or run.run in of_day):
             sums = read_sums(view, run.run)
             summary = summary_told(view, run.run, sums)
             end = end_of(run, written, sums=sums, summary=summary)
-            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models()))
+            found.append(RunFacts(file, run.run, run.line, run.version, summary, end, sums.load.models(), numbers))
         return found
 
 

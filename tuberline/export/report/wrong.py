@@ -107,7 +107,7 @@ def _of_run(run: RunFacts) -> Iterator[str]:
         yield f"Run {run.run}: {said}."
     if summary.get("layers"):
         yield f"Run {run.run}: {summary['layers']}."
-    for load in summary.get("loads", []):
+    for load in (load for load in summary.get("loads", []) if load["number"] in run.loads):
         if said := heights_in_words(HeightChange(**change) for change in load.get("heights", ())):
             yield f"Load {load['name'] or load['number']}: {said}."
     methods, tubers = summary.get("methods", {}), summary.get("totals", {}).get("count") or 0
