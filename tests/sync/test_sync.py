@@ -176,6 +176,9 @@ def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, t
         connection.execute("UPDATE tuberline.tuber SET crc = crc + 1 WHERE tuber = %s", (TUBERS,))
         with pytest.raises(InputError, match=f"holds another tuber {TUBERS} of run monday"):
             push(connection, ledger)
+        connection.execute("UPDATE tuberline.tuber SET tuber = tuber + 1 WHERE tuber = %s", (TUBERS,))
+        with pytest.raises(InputError, match=f"lacks tuber {TUBERS + 1} of run monday .* an older copy"):
+            push(connection, ledger)
         connection.execute("UPDATE tuberline.version SET version = 2")
     with pytest.raises(InputError, match="tables of version 2"):
         connect(empty.url)

@@ -147,7 +147,12 @@ def _tubers(connection: Any, view: LedgerView, run: RunRow, run_id: int) -> int:
     since = 0
     if newest is not None:
         same = next(read_tubers(view, run.run, since=newest[0] - 1, limit=1), None)
-        if same is None or same.tuber_id != newest[0] or _crc(same) != newest[1]:
+        if same is None:
+            raise InputError(
+                f"ledger {view.path} lacks tuber {newest[0]} of run {run.run} of line {run.line}, which the database "
+                "holds: it is an older copy of another ledger, or damaged; sync the one that has it"
+            )
+        if same.tuber_id != newest[0] or _crc(same) != newest[1]:
             raise InputError(
                 f"the database holds another tuber {newest[0]} of run {run.run} of line {run.line}: it was synced from "
                 f"another ledger; delete that run there (DELETE FROM {SCHEMA}.run WHERE id = {run_id}) and sync again"
