@@ -181,3 +181,7 @@ def test_the_report_of_a_day_tells_of_its_runs_alone(run: Path, tmp_path: Path) 
     report = report_of(replace(both, loads=loads), map_png=None, map_note="")
     (grid,) = [block for block in report.blocks if isinstance(block, Grid) and block.title == "Loads"]
     assert [row[3] for row in grid.rows[:2]] == ["09-21 08:05–09:10", "09-22 08:05–09:10"], "which day was not said"
+    later = replace(both, days=("2026-09-21", "2027-09-22"), loads=(loads[0], replace(loads[1], day="2027-09-22")))
+    blocks = report_of(later, map_png=None, map_note="").blocks
+    (grid,) = [block for block in blocks if isinstance(block, Grid) and block.title == "Loads"]
+    assert [row[3][:10] for row in grid.rows[:2]] == ["2026-09-21", "2027-09-22"], "the year was not said"

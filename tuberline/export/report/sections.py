@@ -68,12 +68,13 @@ def _unseen(coverage: float | None) -> str:
 
 def _loads(facts: DayFacts) -> Grid:
     zones = list(dict.fromkeys(load.zone for load in facts.loads if load.began))
+    days = _short_days(facts.days)
     rows = [
         (
             load.label,
             load.field or NONE,
             load.variety or NONE,
-            _when(load, dated=len(facts.days) > 1, zoned=len(zones) > 1),
+            _when(load, day=days.get(load.day, ""), zoned=len(zones) > 1),
             str(load.tubers),
             kg(load.raw_kg, unit=False),
             kg(load.kg, unit=False),
@@ -101,9 +102,14 @@ def _loads(facts: DayFacts) -> Grid:
     return Grid("Loads", _columns(names, left=4), tuple(rows), note, summed=True)
 
 
-def _when(load: LoadFacts, *, dated: bool, zoned: bool) -> str:
+def _short_days(days: Sequence[str]) -> dict[str, str]:
+    """What of each day tells it from the others; '' of a single one."""
+    several_years = len({day[:4] for day in days}) > 1
+    return {day: "" if len(days) == 1 else day if several_years else day.partition("-")[2] for day in days}
+
+
+def _when(load: LoadFacts, *, day: str, zoned: bool) -> str:
     time = f"{load.began}–{load.ended}" if load.ended else load.began
-    day = load.day.partition("-")[2] if dated else ""
     return " ".join(filter(None, (day, time, load.zone if zoned and load.began else ""))) or NONE
 
 
