@@ -65,7 +65,9 @@ def _tuber(item: Any, path: Path, at: int) -> TrueTuber:
 def _number(
     item: dict[str, Any], key: str, where: str, *, least: float = -LARGEST, default: float | None = None
 ) -> float:
-    value = item.get(key, default)
+    value = item.get(key)
+    if value is None:
+        value = default
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= LARGEST:
         bound = f" of at least {least:g}" if least > -LARGEST else ""
         raise InputError(f"{where} needs '{key}', a number{bound}; got {value!r}")

@@ -135,6 +135,8 @@ def test_further_keys_are_allowed(tmp_path: Path) -> None:
         '{"tubers": [{"id": 1, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "kind": "x"}], "distractors": 3}'
     )
     assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 0.0)]
+    path.write_text('{"tubers": [{"id": 1, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "length_mm": null}]}')
+    assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 0.0)], "an unknown length is as good as none"
 
 
 def test_a_truth_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:

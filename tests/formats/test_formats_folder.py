@@ -120,6 +120,11 @@ def test_camera_json_with_a_wrong_value_says_which(small_recording: Path, change
         open_source(small_recording)
 
 
+def test_a_rate_that_is_not_known_is_the_usual_one(small_recording: Path) -> None:
+    _edit(small_recording, fps=None)
+    assert describe_recording(small_recording).cameras[0].fps == 30.0
+
+
 @pytest.mark.parametrize(
     ("line", "text"),
     [

@@ -40,6 +40,12 @@ class CameraFile(BaseModel):
     resting_offset_mm: float | None = Field(None, ge=-20, le=40)
     resting_sd_mm: float | None = Field(None, ge=0, le=20)
 
+    @field_validator("fps", mode="before")
+    @classmethod
+    def _usual(cls, value: Any) -> Any:
+        """A rate that is not known is the usual one, as without the key."""
+        return 30.0 if value is None else value
+
     @field_validator("belt_from_camera", mode="before")
     @classmethod
     def _rows(cls, value: Any) -> Any:
