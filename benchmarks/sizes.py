@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> None:
         by_cultivar: dict[str, list[Passed]] = {}
         for plan in training:
             by_cultivar.setdefault(plan.stock.cultivar, []).extend(kept(given.out, plan))
-        write_rules(given.fit, fitted(by_cultivar))
+        write_rules(given.fit, fitted(by_cultivar, farthest_m=max(plan.distance_m for plan in training)))
         return
     groups: dict[str, list[list[Passed]]] = {}
     for plan in fewer(plans(given.belts), only=given.only, tubers=given.tubers):
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> None:
         draw({name: rows for name, rows in of_all.items() if "clean" not in name}, given.picture)
 
 
-def fitted(by_cultivar: dict[str, list[Passed]]) -> SizeRules:
+def fitted(by_cultivar: dict[str, list[Passed]], *, farthest_m: float) -> SizeRules:
     """The rules from tubers whose truth is known; each cultivar has the same say, however many belts it had."""
     views = [
         (features, [row.truth[key] for key in TRUE_KEYS.values()], terms, 1 / sum(len(row.terms) for row in rows))
@@ -86,7 +86,8 @@ def fitted(by_cultivar: dict[str, list[Passed]]) -> SizeRules:
         for row in rows
         for features, terms in zip(row.features, row.terms, strict=True)
     ]
-    return fit_sizes(*(np.array(column, np.float64) for column in zip(*views, strict=True)))
+    columns = (np.array(column, np.float64) for column in zip(*views, strict=True))
+    return fit_sizes(*columns, farthest_m=farthest_m)
 
 
 def write_rules(path: Path, rules: SizeRules) -> None:

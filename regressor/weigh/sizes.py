@@ -31,6 +31,9 @@ SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-sizes.json"
 FORMAT = "tuberline-sizes/1"
 FEATURES = (*surface.FIRST_NAMES, *completed.NAMES)
 """What the rules read."""
+FARTHER = 0.8
+"""Beyond the belts of the fit standard deviations grow by this power of the distance: a pixel shows more of a tuber,
+and depth is coarser. Chosen on view packs of seed 8111 and judged on those of 8222 (docs/sizes.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +59,18 @@ class SizeRule:
 
 @dataclass(frozen=True, slots=True)
 class SizeRules:
-    """The rules of all four sizes, by name, in the order of `MEASURES`."""
+    """The rules of all four sizes, by name, in the order of `MEASURES`.
+
+    `farthest_m`: distance to the belt of the farthest views of the fit; None where it was not noted.
+    """
 
     rules: dict[str, SizeRule]
+    farthest_m: float | None = None
 
-    def sizes(self, features: NDArray[np.float64], terms: NDArray[np.float64]) -> Sizes:
-        """Of one view: its (21,) features and (6,) `view_terms`. Axes come out sorted."""
+    def sizes(self, features: NDArray[np.float64], terms: NDArray[np.float64], *, distance_m: float) -> Sizes:
+        """Of one view: its (21,) features, (6,) `view_terms` and distance to the belt. Axes come out sorted."""
         found, before, value_terms = {}, None, None
+        wider = 1.0 if self.farthest_m is None else max(distance_m / self.farthest_m, 1.0) ** FARTHER
         for name, rule in self.rules.items():
             if value_terms is None or before is None or not rule.value.alike(before):
                 before, value_terms = rule.value, rule.value.terms(features[None])
@@ -71,7 +79,7 @@ class SizeRules:
         values["width"] = min(values["width"], values["length"])
         values["thickness"] = min(values["thickness"], values["width"])
         said = {f"{name}_mm": round(value, 2) for name, value in values.items()}
-        return Sizes(**said, **{f"{name}_sd_mm": round(float(sd[0]), 3) for name, (_, sd) in found.items()})
+        return Sizes(**said, **{f"{name}_sd_mm": round(wider * float(sd[0]), 3) for name, (_, sd) in found.items()})
 
     def to_json(self) -> dict[str, Any]:
         """For the file of rules."""
@@ -79,7 +87,8 @@ class SizeRules:
             name: {"value": rule.value.to_json(), "scale": rule.scale.to_json(), "spread": rule.spread}
             for name, rule in self.rules.items()
         }
-        return {"format": FORMAT, "rules": rules}
+        farthest = {} if self.farthest_m is None else {"farthest_m": self.farthest_m}
+        return {"format": FORMAT, **farthest, "rules": rules}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> SizeRules:
@@ -96,7 +105,8 @@ class SizeRules:
                     QuadraticRule.from_json(rule["value"]), ScaleRule.from_json(rule["scale"]), float(rule["spread"])
                 )
                 for name, rule in data["rules"].items()
-            }
+            },
+            float(data["farthest_m"]) if "farthest_m" in data else None,
         )
 
 
@@ -118,12 +128,15 @@ def fit_sizes(
     sizes_mm: NDArray[np.float64],
     terms: NDArray[np.float64],
     weights: NDArray[np.float64] | None = None,
+    *,
+    farthest_m: float | None = None,
 ) -> SizeRules:
     """The rules from views with their truth.
 
     Args:
         features: (n, 21) in the order of `FEATURES`. sizes_mm: (n, 4) in the order of `MEASURES`.
         terms: (n, 6) of `view_terms`. weights: (n,) of the views in the sizes; default: all alike.
+        farthest_m: distance to the belt of the farthest of these views.
     """
     rules = {}
     for column, name in enumerate(MEASURES):
@@ -132,7 +145,7 @@ def fit_sizes(
         scale = fit_scale(terms, residual_mm)
         spread = float(np.quantile(np.abs(residual_mm) / scale.scale_g(terms), 0.9)) / NORMAL_90
         rules[name] = SizeRule(value, scale, spread)
-    return SizeRules(rules)
+    return SizeRules(rules, farthest_m)
 
 
 def size_features(cloud: PreparedCloud) -> NDArray[np.float64]:

@@ -173,7 +173,7 @@ class Weigher:
             method="pointraft",
             model=self._model_id,
             flags=(*cloud.flags, *self._out_of_range(cloud, network_g, by_volume_g), *camera, *form),
-            sizes=load_rules().sizes(size_features(cloud), terms),
+            sizes=_sizes(cloud, terms),
         )
 
     def _by_volume(
@@ -189,7 +189,7 @@ class Weigher:
             method="volume",
             model=VOLUME_MODEL,
             flags=flags,
-            sizes=load_rules().sizes(size_features(cloud), _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
+            sizes=_sizes(cloud, _terms(cloud, weight_g, weight_g, weight_g, level_sd_m)),
         )
 
     def _unlike(self, cloud: PreparedCloud) -> float:
@@ -235,6 +235,10 @@ def _terms(
     )
     terms = view_terms(weight, network, by_volume, cloud.surface.as_array()[None], height, level_sd)
     return np.asarray(terms[0], np.float64)
+
+
+def _sizes(cloud: PreparedCloud, terms: NDArray[np.float64]) -> Sizes:
+    return load_rules().sizes(size_features(cloud), terms, distance_m=cloud.belt_distance_m)
 
 
 def _grouping(sidecar: Sidecar, form: Form) -> Callable[[NDArray[np.float32]], SharedGroups | GatheredGroups]:

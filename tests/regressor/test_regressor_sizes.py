@@ -93,7 +93,10 @@ def test_a_fit_finds_sizes_that_follow_from_features() -> None:
     rng = np.random.default_rng(SEED)
     features = rng.uniform(20.0, 90.0, (400, 21))
     sizes = np.column_stack([features[:, 17], features[:, 18], features[:, 19], 0.7 * features[:, 18] + 0.3 * 40])
-    rules = fit_sizes(features, sizes, rng.uniform(0.0, 1.0, (400, 6)))
+    rules = fit_sizes(features, sizes, rng.uniform(0.0, 1.0, (400, 6)), farthest_m=0.5)
+    near, edge, far = (rules.sizes(features[0], np.full(6, 0.5), distance_m=m) for m in (0.3, 0.5, 1.0))
+    assert near == edge, "as far as the fit saw"
+    assert (far.mesh_mm, far.mesh_sd_mm) == pytest.approx((near.mesh_mm, 2**0.8 * near.mesh_sd_mm), abs=0.002)
     value, sd = rules.rules["length"].sizes_mm(features[:5], np.full((5, 6), 0.5))
     assert value == pytest.approx(sizes[:5, 0], rel=0.03)
     assert (sd > 0).all()
