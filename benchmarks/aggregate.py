@@ -10,7 +10,6 @@ tuber a core would not carry 1,000 a second.
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
@@ -21,6 +20,7 @@ from pathlib import Path
 from aggregator.ledger.writer import Ledger
 from aggregator.report import Reporter
 from benchmarks.ledger import CAMERAS, RUN, SPACING_M, aggregation, mark_of, track_of
+from benchmarks.options import above_zero, parser_of, whole_number
 from conveyor.config import parse_config
 from conveyor.counters import CounterSet
 from conveyor.heap import resident_mib
@@ -45,14 +45,16 @@ class Block:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tubers", type=int, default=100_000)
-    parser.add_argument("--per-s", type=float, default=1000.0)
+    parser = parser_of("aggregate", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=100_000)
+    parser.add_argument("--per-s", type=above_zero, default=1000.0)
     parser.add_argument("--out", type=Path, help="the ledger is written here, on the disk to be measured")
     options = parser.parse_args(arguments)
     print(
         "| tubers | CPU ms a tuber | wall ms a tuber | memory MiB | ledger MB |\n| ---: | ---: | ---: | ---: | ---: |"
     )
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as folder:
         for block in blocks(Path(folder), options.tubers, per_commit=round(options.per_s * COMMIT_S)):
             print(
@@ -110,7 +112,3 @@ def _coming(first: int, last: int, n: dict[str, int], *, end: bool) -> list[byte
         mark = mark_of(last - 1 if end else max(0, last - 1 - CERTAIN), beyond=end)
         sent.append(TrackEntry(camera, RUN, n[camera], mark=mark).encode())
     return sent
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -9,13 +9,13 @@ fixed before any of these belts was run. Every recording goes through the code o
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.perception_line import LineResult, run_line
 from camera_sim.sim.placement import TOUCHING, Packing
 from camera_sim.sim.presets import EASY_PRESET, FIELD_PRESET
@@ -61,13 +61,16 @@ HEAD = (
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, count, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks bare_belts", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=24, help="of each belt")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
+    parser = parser_of("bare_belts", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=24, help="of each belt")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=FIRST_SEED, help="of the first belt; the next ones follow"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/bare-belts"), help="where recordings are kept")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--docs", type=page_with("bare_belts"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     weigher, rows = Weigher.load(None), []
+    print("\n".join(HEAD))
     for n, (name, layout) in enumerate(LAYOUTS.items()):
         for k, kind in enumerate((EASY, FIELD)):
             settings = replace(kind, seed=given.seed + 2 * n + k, tubers=given.tubers)

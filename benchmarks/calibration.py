@@ -6,10 +6,8 @@ the weigher misjudges) and mix of sizes (`benchmarks.calibration_worlds`). One l
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.random import Generator
@@ -19,6 +17,7 @@ from aggregator.calibration.tickets import Single, Ticket
 from benchmarks import calibration_worlds as worlds
 from benchmarks.calibration_worlds import Passed, World, draw_load, draw_passed, draw_world
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import new_file, page_with, parser_of, whole_number
 from conveyor.statistics import NORMAL_90
 
 SEED = 73019
@@ -34,11 +33,11 @@ MODEL = "m"
 
 def main(arguments: Sequence[str]) -> None:
     """Draw, calibrate and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks calibration", description=__doc__)
-    parser.add_argument("--draws", type=int, default=DRAWS)
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
-    parser.add_argument("--json", type=Path, help="file for every draw")
+    parser = parser_of("calibration", __doc__)
+    parser.add_argument("--draws", type=whole_number(1), default=DRAWS)
+    parser.add_argument("--seed", type=whole_number(0), default=SEED)
+    parser.add_argument("--docs", type=page_with("calibration"), help="page between whose marks the table is put")
+    parser.add_argument("--json", type=new_file, help="file for every draw")
     given = parser.parse_args(arguments)
     errors, widths = {}, {}
     for between_sd in BETWEEN_SDS:

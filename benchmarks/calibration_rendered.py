@@ -7,7 +7,6 @@ ones; a line takes them from its ledger.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from aggregator.calibration.sensitivity import outline_g_per_mm
 from aggregator.calibration.tickets import Single, Ticket
 from benchmarks.calibration import MODEL
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import page_with, parser_of, whole_number
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import ViewSimulator
 from conveyor.geometry import straight_down_belt_from_camera
@@ -40,12 +40,14 @@ class Read:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, weigh, calibrate and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks calibration_rendered", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=80, help="half of them the bucket, half the load")
-    parser.add_argument("--seed", type=int, default=55103)
+    parser = parser_of("calibration_rendered", __doc__)
+    parser.add_argument("--tubers", type=whole_number(2), default=80, help="half of them the bucket, half the load")
+    parser.add_argument("--seed", type=whole_number(0), default=55103)
     parser.add_argument("--preset", default="field")
     parser.add_argument("--weights", type=Path, help="default: the shipped ones")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument(
+        "--docs", type=page_with("calibration_rendered"), help="page between whose marks the table is put"
+    )
     given = parser.parse_args(arguments)
     reads = rendered(given.preset, tubers=given.tubers, seed=given.seed, weights=given.weights)
     text = table(reads, preset=given.preset, seed=given.seed)

@@ -9,7 +9,6 @@ way round, every second one no encoder. Seeds of their own that nothing was tune
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.perception_line import run_line
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import as_text, write_folder
@@ -54,14 +54,17 @@ class Belt:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, measure, count and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks camera_places", description=__doc__)
-    parser.add_argument("--belts", type=int, default=12)
-    parser.add_argument("--tubers", type=int, default=120, help="of each belt")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
+    parser = parser_of("camera_places", __doc__)
+    parser.add_argument("--belts", type=whole_number(1), default=12)
+    parser.add_argument("--tubers", type=whole_number(1), default=120, help="of each belt")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=FIRST_SEED, help="of the first belt; the next ones follow"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/camera_places"), help="where recordings are kept")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--docs", type=page_with("camera-places"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     weigher, lines = Weigher.load(None), [*HEAD]
+    print("\n".join(HEAD))
     for n in range(given.belts):
         belt = recorded(given.out, n, seed=given.seed + n, tubers=given.tubers)
         lines.append(row(belt, weigher))

@@ -10,7 +10,6 @@ second call goes on where the first one stopped. Belts and what an undisturbed r
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
@@ -24,6 +23,7 @@ from benchmarks.chaos_live_belt import make_belt, what_passed
 from benchmarks.chaos_live_faults import BELTS, Case, drawn_cases
 from benchmarks.chaos_live_line import OVER_S, Belt, live_line
 from benchmarks.chaos_live_table import covered, inside, markdown, told, whole
+from benchmarks.options import parser_of, whole_number
 from tuberline.replayer import replay_recording
 
 BELT_SEED = 131
@@ -32,18 +32,20 @@ ENOUGH_INSIDE = 0.88
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run what is left to run and print the table; 1 where a bar is missed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--belt-seed", type=int, default=BELT_SEED)
+    parser = parser_of("chaos_live", __doc__)
+    parser.add_argument("--runs", type=whole_number(1), default=100)
+    parser.add_argument("--seed", type=whole_number(0), default=1)
+    parser.add_argument("--belt-seed", type=whole_number(0), default=BELT_SEED)
     parser.add_argument("--out", type=Path, help="keep runs, logs, ledgers and tables here")
-    parser.add_argument("--jobs", type=int, default=1, help="lines at the same time")
-    parser.add_argument("--only", type=int, nargs="*", help="run these numbers of the plan")
+    parser.add_argument("--jobs", type=whole_number(1), default=1, help="lines at the same time")
+    parser.add_argument("--only", type=whole_number(0), nargs="*", help="run these numbers of the plan")
     options = parser.parse_args(arguments)
+    cases = drawn_cases(options.seed, options.runs, over_s=OVER_S)
+    if options.only and (unknown := sorted(set(options.only) - {case.number for case in cases})):
+        parser.error(f"argument --only: {unknown[0]} is no number of the plan; give some from 1 to {options.runs}")
     with tempfile.TemporaryDirectory() as folder:
         out = options.out or Path(folder)
         belts = {kind: ready_belt(kind, out / "belts", seed=options.belt_seed) for kind in dict.fromkeys(BELTS)}
-        cases = drawn_cases(options.seed, options.runs, over_s=OVER_S)
         if options.only:
             cases = [case for case in cases if case.number in options.only]
         runs = run_all(cases, belts, out / f"seed-{options.seed}", jobs=options.jobs)

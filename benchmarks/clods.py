@@ -8,7 +8,6 @@ patch was, is kept as OUT/<belt>.json. The rule is judged on these numbers alone
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -19,6 +18,7 @@ from statistics import fmean
 from typing import Any, Protocol
 
 from benchmarks.clods_belts import Body, Passage, passages
+from benchmarks.options import chosen, parser_of, whole_number
 from segmenter.classify.belief import believe
 from segmenter.classify.evidence import PatchNoise
 from segmenter.classify.prior import Prior
@@ -210,17 +210,16 @@ def _body(row: dict[str, Any]) -> Body:
 
 def main(arguments: Sequence[str]) -> None:
     """Make what is not kept yet, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks clods", description=__doc__)
+    parser = parser_of("clods", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/clods"))
     parser.add_argument("--seeds", choices=sorted(BELTS), default="judging")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
-    parser.add_argument("--tubers", type=int, help="of each belt; default: as planned")
+    parser.add_argument("--only", type=whole_number(0), nargs="+", help="numbers of belts, from 0")
+    parser.add_argument("--tubers", type=whole_number(1), help="of each belt; default: as planned")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     belts = [
         (scene, preset, seed, given.tubers or tubers)
-        for n, (scene, preset, seed, tubers) in enumerate(BELTS[given.seeds])
-        if given.only is None or n in given.only
+        for scene, preset, seed, tubers in chosen(BELTS[given.seeds], given.only)
     ]
     of = [passage for belt in belts for passage in kept(given.out, belt)]
     sys.stdout.write(table(of))

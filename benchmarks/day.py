@@ -4,7 +4,8 @@
 
 Belts are rendered, segmented and weighed load by load, and kept in OUT/belts: a run that was cut goes on. Then one run
 of the line is written, tickets are entered, and commands make map, exports, report and sync of it. `--loads 2 --box-kg
-2` is a small day. PostgreSQL is `--database URL`, or a server of its own where Debian's package is installed.
+14 --delay-s 9 --cell-m 1` is a small day. PostgreSQL is `--database URL`, or a server of its own where Debian's package
+is installed.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ from benchmarks.day_ledger import enter_ticket, write_day
 from benchmarks.day_outputs import CELL_M, MapOptions, export_table, map_table, sync_table
 from benchmarks.day_world import LOADS_A_FIELD, SEED, plan_day
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import above_zero, page_with, parser_of, whole_number
 from conveyor.contract import read_contract
+
+TABLES = tuple(f"day_{name}" for name in ("stages", "loads", "classes", "foreign", "map", "exports", "sync"))
 
 
 def main(arguments: Sequence[str]) -> None:
     """Make the belts that are not kept yet, write the run, judge it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("day", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/day"))
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--loads", type=int, default=2 * LOADS_A_FIELD)
-    parser.add_argument("--box-kg", type=float, help="that fill a box; default: those of 300 and more tubers")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seed", type=whole_number(0), default=SEED)
+    parser.add_argument("--loads", type=whole_number(1), default=2 * LOADS_A_FIELD)
+    parser.add_argument("--box-kg", type=above_zero, help="that fill a box; default: those of 300 and more tubers")
+    parser.add_argument("--workers", type=whole_number(1), default=2)
     parser.add_argument("--database", help="postgresql://...; 'none': without")
     parser.add_argument("--delay-s", type=float, help="from ground to camera; default: found, which a small day cannot")
-    parser.add_argument("--cell-m", type=float, default=CELL_M, help="side of a cell of the map")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the tables are put")
+    parser.add_argument("--cell-m", type=above_zero, default=CELL_M, help="side of a cell of the map")
+    parser.add_argument("--docs", type=page_with(*TABLES), help="page between whose marks the tables are put")
     parser.add_argument("--pictures", type=Path, help="folder for report.png and day-map.png")
     given = parser.parse_args(arguments)
     for name, text in tables(given):
@@ -97,6 +101,7 @@ def database(url: str | None) -> Iterator[str | None]:
 
 def pictures(run: Path, folder: Path) -> None:
     """The report's first page and the map as PNG; pdftoppm draws the page."""
+    folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(run / "map.png", folder / "day-map.png")
     if shutil.which("pdftoppm") is None:
         sys.stderr.write("report.png is left out, for pdftoppm is not installed here: apt-get install poppler-utils\n")

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,21 +12,13 @@ import numpy as np
 
 from aggregator.ledger.reader import read_tubers, reading
 from aggregator.ledger.totals_by import ALL, totals_by
+from benchmarks.command import tuberline
 from benchmarks.day_belts import RUN, Belt
 from benchmarks.day_stitch import BETWEEN_ROWS_M
 from benchmarks.day_world import PLOT, DayPlan
 from conveyor.geometry import EARTH_M_PER_DEG
 
 CELL_M = 2.25
-
-
-def tuberline(*arguments: str | Path) -> str:
-    """Run a command as a user does; its stdout."""
-    command = [sys.executable, "-m", "tuberline", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
-    if done.returncode:
-        raise RuntimeError(f"tuberline {' '.join(map(str, arguments))}: {done.stderr.strip()}")
-    return done.stdout
 
 
 @dataclass(frozen=True, slots=True)

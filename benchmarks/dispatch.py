@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.line_watch import percentile
+from benchmarks.options import above_zero, parser_of, whole_number
 from benchmarks.proc import cpu_s
 from conveyor import topics
 from conveyor.config import LineConfig, parse_config
@@ -62,10 +63,10 @@ class Told:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--per-s", type=float, default=1000.0)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--workers", type=int, default=8)
+    parser = parser_of("dispatch", __doc__)
+    parser.add_argument("--per-s", type=above_zero, default=1000.0)
+    parser.add_argument("--seconds", type=above_zero, default=20.0)
+    parser.add_argument("--workers", type=whole_number(2), default=8)
     parser.add_argument("--serve", nargs=2, metavar=("WHAT", "ROUTER"), help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.serve:
@@ -213,7 +214,3 @@ def _child(what: str, config: LineConfig) -> Iterator[subprocess.Popen[str]]:
     finally:
         child.kill()
         child.communicate()
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -8,7 +8,6 @@ belt's shaft over TCP. Every second belt stops and goes. Seeds of their own that
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.encoder_line import Act, EncoderLine, cut_power, kill_encoder, lose_count, mute, speak
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import above_zero, page_with, parser_of, whole_number
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import as_text, write_folder
 from camera_sim.sim.scenes import SceneSettings, build_world, in_its_world, layout_named
@@ -39,14 +39,17 @@ HEAD = (
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, play each belt once for each trouble, and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks encoder", description=__doc__)
-    parser.add_argument("--belts", type=int, default=3)
-    parser.add_argument("--tubers", type=int, default=240, help="of each belt")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
-    parser.add_argument("--speed", type=float, default=0.4, help="times real time, for a slow machine")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser = parser_of("encoder", __doc__)
+    parser.add_argument("--belts", type=whole_number(1), default=3)
+    parser.add_argument("--tubers", type=whole_number(1), default=240, help="of each belt")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=FIRST_SEED, help="of the first belt; the next ones follow"
+    )
+    parser.add_argument("--speed", type=above_zero, default=0.4, help="times real time, for a slow machine")
+    parser.add_argument("--docs", type=page_with("encoder"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     lines = [*HEAD]
+    print("\n".join(HEAD))
     for n in range(given.belts):
         preset, profile = PRESET_NAMES[n % len(PRESET_NAMES)], ("runs", "stops and goes")[n % 2]
         with TemporaryDirectory() as folder:

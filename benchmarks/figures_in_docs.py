@@ -7,13 +7,18 @@ from pathlib import Path
 from conveyor.errors import InputError
 
 
+def mark_of(name: str, which: str) -> str:
+    """The mark before ('begin') or after ('end') a table in a page."""
+    return f"<!-- {name}: {which} -->"
+
+
 def put_table(page: Path, name: str, text: str) -> None:
     """Replace what stands between `<!-- NAME: begin -->` and `<!-- NAME: end -->`.
 
     Raises:
         InputError: the page has no such marks.
     """
-    begin, end = f"<!-- {name}: begin -->\n", f"<!-- {name}: end -->"
+    begin, end = mark_of(name, "begin") + "\n", mark_of(name, "end")
     before, found, rest = page.read_text(encoding="utf-8").partition(begin)
     _, closed, after = rest.partition(end)
     if not (found and closed):

@@ -8,7 +8,6 @@ millimetres, each once as given and once followed. Seeds of their own that nothi
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import chosen, page_with, parser_of, whole_number
 from benchmarks.perception_line import run_line
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
@@ -41,17 +41,18 @@ class Row:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, count, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks follow", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=40, help="of each belt")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
+    parser = parser_of("follow", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=40, help="of each belt")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=FIRST_SEED, help="of the first belt; the next ones follow"
+    )
+    parser.add_argument("--only", type=whole_number(0), nargs="+", help="numbers of belts, from 0")
     parser.add_argument("--out", type=Path, default=Path("out/follow"), help="where recordings are kept")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--docs", type=page_with("follow"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     weigher, lines, rows = Weigher.load(None), [*HEAD], []
-    for n, (scene, preset) in enumerate(BELTS):
-        if given.only is not None and n not in given.only:
-            continue
+    print("\n".join(HEAD))
+    for n, (scene, preset) in chosen(list(enumerate(BELTS)), given.only):
         recording = recorded(given.out, scene, preset, seed=given.seed + n, tubers=given.tubers)
         for off_mm in OFF_MM:
             rows.append(measured(recording, weigher, off_mm))

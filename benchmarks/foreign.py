@@ -8,7 +8,6 @@ others those count that are of a tuber's size: so large that a smallest tuber co
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +21,7 @@ from aggregator.core.load_sums import LoadSums
 from aggregator.core.totals import LoadTotals
 from benchmarks.figures_in_docs import put_table
 from benchmarks.foreign_belts import PLANS, kept
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.sizes_belts import fewer
 from conveyor.config_yield import ForeignConfig
 from conveyor.messages import Tuber
@@ -35,12 +35,12 @@ VOLUME_G_PER_ML = 0.94
 
 def main(arguments: Sequence[str]) -> None:
     """Make what is not kept yet, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks foreign", description=__doc__)
+    parser = parser_of("foreign", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/foreign"))
     parser.add_argument("--belts", choices=sorted(PLANS), default="judge")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
-    parser.add_argument("--tubers", type=int, help="of each belt; default: as planned")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--only", type=whole_number(0), nargs="+", help="numbers of belts, from 0")
+    parser.add_argument("--tubers", type=whole_number(1), help="of each belt; default: as planned")
+    parser.add_argument("--docs", type=page_with("foreign"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     groups: dict[str, list[dict[str, Any]]] = {}

@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.line_watch import percentile
+from benchmarks.options import above_zero, parser_of, pixels, whole_number
 from benchmarks.proc import cpu_s
 from conveyor import topics
 from conveyor.config import LinkConfig
@@ -59,10 +60,10 @@ class End:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure all ways in turn and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--per-s", type=float, default=30.0)
-    parser.add_argument("--size", default="1280x720")
+    parser = parser_of("frames", __doc__)
+    parser.add_argument("--frames", type=whole_number(1), default=300)
+    parser.add_argument("--per-s", type=above_zero, default=30.0)
+    parser.add_argument("--size", type=pixels, default=(1280, 720), help="of an image, e.g. 848x480; default: 1280x720")
     parser.add_argument("--receive", nargs=2, metavar=("WAY", "ENDPOINT"), help=argparse.SUPPRESS)
     parser.add_argument("--route", metavar="ENDPOINT", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
@@ -134,8 +135,8 @@ def markdown(results: dict[str, dict[str, float]], options: argparse.Namespace) 
     return "\n".join(lines) + "\n"
 
 
-def _depth(size: str) -> np.ndarray:
-    width, height = (int(side) for side in size.split("x"))
+def _depth(size: tuple[int, int]) -> np.ndarray:
+    width, height = size
     return np.random.default_rng(1).integers(380, 470, (height, width)).astype(np.uint16)
 
 
@@ -236,7 +237,3 @@ def _child(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     finally:
         child.kill()
         child.communicate()
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -22,6 +22,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from benchmarks.fuzz_messages import fuzz_messages
+from benchmarks.options import parser_of, whole_number
 from conveyor.errors import TuberlineError
 from tests.fuzz.structure import CLASSES
 from tests.fuzz.targets import TARGETS
@@ -50,11 +51,13 @@ class Fuzzed:
 
 def main(arguments: list[str]) -> None:
     """Fuzz the targets one after the other and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks fuzz", description=__doc__)
+    parser = parser_of("fuzz", __doc__)
     parser.add_argument("targets", nargs="*", help=f"default: all of {', '.join(TARGETS)}")
-    parser.add_argument("--messages", type=int, help="built from the message classes, for each of them; no atheris")
-    parser.add_argument("--seconds", type=int, default=90, help="for each target")
-    parser.add_argument("--seed", type=int, default=0, help="0: another one each time")
+    parser.add_argument(
+        "--messages", type=whole_number(1), help="built from the message classes, for each of them; no atheris"
+    )
+    parser.add_argument("--seconds", type=whole_number(1), default=90, help="for each target")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="0: another one each time")
     parser.add_argument("--out", type=Path, help="keep corpora and findings here; the next run goes on from them")
     options = parser.parse_args(arguments)
     if options.messages is not None:
@@ -85,11 +88,11 @@ def main(arguments: list[str]) -> None:
 
 def _messages(options: argparse.Namespace) -> None:
     known = [cls.__name__ for cls in CLASSES]
+    out = options.out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
+    out.mkdir(parents=True, exist_ok=True)
     for name in options.targets:
         if name not in known:
             raise TuberlineError(f"message '{name}' is unknown; known: {', '.join(known)}")
-    out = options.out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
-    out.mkdir(parents=True, exist_ok=True)
     seed = options.seed or random.SystemRandom().randrange(1, 1 << 32)
     if not fuzz_messages(options.messages, seed=seed, out=out, names=options.targets):
         sys.exit(1)

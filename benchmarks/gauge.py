@@ -8,7 +8,6 @@ Frames are rendered in this process; there is no line of processes around it. Se
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.figures_in_docs import put_table
 from benchmarks.gauge_worlds import Disturbed, GaugeWorld, gauge_world
+from benchmarks.options import new_file, page_with, parser_of, whole_number
 from conveyor.gauge import GaugeKind
 from conveyor.messages import Frame
 from conveyor.resting import RestingLevel
@@ -147,8 +147,8 @@ def loads(kind: GaugeKind, seeds: range, *, tubers: int = TUBERS) -> Iterator[Lo
             shift_mm=round(1000 * by.shift_m, 2),
             drift_px=round(by.drift_px, 3),
             tubers=len(before),
-            without_percent=round(100 * (without_g / true_g - 1), 2),
-            with_percent=round(100 * (with_g / true_g - 1), 2),
+            without_percent=round(float(100 * (without_g / true_g - 1)), 2),
+            with_percent=round(float(100 * (with_g / true_g - 1)), 2),
         )
 
 
@@ -234,15 +234,15 @@ def _save(path: Path | None, cause_rows: list[CauseRow], load_rows: list[LoadRow
 
 def main(arguments: list[str]) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks gauge", description=__doc__)
-    parser.add_argument("--worlds", type=int, default=24, help="of each gauge, for the causes")
-    parser.add_argument("--loads", type=int, default=4, help="of each gauge")
-    parser.add_argument("--tubers", type=int, default=TUBERS, help="of each load")
-    parser.add_argument("--seed", type=int, default=SEED)
+    parser = parser_of("gauge", __doc__)
+    parser.add_argument("--worlds", type=whole_number(1), default=24, help="of each gauge, for the causes")
+    parser.add_argument("--loads", type=whole_number(0), default=4, help="of each gauge")
+    parser.add_argument("--tubers", type=whole_number(1), default=TUBERS, help="of each load")
+    parser.add_argument("--seed", type=whole_number(0), default=SEED)
     parser.add_argument("--only", choices=KINDS, help="one gauge")
-    parser.add_argument("--out", type=Path, help="rows as JSON")
+    parser.add_argument("--out", type=new_file, help="rows as JSON")
     parser.add_argument("--rows", type=Path, nargs="+", help="make the table of rows that were saved; run nothing")
-    parser.add_argument("--page", type=Path, help="put the table into this page")
+    parser.add_argument("--page", type=page_with("gauge"), help="put the table into this page")
     options = parser.parse_args(arguments)
     kinds = (options.only,) if options.only else KINDS
     cause_rows: list[CauseRow] = []

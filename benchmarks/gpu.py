@@ -10,7 +10,6 @@ processes that share the GPU, beside as many on cores alone; each has one thread
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import statistics
@@ -24,6 +23,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.options import above_zero, parser_of, whole_number
 from benchmarks.regressor_backends import PRODUCTS, Clouds, simulated_views
 from conveyor.geometry import TYPICAL_BELT_SD_M
 from conveyor.threads import use_threads
@@ -47,10 +47,12 @@ Table = dict[str, dict[str, float]]
 
 def main(arguments: Sequence[str]) -> None:
     """Measure and print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("gpu", __doc__)
     parser.add_argument("--data", type=Path, help="view pack to weigh; default: 64 simulated views")
-    parser.add_argument("--workers", type=int, nargs="*", default=list(WORKERS), help="processes, each a row")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of each row of the second table")
+    parser.add_argument(
+        "--workers", type=whole_number(1), nargs="*", default=list(WORKERS), help="processes, each a row"
+    )
+    parser.add_argument("--seconds", type=above_zero, default=5.0, help="of each row of the second table")
     parser.add_argument("--out", type=Path, help="folder for gpu.json and gpu.md")
     given = parser.parse_args(arguments)
     usable_device("cuda")

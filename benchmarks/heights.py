@@ -8,12 +8,10 @@ scale is off by a share, disparity drifted. Sizes differ from load to load. The 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -23,6 +21,7 @@ from numpy.typing import NDArray
 from aggregator.core.height_change import height_changes
 from aggregator.core.height_sums import HeightSums
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import above_zero, new_file, page_with, parser_of, whole_number
 from camera_sim.sim.cultivars import STOCKS, Stock
 from camera_sim.sim.poses import free_rotation, rest_on_belt, resting_rotation
 from camera_sim.sim.tubers import draw_tuber
@@ -193,14 +192,14 @@ def _spread(values: Sequence[float]) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks heights", description=__doc__)
-    parser.add_argument("--lines", type=int, default=200)
-    parser.add_argument("--tubers", type=int, default=300, help="of each load")
-    parser.add_argument("--pool", type=int, default=POOL, help="tubers drawn of each cultivar")
-    parser.add_argument("--changes", type=float, default=1.0, help="of sizes and poses, times what is usual")
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--out", type=Path, help="rows as JSON")
-    parser.add_argument("--page", type=Path, help="put the table into this page")
+    parser = parser_of("heights", __doc__)
+    parser.add_argument("--lines", type=whole_number(1), default=200)
+    parser.add_argument("--tubers", type=whole_number(1), default=300, help="of each load")
+    parser.add_argument("--pool", type=whole_number(1), default=POOL, help="tubers drawn of each cultivar")
+    parser.add_argument("--changes", type=above_zero, default=1.0, help="of sizes and poses, times what is usual")
+    parser.add_argument("--seed", type=whole_number(0), default=SEED)
+    parser.add_argument("--out", type=new_file, help="rows as JSON")
+    parser.add_argument("--page", type=page_with("heights"), help="put the table into this page")
     given = parser.parse_args(arguments)
     pools = draw_pools(given.seed, size=given.pool)
     rows = list(lines(pools, range(given.seed, given.seed + given.lines), tubers=given.tubers, changes=given.changes))

@@ -5,12 +5,15 @@ python -m benchmarks imports --out docs/images/imports.svg [--before COMMIT]
 
 from __future__ import annotations
 
-import argparse
 import ast
 import subprocess
 from collections import Counter
 from pathlib import Path, PurePosixPath
 
+from benchmarks.options import new_file, parser_of
+from conveyor.errors import TuberlineError
+
+ROOT = Path(__file__).resolve().parents[1]
 APP, GROUND = "tuberline", "conveyor"
 ROLES = ("camera_sim", "segmenter", "regressor", "aggregator", "viewer")
 PACKAGES = (APP, *ROLES, GROUND)
@@ -21,13 +24,18 @@ Graph = Counter[tuple[str, str]]
 def files_of(commit: str | None) -> dict[str, str]:
     """Path and text of every Python file of our packages: of a commit, or of the working tree."""
     if commit is None:
-        return {str(p): p.read_text(encoding="utf-8") for name in PACKAGES for p in Path(name).rglob("*.py")}
-    listed = subprocess.run(["git", "ls-tree", "-r", "--name-only", commit], capture_output=True, text=True, check=True)
-    ours = [n for n in listed.stdout.split() if n.endswith(".py") and PurePosixPath(n).parts[0] in PACKAGES]
-    return {
-        name: subprocess.run(["git", "show", f"{commit}:{name}"], capture_output=True, text=True, check=True).stdout
-        for name in ours
-    }
+        found = (path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
+        return {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in found}
+    listed = _git("ls-tree", "-r", "--name-only", commit).split()
+    ours = [name for name in listed if name.endswith(".py") and PurePosixPath(name).parts[0] in PACKAGES]
+    return {name: _git("show", f"{commit}:{name}") for name in ours}
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise TuberlineError(f"git {' '.join(arguments)}: {done.stderr.strip()}")
+    return done.stdout
 
 
 def imports(files: dict[str, str]) -> Graph:
@@ -119,13 +127,15 @@ def sizes(parts: list[tuple[str, dict[str, str]]]) -> str:
         ]
         for row, pair in zip(rows, [*totals, tuple(map(sum, zip(*totals, strict=True)))], strict=True):
             row += [str(number) for number in pair]
+    head = ["package", *(f"{what}{title and ', '}{title}" for title, _ in parts for what in ("files", "lines"))]
+    rows = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
+    parser = parser_of("imports", __doc__)
+    parser.add_argument("--out", type=new_file, required=True)
     parser.add_argument("--before", help="a commit to draw beside today's tree")
     options = parser.parse_args(arguments)
     parts = [(f"before ({options.before})", files_of(options.before))] if options.before else []
@@ -136,7 +146,3 @@ def main(arguments: list[str] | None = None) -> None:
         broken = {f"{a} -> {b}": n for (a, b), n in sorted(graph.items()) if not allowed(a, b)}
         print(f"{title}: " if title else "", broken or "no rule broken", sep="")
     print(sizes(parts))
-
-
-if __name__ == "__main__":
-    main()

@@ -8,12 +8,12 @@ recording goes through the code of the whole line in one process (`benchmarks.pe
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import chosen, page_with, parser_of, whole_number
 from benchmarks.perception_line import LineResult, run_line
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
@@ -73,19 +73,21 @@ def cases(tubers: int, first_seed: int = FIRST_SEED) -> list[Case]:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, count, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks layers", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=60, help="of each belt")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first belt; the next ones follow")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
+    parser = parser_of("layers", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=60, help="of each belt")
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=FIRST_SEED, help="of the first belt; the next ones follow"
+    )
+    parser.add_argument("--only", type=whole_number(0), nargs="+", help="numbers of belts, from 0")
     parser.add_argument("--out", type=Path, default=Path("out/layers"), help="where recordings are kept")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the table is put")
+    parser.add_argument("--docs", type=page_with("layers"), help="page between whose marks the table is put")
     given = parser.parse_args(arguments)
     weigher, lines = Weigher.load(None), []
-    for n, case in enumerate(cases(given.tubers, given.seed)):
-        if given.only is None or n in given.only:
-            recording = case.recording(given.out)
-            lines.append(row(case, recording, run_line(recording, weigher)))
-            print(lines[-1], flush=True)
+    print("\n".join(HEAD))
+    for case in chosen(cases(given.tubers, given.seed), given.only):
+        recording = case.recording(given.out)
+        lines.append(row(case, recording, run_line(recording, weigher)))
+        print(lines[-1], flush=True)
     text = "\n".join([*HEAD, *lines])
     if given.docs:
         put_table(given.docs, "layers", text)

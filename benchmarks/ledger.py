@@ -7,7 +7,6 @@ nothing is remembered but what the disk holds; 200 more tubers go through core a
 
 from __future__ import annotations
 
-import argparse
 import gc
 import json
 import tempfile
@@ -24,6 +23,7 @@ from aggregator.ledger.check import check_file
 from aggregator.ledger.reader import read_tubers, reading
 from aggregator.ledger.writer import Ledger
 from aggregator.report import Reporter
+from benchmarks.options import parser_of, whole_number
 from conveyor.config import parse_config
 from conveyor.counters import CounterSet
 from conveyor.messages import Mark, Track, TrackEntry, Tuber, WeighedView
@@ -39,12 +39,14 @@ TRACKS_A_MARK = 60
 
 def main(arguments: Sequence[str]) -> None:
     """Build, measure, print a table and keep it as JSON."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks ledger")
-    parser.add_argument("--tubers", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
-    parser.add_argument("--batch", type=int, default=1000)
+    parser = parser_of("ledger", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), nargs="+", default=[10_000, 100_000, 1_000_000])
+    parser.add_argument("--batch", type=whole_number(1), default=1000)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--no-check", action="store_true", help="leave the full verification out")
     options = parser.parse_args(arguments)
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
     columns = ("tubers", "MB", "build s", "open s", "totals s", "page s", "batch s", "stop s", "close s", "check s")
     print("| " + " | ".join(columns) + " |\n|" + " ---: |" * len(columns))
     for tubers in options.tubers:
@@ -52,7 +54,7 @@ def main(arguments: Sequence[str]) -> None:
             found = measure(Path(folder), tubers, batch=options.batch, check=not options.no_check)
         print(
             "| "
-            + " | ".join(f"{found[name]:.3g}" if found[name] < 1e4 else f"{found[name]:.0f}" for name in columns)
+            + " | ".join(f"{found[name]:.3g}" if found[name] < 1000 else f"{found[name]:.0f}" for name in columns)
             + " |"
         )
         if options.out is not None:

@@ -26,6 +26,7 @@ from typing import Any
 from benchmarks.line_belt import SCENES, simulated_belt
 from benchmarks.line_table import markdown
 from benchmarks.line_watch import TOTAL, Watcher, latencies_s, percentile
+from benchmarks.options import above_zero, parser_of, whole_number
 from benchmarks.proc import cpu_s
 from benchmarks.soak import loop, sample
 from conveyor.config import LineConfig, dump_toml
@@ -89,18 +90,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0, help="measured for so long, after the warm-up")
+    parser = parser_of("line", __doc__)
+    parser.add_argument("--seconds", type=above_zero, default=60.0, help="measured for so long, after the warm-up")
     parser.add_argument("--warm-up-s", type=float, default=12.0)
     parser.add_argument("--cameras", type=int, choices=sorted(SCENES), default=2)
-    parser.add_argument("--fps", type=float, default=15.0)
-    parser.add_argument("--tubers-per-s", type=float, default=20.0, help="in the mean")
-    parser.add_argument("--tubers", type=int, default=400, help="of the recording that is repeated")
+    parser.add_argument("--fps", type=above_zero, default=15.0)
+    parser.add_argument("--tubers-per-s", type=above_zero, default=20.0, help="in the mean")
+    parser.add_argument("--tubers", type=whole_number(1), default=400, help="of the recording that is repeated")
     parser.add_argument(
         "--load", choices=("even", "bursts"), default="even", help="bursts: a full belt, then a bare one"
     )
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--regressors", type=int, default=2)
+    parser.add_argument("--seed", type=whole_number(0), default=11)
+    parser.add_argument("--regressors", type=whole_number(1), default=2)
     parser.add_argument("--precision", choices=("auto", "float32", "bfloat16"), default="auto")
     parser.add_argument("--centroids", type=int, choices=(16, 32, 64))
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what the regressors weigh on")
@@ -249,7 +250,3 @@ def sheet(counters: Counters, before: Counters | None) -> dict[str, float]:
             books[name] -= level
     tracks = books.get("tracks_counted", 0.0)
     return {**books, "views_weighed_per_track": books.get("views_weighed", 0.0) / tracks if tracks else 0.0}
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -43,7 +43,7 @@ def simulated_belt(
     speed_mps = settings.speed_mps * tubers_per_s / rate_per_s(layout, settings)
     if not SLOWEST_MPS <= speed_mps <= FASTEST_MPS:
         raise TuberlineError(
-            f"--tubers-per-s {tubers_per_s:g} needs a belt of {speed_mps:.2f} m/s; allowed are {SLOWEST_MPS:g} to "
+            f"{tubers_per_s:g} tubers/s in bursts need a belt of {speed_mps:.2f} m/s; allowed are {SLOWEST_MPS:g} to "
             f"{FASTEST_MPS:g}: ask for another rate"
         )
     record_scene(path, replace(settings, speed_mps=round(speed_mps, 4)), layout=layout)
@@ -60,9 +60,8 @@ def spread(layout: Layout, settings: SceneSettings, tubers_per_s: float) -> Layo
     most, least = (rate_per_s(with_gap(layout, gap_m), settings) for gap_m in (low_m, high_m))
     if not least <= tubers_per_s <= most:
         raise TuberlineError(
-            f"--tubers-per-s {tubers_per_s:g} lie on no even belt of {settings.speed_mps:g} m/s with --tubers "
-            f"{settings.tubers}; possible are {least:.1f} to {most:.1f}: ask for another rate, for more tubers, or "
-            "for --load bursts"
+            f"{tubers_per_s:g} tubers/s lie evenly on no belt of {settings.speed_mps:g} m/s with {settings.tubers} "
+            f"tubers; possible are {least:.1f} to {most:.1f} tubers/s: ask for more --tubers, another rate, or bursts"
         )
     for _ in range(HALVINGS):
         middle_m = (low_m + high_m) / 2

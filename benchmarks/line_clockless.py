@@ -9,7 +9,6 @@ commit take the stated processor time. Regressors answer without weighing. Every
 
 from __future__ import annotations
 
-import argparse
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from aggregator.core.committed import CommittedTuber
 from aggregator.core.machine import Aggregation
 from aggregator.opening import LIVE_REACH_MM
 from benchmarks.line_watch import percentile
+from benchmarks.options import above_zero, parser_of, whole_number
 from conveyor.config import LineConfig
 from conveyor.config_camera import CameraConfig
 from conveyor.formats import camera_names, open_source
@@ -213,11 +213,11 @@ def _weight(view: View, name: str) -> Weight:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the belt and print one row."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("line_clockless", __doc__)
     parser.add_argument("recording", type=Path)
-    parser.add_argument("--laps", type=int, default=2)
-    parser.add_argument("--frame-ms", type=float, default=25.0)
-    parser.add_argument("--view-ms", type=float, default=11.0)
+    parser.add_argument("--laps", type=whole_number(1), default=2)
+    parser.add_argument("--frame-ms", type=above_zero, default=25.0)
+    parser.add_argument("--view-ms", type=above_zero, default=11.0)
     options = parser.parse_args(arguments)
     interval_s = LineConfig(cameras={"front": CameraConfig()}).aggregator.commit_interval_s
     line = VirtualLine(
@@ -232,7 +232,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"| {hop} | {told} | {len(found)} |")
     print(f"\n{tracks} tracks, {weighed / tracks:.2f} views weighed of each.")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -8,13 +8,13 @@ for a view, and the link to them loses a given share. No machine is measured and
 
 from __future__ import annotations
 
-import argparse
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from benchmarks.line_watch import percentile
+from benchmarks.options import above_zero, parser_of, whole_number
 from conveyor.config import LineConfig
 from conveyor.config_camera import CameraConfig
 from conveyor.messages import View
@@ -71,20 +71,20 @@ def waits_s(line: FloodedLine, *, seconds: float) -> list[float]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print one row per setting that is put back to what it was."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tubers-per-s", type=float, default=20.0)
-    parser.add_argument("--view-ms", type=float, default=12.0, help="what a regressor takes for a view")
-    parser.add_argument("--regressors", type=int, default=2)
-    parser.add_argument("--turn-ms", type=float, default=66.7, help="one frame, and one turn of the segmenter")
+    parser = parser_of("line_virtual", __doc__)
+    parser.add_argument("--tubers-per-s", type=above_zero, default=20.0)
+    parser.add_argument("--view-ms", type=above_zero, default=12.0, help="what a regressor takes for a view")
+    parser.add_argument("--regressors", type=whole_number(1), default=2)
+    parser.add_argument("--turn-ms", type=above_zero, default=66.7, help="one frame, and one turn of the segmenter")
     parser.add_argument("--lost", type=float, default=0.01, help="share of views lost on the way")
-    parser.add_argument("--seconds", type=float, default=120.0, help="of the virtual clock")
+    parser.add_argument("--seconds", type=above_zero, default=120.0, help="of the virtual clock")
     options = parser.parse_args(arguments)
     live = shipped()
     rows = {
         "as shipped": live,
         "waiting for all three views": replace(live, spare_grace_s=None),
         "marks once a second": replace(live, mark_every_ns=1_000_000_000),
-        "always three views": replace(live, fewer_views=False),
+        "three views sent while regressors are busy, too": replace(live, fewer_views=False),
     }
     print("| settings | p50 s | p99 s | views weighed per tuber | requeued |\n| --- | --- | --- | --- | --- |")
     for name, settings in rows.items():
@@ -106,7 +106,3 @@ def row(name: str, settings: RunSettings, options: Any) -> str:
     requeued = ", ".join(f"{reason} {n}" for reason, n in sorted(line.run.dispatcher.requeued.items())) or "none"
     weighed = line.run.dispatcher.weighed / max(1, len(line.logged))
     return f"| {name} | {percentile(found, 0.5):.2f} | {percentile(found, 0.99):.2f} | {weighed:.2f} | {requeued} |"
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -16,6 +16,7 @@ from conveyor import topics
 from conveyor.config import LinkConfig
 from conveyor.delivery.latest import LatestSubscriber
 from conveyor.delivery.reliable import ReliableSubscriber
+from conveyor.errors import TuberlineError
 from conveyor.messages import TrackEntry, Tuber, View, Weight
 from conveyor.observer import Observer
 
@@ -116,6 +117,12 @@ def latencies_s(stamps: Stamps, *, from_ns: int) -> dict[str, list[float]]:
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The nearest-rank percentile; `share` from 0 to 1."""
+    """The nearest-rank percentile; `share` from 0 to 1.
+
+    Raises:
+        TuberlineError: there is no value.
+    """
+    if not values:
+        raise TuberlineError("nothing arrived in the measured time, so that there is no percentile: measure for longer")
     ordered = sorted(values)
     return ordered[max(0, math.ceil(share * len(ordered)) - 1)]

@@ -5,7 +5,6 @@ python -m benchmarks link_check          # as root, about half a minute
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import subprocess
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.link_wire import LinkSettings
+from benchmarks.options import parser_of
 from benchmarks.site_net import TCP, Network
 
 PORT = 5500
@@ -114,7 +114,7 @@ def measure(settings: LinkSettings, *, echoes: int = ECHOES, tcp_s: float = TCP_
 
 def main(arguments: list[str]) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks link_check", description=__doc__)
+    parser = parser_of("link_check", __doc__)
     parser.add_argument("--tcp", default=TCP, help="congestion control of the hosts, e.g. bbr")
     options = parser.parse_args(arguments)
     print(

@@ -10,7 +10,6 @@ watch` (light), `top`, and a recorder, which asks for far more than the link car
 
 from __future__ import annotations
 
-import argparse
 import signal
 import sys
 import tempfile
@@ -21,9 +20,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import audited, scored, tuberline
 from benchmarks.link import EmulatedLink, why_no_links
 from benchmarks.link_wire import Counts, LinkSettings
-from benchmarks.site_command import tuberline, tuberline_json
+from benchmarks.options import parser_of, whole_number
 from benchmarks.site_line import SiteLine
 from benchmarks.site_net import Network
 from camera_sim.sim.presets import PRESETS
@@ -80,9 +80,9 @@ class Watched:
 
 def main(arguments: list[str]) -> None:
     """Run the cases and print the table; exits with 1 where a ledger differs."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks link_watchers", description=__doc__)
+    parser = parser_of("link_watchers", __doc__)
     parser.add_argument("--case", nargs="*", default=[case.name for case in CASES], choices=[c.name for c in CASES])
-    parser.add_argument("--tubers", type=int, default=24)
+    parser.add_argument("--tubers", type=whole_number(1), default=24)
     parser.add_argument("--out", type=Path, help="keep recording, ledgers and logs here")
     options = parser.parse_args(arguments)
     if reason := why_no_links():
@@ -140,7 +140,7 @@ def watched(recording: Path, out: Path, case: Case, *, speed: float = SPEED) -> 
             time.sleep(CATCH_UP_S if case.watchers else 0.0)
             probe = line.finish_probe()
             counts = link.counts()
-    return _evaluate(probe, meter, counts, out, speed=speed)
+    return _evaluate(probe, meter, counts, out, recording, speed=speed)
 
 
 def _start_all(line: SiteLine, case: Case) -> None:
@@ -205,9 +205,15 @@ class LinkMeter:
 
 
 def _evaluate(
-    probe: dict[str, Any], meter: LinkMeter, counts: tuple[Counts, Counts], out: Path, *, speed: float
+    probe: dict[str, Any],
+    meter: LinkMeter,
+    counts: tuple[Counts, Counts],
+    out: Path,
+    recording: Path,
+    *,
+    speed: float,
 ) -> Watched:
-    audit = tuberline_json("audit", out)
+    audit = audited(out)
     frames: dict[str, int] = {}
     for sheet in audit["cameras"].values():
         for name, n in sheet["frames"].items():
@@ -221,7 +227,7 @@ def _evaluate(
     nodes = probe["nodes"]
     return Watched(
         ledger=tuberline("ledger", "export", out / "ledger.db", "--canonical"),
-        tubers=int(tuberline_json("score", out, "--truth", out.parent / "recording" / "truth.json")["count"]),
+        tubers=int(scored(out, recording / "truth.json")["count"]),
         frames=frames,
         latest_ms=1e3 * max(late_s),
         oldest_ms=max(node.get("frame_age_max_ms", 0.0) for node in nodes.values()),

@@ -9,7 +9,6 @@ holds the tables, FOLDER/load.json everything.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -18,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.options import above_zero, parser_of, whole_number
 from benchmarks.soak import loop, markdown, read_books, simulated, soak, told
 
 WARM_UP_S = 600.0
@@ -26,11 +26,11 @@ WARM_UP_S = 600.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the line and print the tables; 1 where the books do not balance or something grows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--cameras", type=int, default=6)
-    parser.add_argument("--regressors", type=int, default=8)
-    parser.add_argument("--speed", type=float, default=5.0, help="times real time")
+    parser = parser_of("load", __doc__)
+    parser.add_argument("--minutes", type=above_zero, default=30.0)
+    parser.add_argument("--cameras", type=whole_number(1), default=6)
+    parser.add_argument("--regressors", type=whole_number(1), default=8)
+    parser.add_argument("--speed", type=above_zero, default=5.0, help="times real time")
     parser.add_argument("--warm-up-s", type=float, default=WARM_UP_S, help="age at which a process counts")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs and tables here")

@@ -8,7 +8,6 @@ whole line in one process (`benchmarks.perception_line`).
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.perception_line import run_line
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
@@ -46,12 +46,18 @@ class Load:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, count, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks load_intervals", description=__doc__)
-    parser.add_argument("--presets", nargs="+", default=list(FIRST_SEEDS))
-    parser.add_argument("--recordings", type=int, default=20, help="of each preset")
-    parser.add_argument("--tubers", type=int, default=40, help="of each recording")
-    parser.add_argument("--seed", type=int, help="of the first recording; default: by preset")
-    parser.add_argument("--docs", type=Path, nargs="+", default=[], help="pages between whose marks the table is put")
+    parser = parser_of("load_intervals", __doc__)
+    parser.add_argument("--presets", nargs="+", choices=tuple(FIRST_SEEDS), default=list(FIRST_SEEDS))
+    parser.add_argument("--recordings", type=whole_number(1), default=20, help="of each preset")
+    parser.add_argument("--tubers", type=whole_number(1), default=40, help="of each recording")
+    parser.add_argument("--seed", type=whole_number(0), help="of the first recording; default: by preset")
+    parser.add_argument(
+        "--docs",
+        type=page_with("load_intervals"),
+        nargs="+",
+        default=[],
+        help="pages between whose marks the table is put",
+    )
     given = parser.parse_args(arguments)
     weigher, lines = Weigher.load(None), [*HEAD]
     for preset in given.presets:
@@ -61,9 +67,10 @@ def main(arguments: Sequence[str]) -> None:
             loads.append(measured(preset, seed, given.tubers, weigher))
             print(f"{preset} {seed}: {loads[-1]}", flush=True)
         lines.append(row(preset, first, loads))
-        print(lines[-1], flush=True)
+    text = "\n".join(lines)
+    print(text)
     for page in given.docs:
-        put_table(page, "load_intervals", "\n".join(lines))
+        put_table(page, "load_intervals", text)
 
 
 def measured(preset: str, seed: int, tubers: int, weigher: Weigher) -> Load:

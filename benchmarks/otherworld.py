@@ -8,11 +8,8 @@ in one process, as `tuberline replay` runs it (`perception_line`), or with --gra
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +19,9 @@ import numpy as np
 
 from aggregator.ledger.reader import ledger_file, read_tubers, reading, the_run
 from aggregator.scoring.score import Score, score_run
+from benchmarks.command import tuberline
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import page_with, parser_of, whole_number
 from benchmarks.otherworld_scenes import Scene, write
 from benchmarks.otherworld_table import SCENES
 from benchmarks.otherworld_views import views_table
@@ -36,19 +35,23 @@ LOAD_PERCENT = 2.5
 
 def main(arguments: Sequence[str]) -> None:
     """Write, count, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks otherworld", description=__doc__)
+    parser = parser_of("otherworld", __doc__)
     parser.add_argument(
         "--out", type=Path, default=Path("runs/otherworld"), help="recordings and results are kept here"
     )
     parser.add_argument("--scenes", nargs="+", metavar="NAME", help="default: all")
-    parser.add_argument("--tubers", type=int, help="of each recording; default: as planned")
+    parser.add_argument("--tubers", type=whole_number(1), help="of each recording; default: as planned")
     parser.add_argument(
         "--shift", type=int, default=0, help="added to the planned seeds: other recordings of each kind"
     )
     parser.add_argument("--graph", action="store_true", help="by `tuberline replay`: processes over Zenoh")
     parser.add_argument("--fast", action="store_true", help="by `tuberline replay --fast`")
-    parser.add_argument("--views", type=int, default=0, help="also so many single tubers before each kind of camera")
-    parser.add_argument("--docs", type=Path, nargs="+", default=[], help="pages between whose marks the table is put")
+    parser.add_argument(
+        "--views", type=whole_number(0), default=0, help="also so many single tubers before each kind of camera"
+    )
+    parser.add_argument(
+        "--docs", type=page_with("otherworld"), nargs="+", default=[], help="pages between whose marks the table is put"
+    )
     given = parser.parse_args(arguments)
     rows = []
     for scene in chosen(given.scenes, given.tubers, given.shift):
@@ -108,8 +111,7 @@ def _by_line(recording: Path) -> tuple[Score, Sequence[Tuber], dict[str, Any]]:
 
 def _by_replay(recording: Path, runs: Path, how: str) -> tuple[Score, Sequence[Tuber], dict[str, Any]]:
     out = runs / f"{recording.name}-{how}"
-    command = [sys.executable, "-m", "tuberline", "replay", str(recording), "--out", str(out), "--regressors", "1"]
-    subprocess.run([*command, "--fast"] if how == "fast" else command, check=True, capture_output=True)
+    tuberline("replay", recording, "--out", out, "--regressors", "1", *(["--fast"] if how == "fast" else []))
     ledger = ledger_file(out)
     with reading(ledger) as view:
         tubers = list(read_tubers(view, the_run(view, ledger, None).run))

@@ -9,7 +9,6 @@ replayed, so that nothing may be lost at all: the canonical ledger must be the s
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sqlite3
@@ -22,8 +21,10 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from benchmarks.command import tuberline
 from benchmarks.link import EmulatedLink, why_no_links
 from benchmarks.link_wire import Counts, LinkSettings
+from benchmarks.options import parser_of
 from benchmarks.site_net import TCP, Network
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
@@ -174,19 +175,15 @@ def _cut(links: dict[str, EmulatedLink], trouble: Trouble) -> None:
 
 def canonical(out: Path) -> str:
     """The canonical export of a run's ledger."""
-    command = [sys.executable, "-m", "tuberline", "ledger", "export", str(out / "ledger.db"), "--canonical"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return tuberline("ledger", "export", out / "ledger.db", "--canonical")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the troubles and print a Markdown table; 1 where a ledger differs."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks partitions",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("partitions", __doc__)
     parser.add_argument("recording", type=Path, nargs="?", help="default: a simulated one, two cameras, 24 tubers")
-    parser.add_argument("--only", nargs="*", default=[trouble.name for trouble in TROUBLES])
+    names = [trouble.name for trouble in TROUBLES]
+    parser.add_argument("--only", nargs="+", choices=names, default=names, help="beside the undisturbed one")
     parser.add_argument("--out", type=Path, help="keep ledgers and logs here")
     options = parser.parse_args(arguments)
     print("| network | tubers | gaps | MB over both links | packets lost: loss, queue, cut | time s | ledger |")
@@ -228,7 +225,3 @@ def _row(trouble: Trouble, replayed: Replayed, out: Path, *, equal: bool) -> str
         "equal" if equal else "DIFFERS",
     )
     return f"| {' | '.join(cells)} |"
-
-
-if __name__ == "__main__":
-    sys.exit(main())

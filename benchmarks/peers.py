@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.frames import CAMERA, WAIT_S, End, _depth, _frame
+from benchmarks.options import above_zero, parser_of, whole_number
 from camera_sim.flow import SendWindow
 from conveyor import topics
 from conveyor.config import LinkConfig
@@ -34,7 +35,7 @@ from conveyor.messages import Frame, FrameProgress
 
 WINDOW = 4
 RING = 6
-SIZE = "1280x720"
+SIZE = (1280, 720)
 SETTLE_S = 3.0
 DORA_SENDER = """\
 import time
@@ -74,9 +75,9 @@ nodes:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Send the messages each way and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--messages", type=int, default=100)
-    parser.add_argument("--work-ms", type=float, default=20.0)
+    parser = parser_of("peers", __doc__)
+    parser.add_argument("--messages", type=whole_number(1), default=100)
+    parser.add_argument("--work-ms", type=above_zero, default=20.0)
     parser.add_argument("--dora", type=Path, metavar="FOLDER", help="bin folder of an environment with dora-rs")
     parser.add_argument("--receive", nargs=2, metavar=("WAY", "ENDPOINT"), help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
@@ -185,7 +186,3 @@ def _dora(options: argparse.Namespace, *, queue: int | None) -> tuple[list[int],
             ["dora", "run", "flow.yml"], cwd=folder, env=environment, check=True, capture_output=True, timeout=180
         )
         return json.loads((folder / "seen.json").read_text()), float((folder / "sent.json").read_text())
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

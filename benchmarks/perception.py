@@ -17,6 +17,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from benchmarks.options import parser_of, whole_number
 from benchmarks.perception_case import SUITE, Case, suite
 from benchmarks.perception_line import run_line
 from benchmarks.perception_table import shortfalls, tables
@@ -125,15 +126,13 @@ def _compare_graph(case: Case, out: Path) -> None:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="benchmarks perception", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("perception", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/perception"), help="recordings, results and tables")
     parser.add_argument("--scenes", nargs="+", default=list(SUITE), metavar="SCENE", help="default: all eight")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[1301], metavar="N")
-    parser.add_argument("--tubers", type=int, default=300)
+    parser.add_argument("--seeds", nargs="+", type=whole_number(0), default=[1301], metavar="N")
+    parser.add_argument("--tubers", type=whole_number(1), default=300)
     parser.add_argument("--preset", choices=("easy", "field"), default="field")
-    parser.add_argument("--every", type=int, default=3, help="score the masks of every n-th frame")
+    parser.add_argument("--every", type=whole_number(1), default=3, help="score the masks of every n-th frame")
     parser.add_argument("--times", action="store_true", help="also time the stages at both resolutions")
     parser.add_argument("--graph", action="store_true", help="also run each recording through `tuberline replay`")
     parser.add_argument("--fresh", action="store_true", help="score again what was scored before")

@@ -6,7 +6,6 @@ of tubers: the pictures show what the code does with real sensors' noise, holes 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import parser_of
 from conveyor.errors import InputError
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
@@ -39,7 +39,7 @@ SCENES = (
 
 def main(arguments: Sequence[str]) -> None:
     """Read, segment, write pictures, say what was found."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks real")
+    parser = parser_of("real", __doc__)
     parser.add_argument("--shared", type=Path, default=Path("../shared"), help="folder with data/ (default: ../shared)")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     options = parser.parse_args(arguments)

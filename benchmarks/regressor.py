@@ -6,7 +6,6 @@ cleaned cloud to grams, sampling included. The error of each back end is in gram
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import tempfile
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.options import parser_of, whole_number
 from benchmarks.regressor_backends import Clouds, backends, product_seconds
 from conveyor.threads import use_threads
 
@@ -25,11 +25,11 @@ ROUNDS = {1: 15, 8: 5, 32: 3}
 
 def main(arguments: Sequence[str]) -> None:
     """Measure and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks regressor", description=__doc__)
+    parser = parser_of("regressor", __doc__)
     parser.add_argument("--data", type=Path, help="view pack with clouds to weigh; default: 64 simulated views")
     parser.add_argument("--weights", type=Path, help="default: the shipped ones")
-    parser.add_argument("--batches", type=int, nargs="+", default=list(BATCHES))
-    parser.add_argument("--rounds", type=int, help="rounds per batch size (15, 5 and 3)")
+    parser.add_argument("--batches", type=whole_number(1), nargs="+", default=list(BATCHES))
+    parser.add_argument("--rounds", type=whole_number(1), help="rounds per batch size (15, 5 and 3)")
     parser.add_argument("--out", type=Path, help="folder for speed.json and speed.md")
     given = parser.parse_args(arguments)
     use_threads(1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 import warnings
@@ -16,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from benchmarks.command import tuberline
 from conveyor.errors import TuberlineError
 from conveyor.extras import install_hint
 from regressor.network.architecture import NEIGHBOURS
@@ -82,9 +82,8 @@ class Clouds:
 def simulated_views(scratch: Path) -> Path:
     """A pack of views made now, in `scratch`."""
     folder = scratch / "views"
-    options = ["--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field"]
-    command = [sys.executable, "-m", "tuberline", "simulate-views", "--out", str(folder), *options]
-    subprocess.run(command, check=True, capture_output=True)
+    options = ("--tubers", "36", "--views", "2", "--seed", "612", "--preset", "field")
+    tuberline("simulate-views", "--out", folder, *options)
     return folder
 
 

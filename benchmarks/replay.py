@@ -26,6 +26,7 @@ import torch
 
 from aggregator.scoring.score import Score, score_run
 from benchmarks.line_belt import simulated_belt
+from benchmarks.options import parser_of, whole_number
 from conveyor.errors import TuberlineError
 from conveyor.formats import camera_names, open_source
 from conveyor.messages import Frame
@@ -110,10 +111,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tubers", type=int, default=1200)
-    parser.add_argument("--seed", type=int, default=12)
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each that count")
+    parser = parser_of("replay", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=1200)
+    parser.add_argument("--seed", type=whole_number(0), default=12)
+    parser.add_argument("--rounds", type=whole_number(1), default=3, help="turns of each that count")
     parser.add_argument("--peer", help='another version\'s command, e.g. "../old/.venv/bin/tuberline replay"')
     parser.add_argument("--recording", type=Path, help="folder recording with its truth.json; default: a simulated one")
     return parser.parse_args(arguments)
@@ -137,7 +138,3 @@ def _gflops() -> float:
         left @ right
         took_s.append(time.perf_counter() - begun)
     return float(2 * SIDE**3 / min(took_s) / 1e9)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

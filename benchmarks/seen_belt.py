@@ -22,6 +22,7 @@ from random import Random
 from statistics import mean, pstdev
 
 from benchmarks.chaos_live_belt import make_belt
+from benchmarks.options import parser_of, whole_number
 from conveyor.config import parse_config
 from conveyor.formats import open_source
 from conveyor.messages import Frame, Mark, Track, Weight
@@ -35,10 +36,12 @@ FRAMES = 250
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run all and print the table; 1 where more than one of twenty is off by over 5 points."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=48, help="with an encoder, and as many without")
-    parser.add_argument("--seed", type=int, default=77)
-    parser.add_argument("--belt-seed", type=int, default=977)
+    parser = parser_of("seen_belt", __doc__)
+    parser.add_argument(
+        "--runs", type=whole_number(len(KINDS)), default=48, help="with an encoder, and as many without"
+    )
+    parser.add_argument("--seed", type=whole_number(0), default=77)
+    parser.add_argument("--belt-seed", type=whole_number(0), default=977)
     parser.add_argument("--out", type=Path, help="keep the belt here")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:

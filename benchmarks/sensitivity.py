@@ -7,7 +7,6 @@ fitted here.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aggregator.calibration.sensitivity import outline_g_per_mm
+from benchmarks.options import parser_of, whole_number
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import ViewSimulator
 from conveyor.geometry import straight_down_belt_from_camera
@@ -25,9 +25,9 @@ STRIDE = 5
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks sensitivity", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=60, help="of each preset")
-    parser.add_argument("--seed", type=int, default=41711)
+    parser = parser_of("sensitivity", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=60, help="of each preset")
+    parser.add_argument("--seed", type=whole_number(0), default=41711)
     parser.add_argument("--presets", nargs="+", default=["easy", "field"])
     parser.add_argument("--weights", type=Path, help="default: the shipped ones")
     given = parser.parse_args(arguments)

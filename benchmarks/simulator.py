@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.options import parser_of
 from camera_sim.sim.optics import ALL_OPTICS, optics_named
 from camera_sim.sim.presets import EASY_PRESET
 from camera_sim.sim.scenes import SceneSettings, build_world, layout_named
@@ -21,7 +21,7 @@ FRAMES = 20
 
 def main(arguments: Sequence[str]) -> None:
     """Measure and say."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks simulator")
+    parser = parser_of("simulator", __doc__)
     parser.add_argument("--scenes", nargs="+", default=["touching", "crowded", "piled", "rolling", "rods"])
     options = parser.parse_args(arguments)
     for camera in sorted(ALL_OPTICS, reverse=True):

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import audited, scored, tuberline
 from benchmarks.link_wire import LinkSettings
-from benchmarks.site_command import tuberline, tuberline_json
+from benchmarks.options import new_file, parser_of, whole_number
 from benchmarks.site_line import CAMERAS, SiteLine
 from benchmarks.site_net import Network, Traffic
 from benchmarks.site_picture import draw_site, site_hosts
@@ -183,8 +184,8 @@ def evaluate(case: Case, seen: Mapping[str, Any], traffic: Mapping[str, Traffic]
     passed = seen["passed"]
     low, high = (int(share * (len(passed) - 1)) for share in MIDDLE)
     took_ms = sorted(1e3 * entry["took_s"] for entry in passed)
-    score = tuberline_json("score", out, "--truth", truth)
-    audit = tuberline_json("audit", out)
+    score = scored(out, truth)
+    audit = audited(out)
     views: dict[str, int] = {}
     for camera in audit["cameras"].values():
         for name, n in camera["views"].items():
@@ -275,12 +276,14 @@ def _markdown(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 
 
 def _options(arguments: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks site", description=__doc__)
-    parser.add_argument("--hosts", type=int, nargs="+", default=[1, 2, 4], help="inference hosts of each run")
+    parser = parser_of("site", __doc__)
+    parser.add_argument(
+        "--hosts", type=whole_number(1), nargs="+", default=[1, 2, 4], help="inference hosts of each run"
+    )
     parser.add_argument("--undisturbed", action="store_true", help="leave out the run in which two of them fail")
-    parser.add_argument("--tubers", type=int, default=48, help="on the simulated belt")
-    parser.add_argument("--seed", type=int, default=3, help="of the simulated belt")
-    parser.add_argument("--work", help="folder for recording, ledgers and logs; default: a temporary one")
+    parser.add_argument("--tubers", type=whole_number(1), default=48, help="on the simulated belt")
+    parser.add_argument("--seed", type=whole_number(0), default=3, help="of the simulated belt")
+    parser.add_argument("--work", type=Path, help="folder for recording, ledgers and logs; default: a temporary one")
     parser.add_argument("--compress", choices=("raw", "zstd"), default="raw", help="how frames travel")
-    parser.add_argument("--picture", type=Path, help="SVG of the site to write")
+    parser.add_argument("--picture", type=new_file, help="SVG of the site to write")
     return parser.parse_args(arguments)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
@@ -11,6 +10,7 @@ from functools import partial
 from itertools import islice
 from pathlib import Path
 
+from benchmarks.options import parser_of
 from camera_sim.sim.presets import PRESETS
 from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import SceneSettings
@@ -24,7 +24,7 @@ FPS = 30
 
 def main(arguments: list[str]) -> None:
     """Print the table for one camera of a recording, or for simulated ones without it."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks site_codecs", description=__doc__)
+    parser = parser_of("site_codecs", __doc__)
     parser.add_argument("recording", type=Path, nargs="?", help="default: simulated at both depth units")
     options = parser.parse_args(arguments)
     rows: list[tuple[str, ...]] = []

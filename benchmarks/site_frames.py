@@ -28,6 +28,7 @@ import numpy as np
 
 from benchmarks.frames import End
 from benchmarks.line_watch import percentile
+from benchmarks.options import above_zero, parser_of, pixels, whole_number
 from benchmarks.proc import cpu_s
 from benchmarks.site_codecs import first_frames
 from benchmarks.site_net import Network
@@ -45,22 +46,25 @@ EDGE = "edge"
 PORT = 7447
 WAIT_S = 120.0
 SETTLE_S = 2.0
+SIMULATED = (848, 480)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Lay out the hosts, send, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hosts", type=int, default=3)
+    parser = parser_of("site_frames", __doc__)
+    parser.add_argument("--hosts", type=whole_number(1), default=3)
     parser.add_argument("--mbit", type=float, default=100.0, help="of each host's link, each way; 0: no limit")
-    parser.add_argument("--per-s", type=float, default=30.0)
-    parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--size", default="848x480")
+    parser.add_argument("--per-s", type=above_zero, default=30.0)
+    parser.add_argument("--seconds", type=above_zero, default=10.0)
+    parser.add_argument("--size", type=pixels, default=SIMULATED, help="cut to so many pixels, 848x480 at most")
     parser.add_argument("--codec", choices=("raw", "zstd"), default="zstd")
     parser.add_argument("--part", nargs="+", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.part:
         {"route": _route, "receive": _receive, "send": _send}[options.part[0]](options.part[1:], options)
         return 0
+    if options.size[0] > SIMULATED[0] or options.size[1] > SIMULATED[1]:
+        parser.error("argument --size: what is simulated has 848x480 pixels; give no more")
     with tempfile.TemporaryDirectory(prefix="tuberline-frames-") as folder:
         record_scene(Path(folder) / "belt", SceneSettings("touching", 1, 6, PRESETS["field"], unit_m=0.001))
         _measure(Path(folder) / "belt", options)
@@ -78,7 +82,14 @@ def _measure(belt: Path, options: argparse.Namespace) -> None:
 
         def start(host: str, *part: str) -> subprocess.Popen[str]:
             command = [sys.executable, "-m", "benchmarks", "site_frames", "--per-s", str(options.per_s)]
-            command += ["--seconds", str(options.seconds), "--size", options.size, "--codec", options.codec]
+            command += [
+                "--seconds",
+                str(options.seconds),
+                "--size",
+                f"{options.size[0]}x{options.size[1]}",
+                "--codec",
+                options.codec,
+            ]
             child = subprocess.Popen(
                 net.command(host, [*command, "--part", *part]),
                 stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1],
@@ -104,8 +115,9 @@ def _tell(
 ) -> None:
     frames = sum(len(ms) for ms in came["ms"].values())
     limit = f"{options.mbit:g} Mbit/s" if options.mbit else "no limit"
+    width, height = options.size
     print(
-        f"{options.hosts} hosts, {limit} each, {options.per_s:g} frames/s of {options.size}, {options.codec}, "
+        f"{options.hosts} hosts, {limit} each, {options.per_s:g} frames/s of {width}x{height}, {options.codec}, "
         f"{options.seconds:g} s; {os.cpu_count()} cores {platform.machine()}, Python {platform.python_version()}, "
         f"eclipse-zenoh {version('eclipse-zenoh')}, load average {os.getloadavg()[0]:.1f} at the end.\n"
     )
@@ -121,8 +133,8 @@ def _tell(
     )
 
 
-def _cut(frame: Frame, size: str) -> Frame:
-    width, height = (int(side) for side in size.split("x"))
+def _cut(frame: Frame, size: tuple[int, int]) -> Frame:
+    width, height = size
     k = frame.intrinsics
     intrinsics = Intrinsics(width, height, k.fx, k.fy, min(k.cx, width / 2), min(k.cy, height / 2))
     depth = np.ascontiguousarray(frame.depth[:height, :width])
@@ -139,13 +151,14 @@ def _send(part: list[str], options: argparse.Namespace) -> None:
         while not publisher.has_listener and time.monotonic() < deadline_s:
             time.sleep(0.05)
         begins_s, before_s = max(begins_s, time.monotonic()), time.process_time()
-        for seq in range(round(options.seconds * options.per_s)):
+        count = max(1, round(options.seconds * options.per_s))
+        for seq in range(count):
             time.sleep(max(0.0, begins_s + seq / options.per_s - time.monotonic()))
             frame = replace(frames[seq % len(frames)], seq=seq, captured_ns=time.monotonic_ns())
             publisher.put(frame, codec=options.codec)
         used_s = time.process_time() - before_s
         time.sleep(SETTLE_S)
-    print(json.dumps({"sent": seq + 1, "cpu_ms": 1e3 * used_s / (seq + 1)}), flush=True)
+    print(json.dumps({"sent": count, "cpu_ms": 1e3 * used_s / count}), flush=True)
 
 
 def _receive(part: list[str], options: argparse.Namespace) -> None:
@@ -165,7 +178,3 @@ def _route(part: list[str], options: argparse.Namespace) -> None:
     with open_router(LinkConfig(router=part[0])):
         print("listens", flush=True)
         time.sleep(3600)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

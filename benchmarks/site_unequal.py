@@ -8,7 +8,6 @@ joins, weighs along, and is switched off in an orderly way; no one's configurati
 
 from __future__ import annotations
 
-import argparse
 import signal
 import sys
 import tempfile
@@ -16,8 +15,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import audited, scored
+from benchmarks.options import parser_of, whole_number
 from benchmarks.site import CAMERA_HOSTS, make_recording
-from benchmarks.site_command import tuberline_json
 from benchmarks.site_line import CAMERAS, SiteLine
 from benchmarks.site_net import Network
 from conveyor.errors import TuberlineError
@@ -30,15 +30,15 @@ JOINS_AT, LEAVES_AFTER = 60, 150
 
 def main(arguments: list[str]) -> None:
     """Run the site once and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks site_unequal", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=96, help="on the simulated belt")
-    parser.add_argument("--seed", type=int, default=3, help="of the simulated belt")
+    parser = parser_of("site_unequal", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=96, help="on the simulated belt")
+    parser.add_argument("--seed", type=whole_number(0), default=3, help="of the simulated belt")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="tuberline-site-") as folder:
         recording = make_recording(Path(folder) / "recording", tubers=options.tubers, seed=options.seed)
         seen = run(recording, Path(folder) / "run")
-        score = tuberline_json("score", Path(folder) / "run", "--truth", recording / "truth.json")
-        audit = tuberline_json("audit", Path(folder) / "run")
+        score = scored(Path(folder) / "run", recording / "truth.json")
+        audit = audited(Path(folder) / "run")
     sys.stdout.write(table(seen["passed"], joined_s=seen["joined_s"], left_s=seen["left_s"]))
     sys.stdout.write(
         f"\n{score['count']} tubers, {score['missed']} missed, {score['double_counted']} double; "

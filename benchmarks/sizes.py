@@ -9,7 +9,6 @@ makes the rules from the belts of the simulator's own cultivars.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from aggregator.core.merge import Group, PlacedTrack
 from aggregator.core.totals import LoadTotals
 from aggregator.core.tubers import make_tuber
 from benchmarks.figures_in_docs import put_table
+from benchmarks.options import new_file, page_with, parser_of, whole_number
 from benchmarks.sizes_belts import WORLDS, Passed, fewer, kept, plans
 from conveyor.contract import Contract, SizeClass
 from conveyor.messages import ClassTotal, Tuber
@@ -47,14 +47,16 @@ SCALE_ERROR = 0.005
 
 def main(arguments: Sequence[str]) -> None:
     """Make what is not kept yet; fit, or print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks sizes", description=__doc__)
+    parser = parser_of("sizes", __doc__)
     parser.add_argument("--out", type=Path, default=Path("runs/sizes"))
     parser.add_argument("--belts", choices=("judge", "check"), default="judge")
-    parser.add_argument("--fit", type=Path, help="write rules fitted on the training belts to this file instead")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of belts, from 0")
-    parser.add_argument("--tubers", type=int, help="of each belt; default: as planned")
-    parser.add_argument("--docs", type=Path, help="page between whose marks the tables are put")
-    parser.add_argument("--picture", type=Path, help="draw true against estimated mesh size")
+    parser.add_argument("--fit", type=new_file, help="write rules fitted on the training belts to this file instead")
+    parser.add_argument("--only", type=whole_number(0), nargs="+", help="numbers of belts, from 0")
+    parser.add_argument("--tubers", type=whole_number(1), help="of each belt; default: as planned")
+    parser.add_argument(
+        "--docs", type=page_with("sizes", "classes"), help="page between whose marks the tables are put"
+    )
+    parser.add_argument("--picture", type=new_file, help="draw true against estimated mesh size")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     if given.fit:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
+from benchmarks.options import chosen
 from camera_sim.sim.conditions import KNOWN_BELT_SD_M, StatedRest
 from camera_sim.sim.cultivars import STOCKS, Stock
 from camera_sim.sim.presets import PRESETS
@@ -109,10 +110,10 @@ class Passed:
 
 def fewer(plans: Sequence[Any], *, only: Sequence[int] | None, tubers: int | None) -> list[Any]:
     """Of the belts those with these numbers, from 0, and with so many tubers; a belt made smaller has another name."""
-    chosen = [plan for n, plan in enumerate(plans) if only is None or n in only]
+    found = chosen(plans, only)
     if tubers is None:
-        return chosen
-    return [replace(plan, name=f"{plan.name}-{tubers}", tubers=tubers) for plan in chosen]
+        return found
+    return [replace(plan, name=f"{plan.name}-{tubers}", tubers=tubers) for plan in found]
 
 
 def plans(which: str) -> list[BeltPlan]:

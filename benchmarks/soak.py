@@ -1,6 +1,6 @@
 """A live line for minutes or hours, somebody killed every minute: does anything grow?
 
-    python -m benchmarks.soak --minutes 30 --out FOLDER [--recording FOLDER] [--kill-every-s 60]
+    python -m benchmarks soak --minutes 30 --out FOLDER [--recording FOLDER] [--kill-every-s 60]
 
 A recording is laid end to end (links to its frames, travel going on) and played in real time to a line whose cameras
 wait for no one. Camera, segmenter, regressor, aggregator and router are killed in turn with SIGKILL; a second regressor
@@ -10,15 +10,12 @@ never is. Memory, descriptors and threads of each process and of the one that th
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import math
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections import defaultdict
@@ -27,6 +24,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.command import audited, tuberline
+from benchmarks.options import above_zero, parser_of
 from benchmarks.proc import TICKS_PER_S, parent_of, stat_fields
 from benchmarks.soak_verdict import MEASURES, WARM_UP_S, Growth, RoleVerdict, Sample, line_verdict, role_verdict, worst
 from conveyor.config import dump_toml
@@ -62,9 +61,9 @@ class Watch:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the line and tell what was measured; 1 where the books do not balance or something grows."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--kill-every-s", type=float, default=60.0)
+    parser = parser_of("soak", __doc__)
+    parser.add_argument("--minutes", type=above_zero, default=30.0)
+    parser.add_argument("--kill-every-s", type=above_zero, default=60.0)
     parser.add_argument("--warm-up-s", type=float, default=WARM_UP_S, help="age at which a process counts; busy: more")
     parser.add_argument("--recording", type=Path, help="folder recording to repeat; default: a simulated one")
     parser.add_argument("--out", type=Path, help="keep ledger, logs, soak.md and soak.json here")
@@ -84,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def simulated(path: Path) -> Path:
     """A few seconds of belt."""
-    tuberline("simulate", "--out", str(path), "--seed", "11", "--scene", "touching", "--tubers", "60", "--fps", "15")
+    tuberline("simulate", "--out", path, "--seed", "11", "--scene", "touching", "--tubers", "60", "--fps", "15")
     return path
 
 
@@ -270,19 +269,8 @@ def markdown(report: dict[str, Any]) -> str:
 
 def read_books(out: Path) -> dict[str, Any]:
     """The audit of what was counted, and what lies on the disk."""
-    books: dict[str, Any] = json.loads(tuberline("audit", str(out), "--json", check=False).stdout)
     return {
-        **books,
+        **audited(out),
         "ledger_kib": sum(file.stat().st_size for file in out.glob("ledger.db*")) / 1024,
         "track_logs_kib": sum(file.stat().st_size for file in (out / "state").glob("*")) / 1024,
     }
-
-
-def tuberline(*arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-    """The command as a user runs it."""
-    command = [sys.executable, "-m", "tuberline", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=check)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

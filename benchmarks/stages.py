@@ -10,7 +10,6 @@ the exact one.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -21,8 +20,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.options import parser_of, whole_number
 from conveyor.config import LineConfig
 from conveyor.config_camera import CameraConfig
 from conveyor.formats import camera_names, open_source
@@ -53,10 +52,12 @@ ROUNDS = 3
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("stages", __doc__)
     parser.add_argument("recording", type=Path)
     parser.add_argument("--exact", action="store_true")
-    parser.add_argument("--rounds", type=int, default=3, help="over all frames; tables are of each frame's best round")
+    parser.add_argument(
+        "--rounds", type=whole_number(1), default=3, help="over all frames; tables are of each frame's best round"
+    )
     options = parser.parse_args(arguments)
     use_threads(1)
     keep_buffers()  # as segmenters and regressors do
@@ -120,10 +121,6 @@ def _round(frames: list[Frame], settings: Any) -> list[list[float]]:
     return rows
 
 
-def _span(ms: NDArray[np.float64]) -> str:
-    return f"{ms.min():.1f} to {ms.max():.1f} ms"
-
-
 def _timed(plain: Callable[..., Any], name: str, took: dict[str, float]) -> Callable[..., Any]:
     def timed(*arguments: Any) -> Any:
         begun = time.thread_time()
@@ -166,7 +163,3 @@ def _ms(work: Callable[[Any], Any], item: Any) -> float:
     begun = time.thread_time()
     work(item)
     return 1e3 * (time.thread_time() - begun)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

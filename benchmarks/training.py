@@ -11,7 +11,6 @@ turned by drawing another batch, which is the noise that a training lives with a
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -23,6 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.options import parser_of, whole_number
 from conveyor.errors import InputError
 from regressor.network import reduced
 from regressor.network.checkpoint import load_checkpoint
@@ -35,9 +35,9 @@ BATCH, BATCHES, SEED = 32, 8, 5
 
 def main(arguments: Sequence[str]) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks training", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=1)
+    parser = parser_of("training", __doc__)
+    parser.add_argument("--rounds", type=whole_number(1), default=5)
+    parser.add_argument("--threads", type=whole_number(1), default=1)
     parser.add_argument("--data", type=Path, help="view pack: tell how far gradients are turned, instead of times")
     parser.add_argument("--weights", type=Path, help="where in a training; default: the shipped ones")
     options = parser.parse_args(arguments)

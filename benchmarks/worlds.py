@@ -6,7 +6,6 @@ its true total; the spread is one standard error over recordings, for tubers of 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.options import parser_of, whole_number
 from camera_sim.sim.view_setting import ViewPlan
 from camera_sim.sim.views import SimulatedView, ViewSimulator
 from conveyor.geometry import straight_down_belt_from_camera
@@ -38,10 +38,10 @@ class Row:
 
 def main(arguments: Sequence[str]) -> None:
     """Simulate, weigh and print a Markdown table."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks worlds", description=__doc__)
-    parser.add_argument("--tubers", type=int, default=200, help="of each preset")
-    parser.add_argument("--views", type=int, default=2, help="of each tuber")
-    parser.add_argument("--seed", type=int, default=90417)
+    parser = parser_of("worlds", __doc__)
+    parser.add_argument("--tubers", type=whole_number(1), default=200, help="of each preset")
+    parser.add_argument("--views", type=whole_number(1), default=2, help="of each tuber")
+    parser.add_argument("--seed", type=whole_number(0), default=90417)
     parser.add_argument("--presets", nargs="+", default=list(PRESETS))
     parser.add_argument("--weights", type=Path, help="default: the shipped ones")
     parser.add_argument("--out", type=Path, help="folder for worlds.json and worlds.md")

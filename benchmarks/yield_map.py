@@ -8,7 +8,6 @@ then. The rules of aggregator/yield_map were set on seeds 1, 2 and 4101 to 4103.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from aggregator.yield_map.delay import delays
 from aggregator.yield_map.points import Crop, Machine, Points, cleaned, yield_points
 from aggregator.yield_map.smooth import smoothed
 from aggregator.yield_map.track import Track, believed, plane_of
+from benchmarks.options import parser_of, whole_number
 from camera_sim.sim.field import FieldWorld, SimulatedField, simulate_field
 
 SEEDS = (5201, 5202, 5203)
@@ -50,8 +50,8 @@ class Row:
 
 def main(arguments: Sequence[str]) -> None:
     """Print the table; write it as JSON with --out."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser = parser_of("yield_map", __doc__)
+    parser.add_argument("--seeds", type=whole_number(0), nargs="+", default=list(SEEDS))
     parser.add_argument("--out", type=Path)
     options = parser.parse_args(arguments)
     rows = [judge(name, world, seed) for name, world in WORLDS.items() for seed in options.seeds]
@@ -135,9 +135,3 @@ def table(rows: Sequence[Row]) -> str:
         for r in rows
     ]
     return "\n".join([head, *lines])
-
-
-if __name__ == "__main__":
-    import sys
-
-    main(sys.argv[1:])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -14,10 +17,11 @@ import pytest
 from benchmarks.__main__ import benchmarks
 from benchmarks.link import EmulatedLink
 from benchmarks.link_wire import LinkSettings
+from benchmarks.options import above_zero, chosen, new_file, page_with, pixels, whole_number
 from benchmarks.site_net import Network, Traffic, ip
 from benchmarks.site_picture import draw_site, site_hosts
 from benchmarks.site_share import CpuShare
-from conveyor.errors import TuberlineError
+from conveyor.errors import InputError, TuberlineError
 from tests.conftest import ROOT
 
 RATE_BITS_PER_S, DELAY_S = 8e6, 0.04
@@ -42,6 +46,31 @@ def test_every_benchmark_is_found_by_name_and_says_what_it_measures() -> None:
     assert {"site", "site_codecs"} <= set(found)
     assert all(found.values())
     assert "site_net" not in found
+    named = [
+        re.findall(r'parser_of\("(\w+)", __doc__\)', (ROOT / f"benchmarks/{name}.py").read_text()) for name in found
+    ]
+    assert named == [[name] for name in found], "its help names the command that runs it"
+
+
+def test_arguments_of_benchmarks_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    (page := tmp_path / "page.md").write_text("<!-- gauge: begin -->\n\n<!-- gauge: end -->\n")
+    assert (whole_number(2)("2"), above_zero("0.5"), pixels("848x480")) == (2, 0.5, (848, 480))
+    assert page_with("gauge")(str(page)) == page
+    assert chosen("abc", None) == ["a", "b", "c"]
+    assert chosen("abc", [2, 0]) == ["a", "c"]
+    refused = [(whole_number(1), text) for text in ("0", "1.5", "x")] + [
+        (above_zero, text) for text in ("0", "nan", "x")
+    ]
+    refused += [
+        (pixels, "848"),
+        (page_with("gauge", "heights"), str(page)),
+        (new_file, str(tmp_path / "none" / "a.json")),
+    ]
+    for read, text in refused:
+        with pytest.raises(argparse.ArgumentTypeError, match=re.escape(text)):
+            read(text)
+    with pytest.raises(InputError, match="give some from 0 to 2"):
+        chosen("abc", [3])
 
 
 def test_an_unknown_benchmark_is_refused_with_those_that_exist() -> None:
