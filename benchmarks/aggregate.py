@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as folder:
-        for block in blocks(Path(folder), options.tubers, per_commit=round(options.per_s * COMMIT_S)):
+        for block in blocks(Path(folder), options.tubers, per_s=options.per_s):
             print(
                 f"| {block.tubers} | {block.cpu_ms:.3f} | {block.wall_ms:.3f} | {block.memory_mib:.0f} | "
                 f"{block.ledger_mb:.0f} |",
@@ -66,8 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def blocks(folder: Path, tubers: int, *, per_commit: int) -> list[Block]:
-    """Run them all; one block per tenth."""
+def blocks(folder: Path, tubers: int, *, per_s: float) -> list[Block]:
+    """Run them all; one block per tenth, or per commit where that is more."""
+    per_commit = max(1, round(per_s * COMMIT_S))
     config = parse_config(
         {"name": "t", "cameras": {name: {"path": "x"} for name in CAMERAS}, "aggregator": {"out": str(folder)}},
         where="benchmark",
@@ -78,23 +79,23 @@ def blocks(folder: Path, tubers: int, *, per_commit: int) -> list[Block]:
         core = aggregation(ledger)
         reporter = Reporter(ledger, core, config=config, counters=CounterSet())
         every = max(1, round(TOTALS_S / COMMIT_S))
-        size = tubers // BLOCKS
-        cpu_s = wall_s = 0.0
+        told, cpu_s, wall_s = 0, 0.0, 0.0
         for turn, first in enumerate(range(0, tubers, per_commit)):
             last = min(first + per_commit, tubers)
-            coming = _coming(first, last, n, end=last == tubers)
+            coming, now_s = _coming(first, last, n, end=last == tubers), first / per_s
             cpu_before, wall_before = time.process_time(), time.perf_counter()
             for payload in coming:
-                core.receive(TrackEntry.decode(payload), now_s=first / 1000)
-            ledger.write(RUN, core.commit(now_s=first / 1000))
+                core.receive(TrackEntry.decode(payload), now_s=now_s)
+            ledger.write(RUN, core.commit(now_s=now_s))
             if turn % every == 0:
-                reporter.totals(first / 1000)
+                reporter.totals(now_s)
             cpu_s, wall_s = cpu_s + time.process_time() - cpu_before, wall_s + time.perf_counter() - wall_before
-            if last // size > first // size:
+            if last * BLOCKS // tubers > first * BLOCKS // tubers:
                 disk = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
-                found.append(Block(last, 1e3 * cpu_s / size, 1e3 * wall_s / size, resident_mib() or 0.0, disk))
-                cpu_s = wall_s = 0.0
-        counted = reporter.totals(tubers / 1000).count
+                each_ms = 1e3 / (last - told)
+                found.append(Block(last, each_ms * cpu_s, each_ms * wall_s, resident_mib() or 0.0, disk))
+                told, cpu_s, wall_s = last, 0.0, 0.0
+        counted = reporter.totals(tubers / per_s).count
     if counted != tubers:
         raise AssertionError(f"{counted} of {tubers} tubers are in the ledger")
     return found

@@ -1,13 +1,16 @@
-"""The live line's benchmark: hops add up to the whole, percentiles are values seen."""
+"""The benchmarks of a line: hops add up, percentiles are values seen, what an aggregator takes is what it took."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.aggregate import blocks
 from benchmarks.line_table import markdown
 from benchmarks.line_virtual import LosingQueue, LosingWorker, shipped, waits_s
 from benchmarks.line_watch import HOPS, TOTAL, Stamps, latencies_s, percentile
@@ -106,3 +109,12 @@ def test_shipped_settings_let_a_tuber_be_committed_within_a_second_of_the_virtua
     given_up = line.lost.get("late", 0)  # a spare view may be too late before it is missed
     assert lost_views - 4 <= arrived + given_up, "a lost view was never missed"
     assert (lost_views > 0) == (lost > 0)
+
+
+def test_what_an_aggregator_takes_is_told_of_the_tubers_that_it_took(tmp_path: Path) -> None:
+    """A tenth of few tubers is less than a commit, by which the time of a whole commit was divided."""
+    begun = time.perf_counter()
+    found = blocks(tmp_path, 120, per_s=1000.0)
+    took_ms = 1e3 * (time.perf_counter() - begun)
+    assert [block.tubers for block in found] == [50, 100, 120]
+    assert sum(n * block.wall_ms for n, block in zip((50, 50, 20), found, strict=True)) < took_ms
