@@ -48,9 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         belts = {kind: ready_belt(kind, out / "belts", seed=options.belt_seed) for kind in dict.fromkeys(BELTS)}
         if options.only:
             cases = [case for case in cases if case.number in options.only]
-        runs = run_all(cases, belts, out / f"seed-{options.seed}", jobs=options.jobs)
+        kept = out / f"seed-{options.seed}-belt-{options.belt_seed}"
+        runs = run_all(cases, belts, kept, jobs=options.jobs)
         table = markdown(runs, seed=options.seed)
-        (out / f"seed-{options.seed}" / "chaos-live.md").write_text(table)
+        (kept / "chaos-live.md").write_text(table)
         sys.stdout.write(table)
     enough = sum(map(inside, runs)) >= ENOUGH_INSIDE * len(runs)
     return 0 if enough and all(map(covered, runs)) and all(map(whole, runs)) else 1

@@ -41,7 +41,7 @@ class Passed:
 
 def make_belt(kind: str, folder: Path, *, seed: int) -> Path:
     """The recording of a belt of `kind`; made where it is not there yet."""
-    out = folder / kind.replace(" ", "-")
+    out = folder / f"{kind.replace(' ', '-')}-{seed}"
     if (out / "truth.json").is_file():
         return out
     if kind == "no encoder":

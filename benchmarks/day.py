@@ -56,7 +56,7 @@ def tables(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     """(name, Markdown) of each table, as the day goes on."""
     plan = plan_day(given.seed, loads=given.loads, box_kg=given.box_kg)
     make_belts(plan, given.out / "belts", workers=given.workers)
-    belts = [read_belt(given.out / "belts", load.number) for load in plan.loads]
+    belts = [read_belt(given.out / "belts", load, plan.seed) for load in plan.loads]
     run = given.out / "run"
     shutil.rmtree(run, ignore_errors=True)
     write_day(plan, given.out / "belts", run)

@@ -62,7 +62,7 @@ def line_config(folder: Path | None = None, **aggregator: Any) -> LineConfig:
 def make_belts(plan: DayPlan, folder: Path, *, workers: int) -> None:
     """Make the belts that are not in `folder` yet, `workers` at a time."""
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [load for load in plan.loads if not belt_file(folder, load.number).is_file()]
+    missing = [load for load in plan.loads if not belt_file(folder, load, plan.seed).is_file()]
     if workers <= 1 or len(missing) <= 1:
         for load in missing:
             keep_belt(load, plan.seed, folder)
@@ -71,9 +71,9 @@ def make_belts(plan: DayPlan, folder: Path, *, workers: int) -> None:
         list(pool.map(keep_belt, missing, [plan.seed] * len(missing), [folder] * len(missing)))
 
 
-def belt_file(folder: Path, number: int) -> Path:
-    """Where a load's belt is kept."""
-    return folder / f"belt-{number:02d}.msgpack"
+def belt_file(folder: Path, load: LoadPlan, seed: int) -> Path:
+    """Where a load's belt is kept, named by all that it depends on."""
+    return folder / f"belt-{seed}-{load.number:02d}-{load.stock.cultivar}-{load.tubers}.msgpack"
 
 
 def keep_belt(load: LoadPlan, seed: int, folder: Path) -> None:
@@ -84,14 +84,14 @@ def keep_belt(load: LoadPlan, seed: int, folder: Path) -> None:
         "frames": belt.frames,
         "truth": json.dumps(belt.truth),
     }
-    with whole_output(belt_file(folder, load.number)) as path:
+    with whole_output(belt_file(folder, load, seed)) as path:
         path.write_bytes(msgpack.packb(packed))
     sys.stderr.write(f"belt {load.number}: {load.tubers} tubers, process {os.getpid()}\n")
 
 
-def read_belt(folder: Path, number: int) -> Belt:
+def read_belt(folder: Path, load: LoadPlan, seed: int) -> Belt:
     """A belt that was kept."""
-    packed = msgpack.unpackb(belt_file(folder, number).read_bytes())
+    packed = msgpack.unpackb(belt_file(folder, load, seed).read_bytes())
     return Belt(
         {name: [TrackEntry.decode(entry) for entry in log] for name, log in packed["logs"].items()},
         {name: [(at_ns, travel_m) for at_ns, travel_m in rows] for name, rows in packed["frames"].items()},

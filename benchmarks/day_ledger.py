@@ -124,7 +124,7 @@ def write_day(plan: DayPlan, belts: Path, out: Path) -> None:
 def _drive(plan: DayPlan, belts: Path, line: DayLine) -> None:
     reel = Reel()
     for n, load in enumerate(plan.loads):
-        belt: Belt = read_belt(belts, load.number)
+        belt: Belt = read_belt(belts, load, plan.seed)
         first_ns, last_ns = int(load.crossed_ns[0]), int(load.crossed_ns[-1])
         places = [row["place_x_m"] - reel.travel_m for row in belt.truth["tubers"]]
         if n:

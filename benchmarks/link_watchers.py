@@ -89,7 +89,7 @@ def main(arguments: list[str]) -> None:
         raise TuberlineError(f"no slow link can be made here: {reason}")
     with tempfile.TemporaryDirectory(prefix="tuberline-watchers-") as folder:
         work = options.out or Path(folder)
-        recording = make_recording(work / "recording", tubers=options.tubers)
+        recording = make_recording(work, tubers=options.tubers)
         calm, differs = "", 0
         print(HEAD, flush=True)
         for n, case in enumerate(case for case in CASES if case.name in options.case or not case.watchers):
@@ -101,8 +101,9 @@ def main(arguments: list[str]) -> None:
         sys.exit(1)
 
 
-def make_recording(out: Path, *, tubers: int) -> Path:
-    """Two cameras over one belt, 848x480, 15 frames/s; made once."""
+def make_recording(folder: Path, *, tubers: int) -> Path:
+    """Two cameras over one belt, 848x480, 15 frames/s; made in `folder` where it is not there."""
+    out = folder / f"recording-{tubers}"
     if not (out / "truth.json").is_file():
         settings = SceneSettings("two-cameras", seed=11, tubers=tubers, preset=PRESETS["easy"], fps=15.0)
         record_scene(out, settings)

@@ -86,7 +86,7 @@ def main(arguments: list[str]) -> None:
         cases.append(Case(max(options.hosts), disturbed=True, compress=options.compress))
     with ExitStack() as stack:
         work = Path(options.work or stack.enter_context(tempfile.TemporaryDirectory(prefix="tuberline-site-")))
-        recording = make_recording(work / "recording", tubers=options.tubers, seed=options.seed)
+        recording = make_recording(work, tubers=options.tubers, seed=options.seed)
         results = []
         for n, case in enumerate(cases):
             sys.stderr.write(f"{case.name} inference host(s) ...\n")
@@ -104,8 +104,9 @@ def picture(result: Result) -> str:
     return draw_site(hosts, result.traffic, title=title)
 
 
-def make_recording(out: Path, *, tubers: int, seed: int) -> Path:
-    """Three overlapping cameras across one wide belt, 848x480, 15 frames/s; made once."""
+def make_recording(folder: Path, *, tubers: int, seed: int) -> Path:
+    """Three overlapping cameras across one wide belt, 848x480, 15 frames/s; made in `folder` where it is not there."""
+    out = folder / f"recording-{seed}-{tubers}"
     if not (out / "truth.json").is_file():
         layout = Layout(
             TOUCHING,

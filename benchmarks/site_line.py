@@ -19,6 +19,7 @@ from benchmarks.site_net import Network, Traffic
 from benchmarks.site_share import CpuShare
 from conveyor.config import dump_toml, parse_config
 from conveyor.errors import TuberlineError
+from tuberline.replayer import prepare_out
 
 CAMERAS = ("left", "middle", "right")
 LINE = "site"
@@ -53,7 +54,7 @@ class SiteLine:
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._latest: dict[str, Any] = {"weights": 0, "alive": []}
         self.config = out / "line.toml"
-        out.mkdir(parents=True)
+        prepare_out(out)
         self.router = f"{protocol}/{network.address('edge')}:7447"
         frames = {"path": str(recording.resolve()), "speed": 0.0, **(camera or {})}
         raw: dict[str, Any] = {

@@ -35,7 +35,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--seed", type=whole_number(0), default=3, help="of the simulated belt")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="tuberline-site-") as folder:
-        recording = make_recording(Path(folder) / "recording", tubers=options.tubers, seed=options.seed)
+        recording = make_recording(Path(folder), tubers=options.tubers, seed=options.seed)
         seen = run(recording, Path(folder) / "run")
         score = scored(Path(folder) / "run", recording / "truth.json")
         audit = audited(Path(folder) / "run")
