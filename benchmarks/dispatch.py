@@ -109,12 +109,14 @@ def _send(
         presence = Presence(node, "regressor")
         answers = ReliableSubscriber(node, topics.WEIGHT, Weight, camera=CAMERA)
         deadline = time.monotonic() + WAIT_S
-        while len(presence.names()) < options.workers and time.monotonic() < deadline:
+        while len(presence.names()) < options.workers and time.monotonic() < deadline and not node.stop.is_set():
             node.progress()
             time.sleep(0.05)
         begun, cpu, router_cpu = time.monotonic(), time.process_time(), cpu_s(router)
         offered, seen = 0, presence.names()
         while dispatcher.outstanding or time.monotonic() - begun < options.seconds:
+            if node.stop.is_set():  # a signal came: the node has taken it
+                sys.exit(128 + signal.SIGTERM)
             now_s = time.monotonic()
             node.progress()
             while events and now_s - begun >= events[0][0] * options.seconds:

@@ -14,9 +14,12 @@ import argparse
 import os
 import random
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -68,10 +71,26 @@ def main(arguments: list[str]) -> None:
         raise TuberlineError(f"fuzz target '{unknown[0]}' is unknown; known: {', '.join(TARGETS)}")
     if find_spec("atheris") is None:
         raise TuberlineError("coverage-guided fuzzing needs atheris (Linux, Python up to 3.13): pip install atheris")
+    with _kept(options.out) as out:
+        if _fuzzed(options.targets or list(TARGETS), out, options):
+            sys.exit(1)
+
+
+@contextmanager
+def _kept(out: Path | None) -> Iterator[Path]:
+    """The folder of `--out`; without it a temporary one, which stays where the block is left early: with a finding."""
+    folder = out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    yield folder
+    if out is None:
+        shutil.rmtree(folder)
+
+
+def _fuzzed(targets: list[str], out: Path, options: argparse.Namespace) -> list[Path]:
+    """Fuzz the targets and print the table; what was found."""
     print("| target | executions | features | corpus | peak MiB | findings |\n| --- | --- | --- | --- | --- | --- |")
     found: list[Path] = []
-    out = options.out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
-    for name in options.targets or TARGETS:
+    for name in targets:
         seen = fuzz(name, out / name, seconds=options.seconds, seed=options.seed)
         print(
             f"| {seen.target} | {seen.executions} | {seen.features} | {seen.corpus} | {seen.peak_mib} "
@@ -82,20 +101,18 @@ def main(arguments: list[str]) -> None:
     for path in found:
         shown = path.read_text(errors="replace").splitlines()[0] if path.suffix == ".txt" else "hang, crash or memory"
         print(f"{path}: {shown}")
-    if found:
-        sys.exit(1)
+    return found
 
 
 def _messages(options: argparse.Namespace) -> None:
     known = [cls.__name__ for cls in CLASSES]
-    out = options.out or Path(tempfile.mkdtemp(prefix="tuberline-fuzz-"))
-    out.mkdir(parents=True, exist_ok=True)
     for name in options.targets:
         if name not in known:
             raise TuberlineError(f"message '{name}' is unknown; known: {', '.join(known)}")
     seed = options.seed or random.SystemRandom().randrange(1, 1 << 32)
-    if not fuzz_messages(options.messages, seed=seed, out=out, names=options.targets):
-        sys.exit(1)
+    with _kept(options.out) as out:
+        if not fuzz_messages(options.messages, seed=seed, out=out, names=options.targets):
+            sys.exit(1)
 
 
 def fuzz(target: str, out: Path, *, seconds: int, seed: int) -> Fuzzed:
