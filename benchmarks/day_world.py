@@ -25,7 +25,6 @@ SEED = 8801
 CAMERAS = ("left", "right")
 FIELDS = ("North plot", "South plot")
 LOADS_A_FIELD = 10
-LEAST_TUBERS = 300
 SAYAKA, KITAHIME = STOCKS[0], STOCKS[4]
 VARIETIES: tuple[Stock, ...] = (SAYAKA,) * 7 + (KITAHIME,) * 6 + (MAYQUEEN,) * 7
 """By load. The weights were trained on the first two; no tuber of the third was in any training or choice."""

@@ -10,7 +10,7 @@ from benchmarks.site_net import Traffic
 
 WIDTH, HEIGHT = 980, 470
 BOX_WIDTH, BOX_HEIGHT = 210, 64
-SWITCH_X, SWITCH_TOP, SWITCH_BOTTOM = 470, 40, 410
+SWITCH_X, SWITCH_TOP = 470, 40
 COLOURS = {"camera": "#dbe9f6", "edge": "#fde7c8", "inference": "#dff0d8", "office": "#ececec"}
 
 

@@ -6,7 +6,6 @@ in one place. A value never changes: old ledgers and dashboards know it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from enum import StrEnum
 from typing import Self
 
@@ -87,9 +86,3 @@ class Requeue(Reason):
     REGRESSOR_LEFT = "regressor_left", "its regressor left"
     DEADLINE = "deadline", "its regressor did not answer within job_deadline_s, or live in several times its usual time"
     LOST_ON_THE_WAY = "lost_on_the_way", "its regressor answered a later one: this one never arrived"
-
-
-def markdown_table(reasons: Iterable[Reason]) -> str:
-    """Reasons with their meanings as a Markdown table."""
-    rows = "".join(f"| `{reason.value}` | {reason.meaning} |\n" for reason in reasons)
-    return f"| reason | what happened |\n| --- | --- |\n{rows}"

@@ -96,13 +96,8 @@ class Ticket:
         return f"{self.kind} of run {self.run}{f', {self.part}' if self.part else ''}"
 
     @property
-    def log_ratio(self) -> float:
-        """ln of ticket over estimate."""
-        return math.log(self.ticket_g / self.estimated_g)
-
-    @property
     def sd(self) -> float:
-        """Random error of `log_ratio`."""
+        """Random error of the ticket over the estimate, as a share."""
         return math.hypot(self.ticket_sd_g / self.ticket_g, self.estimated_sd_g / self.estimated_g)
 
     @property

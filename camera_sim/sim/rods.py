@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,14 +31,6 @@ class Rods:
     def gap_m(self) -> float:
         """Between two rods; a tuber that is slimmer falls through."""
         return self.pitch_m - 2 * self.radius_m
-
-    def sphere_sink_m(self, radius_m: float) -> float:
-        """How far the underside of a sphere lies below the rods' tops when it lies between two of them.
-
-        R + r - sqrt((R + r)^2 - (P/2)^2); infinity for a sphere that falls through.
-        """
-        reach_m, half_m = radius_m + self.radius_m, self.pitch_m / 2
-        return reach_m - math.sqrt(reach_m**2 - half_m**2) if 2 * radius_m > self.gap_m else math.inf
 
     def heights_m(self, step_m: float) -> NDArray[np.float64]:
         """(n,) height of the web at n even steps of about `step_m` over one pitch from x = 0; -inf beside the rod."""

@@ -37,11 +37,6 @@ class Augmentation:
         """As in the paper, fresh for every epoch."""
         return cls(jitter_m=5e-4, tilt_deg=2.0, turn_deg=2.0, flip=True, plane_shear=0.0, shear=0.2, scale=0.0)
 
-    @classmethod
-    def none(cls) -> Augmentation:
-        """Clouds as they are."""
-        return cls(0.0, 0.0, 0.0, False, 0.0, 0.0, 0.0, 0.0)
-
 
 def draw_matrices(
     rng: np.random.Generator, count: int, settings: Augmentation

@@ -47,12 +47,6 @@ class BeltGeometry:
         return belt_distance_m(self.belt_from_camera)
 
     @property
-    def camera_in_belt_m(self) -> NDArray[np.float64]:
-        """(3,) position of the optical centre in belt coordinates."""
-        position: NDArray[np.float64] = self.belt_from_camera[:3, 3]
-        return position
-
-    @property
     def camera_place_m(self) -> tuple[float, float, float]:
         """x, y and z of the optical centre in belt coordinates."""
         return self._rows[0][3], self._rows[1][3], self._rows[2][3]

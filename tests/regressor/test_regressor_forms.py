@@ -98,9 +98,8 @@ def test_a_step_trains_on_what_is_weighed(tmp_path: Path) -> None:
     """One step on long fruits, as they are: its loss is that of what the weigher says of them."""
     write_pack(tmp_path, tubers=8, views=1, seed=5, half_axes_m=LONG_M)
     data = load_cloudset(tmp_path)
-    settings = replace(
-        TrainSettings.fine_tuning(), batch=8, wide_share=0.0, augmentation=Augmentation.none(), max_height_m=0.16
-    )
+    as_it_is = Augmentation(0.0, 0.0, 0.0, flip=False, plane_shear=0.0, scale=0.0)
+    settings = replace(TrainSettings.fine_tuning(), batch=8, wide_share=0.0, augmentation=as_it_is, max_height_m=0.16)
     training = Training(data, data, settings)
     training.start_from(read_checkpoint(SHIPPED)[0])
     rows = np.random.default_rng(settings.seed).choice(len(data), settings.batch)

@@ -4,7 +4,6 @@ the cache of prepared clouds.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from tuberline.cli.train import train as train_command
 def test_scale_changes_height_and_weight_with_it() -> None:
     rng = np.random.default_rng(3)
     points = rng.normal(size=(5, 384, 3)).astype(np.float32) * 0.02
-    settings = replace(Augmentation.none(), scale=0.1)
+    settings = Augmentation(0.0, 0.0, 0.0, flip=False, plane_shear=0.0, scale=0.1)
     moved, height, weight = augmented_batch(
         points, np.full(5, 0.05), np.full(5, 100.0), rng, settings, highest_m=0.08, resample=False
     )

@@ -14,7 +14,6 @@ from importlib import resources
 
 from conveyor.reasons import FrameDrop, ViewLoss
 
-LANGUAGES = ("en", "de", "nl", "ja")
 Value = str | int | float
 _VALUE = re.compile(r"\{(\w+)(?::([^}]+))?\}")
 FRAME_DROPS = tuple(sorted(FrameDrop))
