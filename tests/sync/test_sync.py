@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 from aggregator.ledger.reader import read_tubers, reading
-from benchmarks.written_run import write_run
 from conveyor.errors import InputError, LedgerError, LinkError
 from tests.sync.postgres import Postgres
+from tests.written_run import write_run
 from tuberline.sync import push as push_module
 from tuberline.sync.push import connect, push
 

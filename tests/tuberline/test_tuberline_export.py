@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 from aggregator.ledger.reader import read_tubers, reading
-from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor.errors import InputError
 from conveyor.formats.positions import PositionsWriter
+from tests.written_run import write_run
 from tuberline.cli.export import export
 from tuberline.export.isoxml.archive import read_time_logs
 from tuberline.export.isoxml.task_data import PER_AREA, PER_TIME, log_of, task_xml

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from aggregator.ledger.writer import Ledger
-from benchmarks.written_run import write_run
+from tests.written_run import write_run
 from tuberline.alarms.message import AlarmMessage
 from tuberline.alarms.outbox import TABLES, Outbox
 from tuberline.export.report.gather import day_facts

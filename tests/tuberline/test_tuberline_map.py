@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor.errors import InputError
+from tests.written_run import write_run
 from tuberline.cli.map import map_field
 from tuberline.maps.field import Settings, field_map
 from tuberline.maps.settings import OF_MACHINE, settings_of

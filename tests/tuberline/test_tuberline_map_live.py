@@ -16,7 +16,6 @@ import pytest
 
 from aggregator.ledger.writer import Ledger
 from aggregator.yield_map.no_map import NoMapError
-from benchmarks.written_run import write_run
 from camera_sim.sim.field import FieldWorld, simulate_field
 from conveyor import topics
 from conveyor.config import parse_config
@@ -28,6 +27,7 @@ from tests.viewer import viewer_line as line
 from tests.viewer.page_states import loaded_state
 from tests.viewer.test_viewer_page_browser import js, text, until
 from tests.viewer.test_viewer_page_server import ask
+from tests.written_run import write_run
 from tuberline.maps.field import Settings, field_map
 from tuberline.maps.live import LiveMap, features, live_map, newest_run
 from viewer.page.board import Board

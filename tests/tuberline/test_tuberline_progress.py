@@ -14,8 +14,8 @@ from rich.console import Console
 
 from aggregator.ledger.reader import read_tubers, reading
 from aggregator.ledger.verified import TOLD_EVERY, told_rows
-from benchmarks.written_run import write_run
 from conveyor.messages import Counters
+from tests.written_run import write_run
 from tuberline.cli import progress
 from tuberline.cli.live import line_table, nodes_tables
 from tuberline.cli.markdown import print_markdown

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import viewer_line as line
 
-from benchmarks.written_run import CAMERA, write_run
 from conveyor import topics
 from conveyor.delivery import KeptPublisher, LatestPublisher, ReliablePublisher
 from conveyor.errors import ConfigError, InputError, LedgerError
 from conveyor.formats.conversion import write_recording
 from conveyor.formats.source import CameraDescription
 from conveyor.messages import Frame
+from tests.written_run import CAMERA, write_run
 from tuberline.cli.recordings import convert
 
 pytest.importorskip("foxglove")
@@ -33,7 +33,7 @@ client = pytest.importorskip("websockets.sync.client")
 WEIGHTS_G = (91.0, 203.5, 148.25)
 CROSSED_S = (0.4, 0.7, 0.9)
 BELT_MPS = 0.8
-"""Of `benchmarks.written_run`, which begins at 1 m."""
+"""Of `tests.written_run`, which begins at 1 m."""
 Decoded = dict[str, list[tuple[int, Any]]]
 
 
