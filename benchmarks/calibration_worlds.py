@@ -69,9 +69,9 @@ def draw_world(rng: Generator, *, between_sd: float) -> World:
     return World(draw_stock(rng), float(rng.uniform(*OFFSET_MM)), float(np.exp(shared + scale)), between_sd)
 
 
-def draw_passed(world: World, n: int, rng: Generator, *, coverage: float = 1.0, mix_sd: float = MIX_SD) -> Passed:
+def draw_passed(world: World, n: int, rng: Generator, *, coverage: float = 1.0) -> Passed:
     """`n` tubers of the world, as its line reads them."""
-    truth_g, outline_mm2 = _draw_tubers(world.stock, n, rng, shift=float(rng.normal(0.0, mix_sd)))
+    truth_g, outline_mm2 = _draw_tubers(world.stock, n, rng, shift=float(rng.normal(0.0, MIX_SD)))
     length_mm, width_mm = outline_mm2.T
     per_mm_g = np.array(outline_g_per_mm(1.0, 1.0)) * length_mm * width_mm
     true_per_mm_g = per_mm_g * np.exp(rng.normal(0.0, OUTLINE_SD, n))

@@ -82,10 +82,10 @@ def disturbance(seed: int) -> Disturbed:
     }[int(np.searchsorted([0.45, 0.9], rng.random(), side="right"))]
 
 
-def looked(world: GaugeWorld, by: Disturbed, *, after: int = LOOKS_AFTER) -> GaugeKeeper:
+def looked(world: GaugeWorld, by: Disturbed) -> GaugeKeeper:
     """The gauge's keeper after the looks of a run's beginning, undisturbed, and some after the disturbance."""
     keeper = GaugeKeeper(world.gauge)
-    for disturbed, first, count in ((Disturbed(), 0, REFERENCE_LOOKS), (by, REFERENCE_LOOKS, after)):
+    for disturbed, first, count in ((Disturbed(), 0, REFERENCE_LOOKS), (by, REFERENCE_LOOKS, LOOKS_AFTER)):
         source = world.source(disturbed)
         for n in range(first, first + count):
             keeper.look(source.frame(n, run="gauge"))

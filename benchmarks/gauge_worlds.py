@@ -54,11 +54,11 @@ class GaugeWorld:
         return SimulatedSource(self.world, replace(camera, belt_from_camera=moved), settings, layout=layout)
 
 
-def gauge_world(kind: GaugeKind, seed: int, *, preset: str, tubers: int, unit_m: float = 0.001) -> GaugeWorld:
+def gauge_world(kind: GaugeKind, seed: int, *, preset: str, tubers: int) -> GaugeWorld:
     """A belt with a gauge of that kind in view. Its camera is one of the preset's, its depth is right at first."""
     rng = np.random.default_rng([seed, 171])
     layout = layout_named("singulated")
-    settings = SceneSettings("singulated", seed, tubers, PRESETS[preset], fps=FPS, unit_m=unit_m, speed_mps=0.25)
+    settings = SceneSettings("singulated", seed, tubers, PRESETS[preset], fps=FPS, unit_m=0.001, speed_mps=0.25)
     pitch_m = float(rng.choice(np.array(PITCHES_M)))
     surface = Surface("rods", rods=Rods(0.006, pitch_m, float(rng.uniform(0.03, 0.15)))) if kind == "rods" else FLAT
     conditions = replace(draw_conditions(preset, rng), surface=surface)

@@ -140,9 +140,7 @@ def sums_of(measured_mm: Floats) -> HeightSums:
     return sums
 
 
-def lines(
-    pools: dict[str, tuple[Floats, Floats]], seeds: range, *, tubers: int, changes: float, cases: Sequence[Done] = CASES
-) -> Iterator[Row]:
+def lines(pools: dict[str, tuple[Floats, Floats]], seeds: range, *, tubers: int, changes: float) -> Iterator[Row]:
     """One line a seed, its last load once for each case."""
     draw = partial(draw_load, tubers=tubers, changes=changes)
     for seed in seeds:
@@ -155,7 +153,7 @@ def lines(
             for _ in range(int(rng.integers(*EARLIER_LOADS)))
         ]
         last = draw(pool, rng, any_pose=any_pose)
-        for case in cases:
+        for case in CASES:
             (found,) = height_changes(sums_of(seen(last, case, belt_m=belt_m, rng=rng)), earlier)
             yield Row(
                 seed,

@@ -112,8 +112,8 @@ class VirtualLine:
         """Until the belt ends."""
         while self.now_s < (self.end_ns - self.start_ns) / 1e9:
             self._share()
-            for name, camera in self.cameras.items():
-                self._turn(name, camera)
+            for camera in self.cameras.values():
+                self._turn(camera)
             for name, regressor in self.crew.items():
                 self._weigh(name, regressor)
             if self.now_s >= self._commit_s:
@@ -142,7 +142,7 @@ class VirtualLine:
     def _arrived(self, frame: Frame) -> bool:
         return (frame.captured_ns - self.start_ns) / 1e9 + LINK_S <= self.now_s
 
-    def _turn(self, name: str, camera: Camera) -> None:
+    def _turn(self, camera: Camera) -> None:
         """What the segmenter's process does between two frames."""
         if camera.current is not None:
             if camera.left_s > 0:

@@ -110,7 +110,7 @@ def make_recording(folder: Path, *, tubers: int) -> Path:
     return out
 
 
-def watched(recording: Path, out: Path, case: Case, *, speed: float = SPEED) -> Watched:
+def watched(recording: Path, out: Path, case: Case) -> Watched:
     """One run of the line with its watchers behind the slow link."""
     certs = out.parent / f"{out.name}-certs"
     settings: dict[str, dict[str, Any]] = {
@@ -125,7 +125,7 @@ def watched(recording: Path, out: Path, case: Case, *, speed: float = SPEED) -> 
         link = network.add_far("office", OFFICE)
         line = SiteLine(
             network, recording, out, cameras=CAMERAS, protocol=case.protocol, settings=settings,
-            camera={"speed": speed, "compress": "zstd"},
+            camera={"speed": SPEED, "compress": "zstd"},
         )  # fmt: skip
         if case.protocol == "tls":
             tuberline("certs", "make", line.config)
@@ -141,7 +141,7 @@ def watched(recording: Path, out: Path, case: Case, *, speed: float = SPEED) -> 
             time.sleep(CATCH_UP_S if case.watchers else 0.0)
             probe = line.finish_probe()
             counts = link.counts()
-    return _evaluate(probe, meter, counts, out, recording, speed=speed)
+    return _evaluate(probe, meter, counts, out, recording)
 
 
 def _start_all(line: SiteLine, case: Case) -> None:
@@ -211,15 +211,13 @@ def _evaluate(
     counts: tuple[Counts, Counts],
     out: Path,
     recording: Path,
-    *,
-    speed: float,
 ) -> Watched:
     audit = audited(out)
     frames: dict[str, int] = {}
     for sheet in audit["cameras"].values():
         for name, n in sheet["frames"].items():
             frames[name] = frames.get(name, 0) + n
-    step_s = 1 / (15.0 * speed)
+    step_s = 1 / (15.0 * SPEED)
     late_s = [
         max(at_s - n * step_s for n, at_s in enumerate(passed_s))
         - min(at_s - n * step_s for n, at_s in enumerate(passed_s))

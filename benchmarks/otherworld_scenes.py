@@ -137,12 +137,12 @@ def write(scene: Scene, folder: Path) -> dict[str, Any]:
         line = {"cameras": [camera.name for camera in scene.cameras], "belt_speed_mps": None}
         (folder / "line.json").write_text(json.dumps(line))
     shift = first_m if not scene.travel else first_m - scene.origin_m
-    truth = _truth(scene, lying, shift)
+    truth = _truth(lying, shift)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
 
 
-def _truth(scene: Scene, lying: list[Lying], shift_m: float) -> dict[str, Any]:
+def _truth(lying: list[Lying], shift_m: float) -> dict[str, Any]:
     tubers, foreign = [], []
     for number, one in enumerate(lying):
         place = {"place_x_m": one.x_m + shift_m, "place_y_m": one.y_m, "weight_g": one.body.weight_g}

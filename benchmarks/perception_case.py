@@ -52,8 +52,6 @@ class Case:
         return out
 
 
-def suite(
-    scenes: tuple[str, ...], *, seeds: tuple[int, ...], tubers: int, preset: str, camera: str = "d405-848"
-) -> list[Case]:
+def suite(scenes: tuple[str, ...], *, seeds: tuple[int, ...], tubers: int, preset: str) -> list[Case]:
     """All scenes with all seeds, scene after scene."""
-    return [Case(scene, seed, tubers, preset, camera) for scene in scenes for seed in seeds]
+    return [Case(scene, seed, tubers, preset) for scene in scenes for seed in seeds]

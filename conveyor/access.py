@@ -96,10 +96,10 @@ def grants(identity: Identity, *, line: str) -> tuple[Grant, ...]:
     return tuple(grant for grant in found if grant.keys)
 
 
-def access_control(config: LineConfig, identities: Iterable[Identity] | None = None) -> dict[str, Any]:
-    """Zenoh's `access_control` section for the router of `config`; default for everybody who belongs to the line."""
+def access_control(config: LineConfig) -> dict[str, Any]:
+    """Zenoh's `access_control` section for the router of `config`, with everybody who belongs to the line."""
     rules, subjects, policies = [], [], []
-    for identity in line_identities(config) if identities is None else identities:
+    for identity in line_identities(config):
         subject = identity.common_name(config.name)
         ids = []
         for n, grant in enumerate(grants(identity, line=config.name), start=1):

@@ -142,13 +142,13 @@ class _JsonFormatter(logging.Formatter):
         return json.dumps(event)
 
 
-def setup_logs(level: str | None = None) -> None:
+def setup_logs() -> None:
     """Send all logs to stderr, once per process. Level from TUBERLINE_LOG_LEVEL, default info."""
     handler = LimitedHandler(sys.stderr, limit=RateLimit())
     handler.setFormatter(_JsonFormatter() if os.environ.get("TUBERLINE_LOG") == "json" else _TextFormatter())
     root = logging.getLogger()
     root.handlers[:] = [handler]
-    root.setLevel((level or os.environ.get("TUBERLINE_LOG_LEVEL", "info")).upper())
+    root.setLevel(os.environ.get("TUBERLINE_LOG_LEVEL", "info").upper())
     for chatty in ("numba", "matplotlib", "asyncio"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
 

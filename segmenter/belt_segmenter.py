@@ -200,7 +200,7 @@ class BeltSegmenter:
         self.coverage.earlier(motion.earlier)
         self.coverage.step(motion.travel_m)
         return self.tracker.update(
-            frame.seq, instances, motion.pairs, self.follower.history, motion.travel_m,
+            frame.seq, instances, motion.pairs, motion.travel_m,
             moved=motion.moved, travel_before_m=motion.before_m,
         )  # fmt: skip
 

@@ -8,7 +8,7 @@ from typing import Any
 from camera_sim.sim.optics import D405_848
 from camera_sim.sim.placement import Packing
 from camera_sim.sim.presets import EASY_PRESET
-from camera_sim.sim.record import OnFrame, record_scene
+from camera_sim.sim.record import record_scene
 from camera_sim.sim.scenes import Layout, SceneSettings
 
 DEMO_LAYOUT = Layout(
@@ -19,6 +19,6 @@ DEMO_LAYOUT = Layout(
 DEMO_SETTINGS = SceneSettings("demo", seed=5, tubers=48, preset=EASY_PRESET, optics=D405_848, fps=15.0)
 
 
-def demo_recording(out: Path, *, on_frame: OnFrame = lambda done, total: None) -> dict[str, Any]:
+def demo_recording(out: Path) -> dict[str, Any]:
     """The recording of `tuberline demo`: two overlapping cameras over two lanes, the same on every machine."""
-    return record_scene(out, DEMO_SETTINGS, layout=DEMO_LAYOUT, on_frame=on_frame)
+    return record_scene(out, DEMO_SETTINGS, layout=DEMO_LAYOUT)

@@ -40,7 +40,6 @@ def expected_accuracy(
     *,
     per_mm: float | None,
     cultivar: str = "",
-    numbers: Sequence[int] = NUMBERS,
 ) -> dict[int, float]:
     """90 % half-width, as a share, of the next load after `n` more load tickets.
 
@@ -57,7 +56,7 @@ def expected_accuracy(
     more = Ticket("", model, scale_g, TYPICAL_TICKET_SD * scale_g, weight_g, 0.0, 1.0, per_mm_g=per_mm * weight_g)
     more = replace(more, stated_offset_mm=prior.stated_offset_mm, cultivar=cultivar)
     widths, doubt = {}, doubts(known, prior)
-    for number in numbers:
+    for number in NUMBERS:
         tickets = (*known, *[more] * number)
         found = gather(tickets, now.mean, now.cultivars, np.concatenate([doubt, np.ones(number)]))
         precision = np.diag(1.0 / prior_sds(prior, len(now.cultivars)) ** 2) + found.at(now.load_sd**2)[0]

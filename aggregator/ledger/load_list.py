@@ -22,7 +22,7 @@ from conveyor.messages.loads import is_meant
 
 
 def told_loads(
-    view: LedgerView, *, limit: int, undone: bool = False, contract: Contract | None = None, wanted: str = ""
+    view: LedgerView, *, limit: int, contract: Contract | None = None, wanted: str = ""
 ) -> list[dict[str, Any]]:
     """The newest loads first, calibrated by the tickets of this ledger's loads and of the config beside it.
 
@@ -36,7 +36,7 @@ def told_loads(
     seen = ledger.seen
     tickets = tickets_beside(ledger)
     contradictions = contradicting_all(tickets)
-    chosen = [load for load in ledger.loads.loads.values() if undone or not load.undone]
+    chosen = [load for load in ledger.loads.loads.values() if not load.undone]
     if wanted:
         chosen = [load for load in chosen if is_meant(wanted, number=load.number, name=load.name)]
     newest = sorted(chosen, key=lambda load: load.number, reverse=True)[:limit]

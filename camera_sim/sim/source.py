@@ -198,9 +198,7 @@ def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
     tubers, others = [], []
     for body in world.bodies:
         seen = [
-            camera.name
-            for camera, source in zip(world.cameras, sources, strict=True)
-            if _crosses(world, camera, source, body)
+            camera.name for camera, source in zip(world.cameras, sources, strict=True) if _crosses(camera, source, body)
         ]
         if seen and body.kind == "tuber":
             tubers.append(_truth_row(body, seen, crossing_place(world, body, seen[0])))
@@ -217,7 +215,7 @@ def truth_of(world: World, sources: list[SimulatedSource]) -> dict[str, Any]:
     }
 
 
-def _crosses(world: World, camera: CameraPose, source: SimulatedSource, body: Body) -> bool:
+def _crosses(camera: CameraPose, source: SimulatedSource, body: Body) -> bool:
     at = crossing_travel_m(body, camera)
     if at is None:
         return False

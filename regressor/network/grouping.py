@@ -114,18 +114,18 @@ def gather_prefix(first: NDArray[np.float32], *, of: int) -> GatheredGroups:
     return gather_groups(first, np.arange(min(count1, len(first))), count2)
 
 
-def group_given(points: NDArray[np.float32], *, start: int = 0) -> SharedGroups | GatheredGroups:
-    """Groups of a cloud used as it is: its own order for the neighbours, sampling from `start` for the centroids.
+def group_given(points: NDArray[np.float32]) -> SharedGroups | GatheredGroups:
+    """Groups of a cloud used as it is: its own order for the neighbours, sampling for the centroids.
 
     Args:
         points: (N, 3) float32, centred, metres, at most 1024.
     """
     count1, count2 = stage_counts(len(points))
-    order = farthest_points(points, min(count1, max(NEIGHBOURS, count2)), start=start)
+    order = farthest_points(points, min(count1, max(NEIGHBOURS, count2)))
     groups = _padded(points[:NEIGHBOURS], points[order[:NEIGHBOURS]], points[order[:count2]])
     if radius_is_free(groups, points):
         return groups
-    return gather_groups(points, farthest_points(points, count1, start=start), count2)
+    return gather_groups(points, farthest_points(points, count1), count2)
 
 
 def group_random(cloud: NDArray[np.float32], *, seed: int, points: int = CLOUD_POINTS) -> SharedGroups | GatheredGroups:

@@ -223,9 +223,9 @@ def method_scores(result: Evaluation) -> dict[str, dict[str, float]]:
     }
 
 
-def group_scores(result: Evaluation, method: str = SHIPPED) -> dict[str, dict[str, dict[str, float]]]:
-    """Figures of one method per grouping and label, with the coverage of its intervals."""
-    values = result.predicted[method]
+def group_scores(result: Evaluation) -> dict[str, dict[str, dict[str, float]]]:
+    """Figures of the weights per grouping and label, with the coverage of its intervals."""
+    values = result.predicted[SHIPPED]
     held = (result.weight_g >= result.low_g) & (result.weight_g <= result.high_g)
     table: dict[str, dict[str, dict[str, float]]] = {}
     for grouping, labels in result.groups.items():

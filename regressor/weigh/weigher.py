@@ -91,13 +91,13 @@ class Weigher:
         self._group = _grouping(sidecar, form)
 
     @classmethod
-    def load(cls, path: Path | None = None, form: Form = EXACT, *, any_target: bool = False) -> Weigher:
-        """With the weights at `path`, or the shipped ones, computed in `form`; only `any_target` admits a volume.
+    def load(cls, path: Path | None = None, *, any_target: bool = False) -> Weigher:
+        """With the weights at `path`, or the shipped ones; only `any_target` admits a volume.
 
         Raises:
             InputError: weights that cannot be used.
         """
-        return cls(*load_weights(path, any_target=any_target), form)
+        return cls(*load_weights(path, any_target=any_target))
 
     def in_form(self, form: Form) -> Weigher:
         """The same weights, computed in `form`."""

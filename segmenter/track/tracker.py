@@ -89,7 +89,7 @@ class Tracker:
         return median(residuals) if residuals else None
 
     def update(
-        self, seq: int, instances: Instances, pairs: list[tuple[int, int]], history: TravelHistory, travel_m: float,
+        self, seq: int, instances: Instances, pairs: list[tuple[int, int]], travel_m: float,
         *, moved: bool, travel_before_m: float | None,
     ) -> list[tuple[TrackState, int]]:  # fmt: skip
         """Take the matches of a frame and open tracks for the rest; returns (track, index of instance) of all."""

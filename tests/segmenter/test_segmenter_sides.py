@@ -49,7 +49,7 @@ def followed(y_m: float, part_y_m: float, parts: str) -> tuple[Tracker, TravelHi
         moved = history.step(seq * 50_000_000, travel_m)
         seen = instance(-0.15 + travel_m, part_y_m if kind == "p" else y_m, part=kind == "p")
         pairs = tracker.match(seen, travel_m)
-        tracker.update(seq, seen, pairs, history, travel_m, moved=moved, travel_before_m=travel_m - STEP_M)
+        tracker.update(seq, seen, pairs, travel_m, moved=moved, travel_before_m=travel_m - STEP_M)
     return tracker, history, travel_m
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -76,21 +75,12 @@ class AlarmService:
     Args:
         config: with an `alarms` section.
         channels: where to; see `open_channels`.
-        clock, wall: seconds, monotonic and of the day.
     """
 
-    def __init__(
-        self,
-        config: LineConfig,
-        channels: tuple[Channel, ...],
-        *,
-        clock: Callable[[], float] = time.monotonic,
-        wall: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, config: LineConfig, channels: tuple[Channel, ...]) -> None:
         if config.alarms is None:
             raise ValueError("the config has no [alarms]")
         self._config = config
-        self._clock, self._wall = clock, wall
         self._outbox = Outbox(
             alarms_folder(config), channels=[channel.id for channel in channels], keep=config.alarms.keep
         )
@@ -99,13 +89,13 @@ class AlarmService:
         self._disks = DiskWatch(_folders(config))
         self._lock = threading.Lock()
         self._look: LineState | None = None
-        self._told_s = clock()
+        self._told_s = time.monotonic()
         self._expected = known_nodes(config)
         self._watch = LineWatch(config.link, line=config.name, tell=self._tell, known=self._expected)
 
     def __enter__(self) -> Self:
         self._outbox.__enter__()
-        now_s, unix_s = self._clock(), self._wall()
+        now_s, unix_s = time.monotonic(), time.time()
         self._machine = self._outbox.machine(self._config.name, timing=self._timing, now_s=now_s, unix_s=unix_s)
         self._told_s = now_s
         self._disks.start()
@@ -126,7 +116,7 @@ class AlarmService:
 
     def step(self) -> bool:
         """Take what is new; False where the watcher stands still."""
-        now_s, unix_s = self._clock(), self._wall()
+        now_s, unix_s = time.monotonic(), time.time()
         with self._lock:
             look, told_s = self._look, self._told_s
         if look is not None:
@@ -141,7 +131,7 @@ class AlarmService:
 
     def _tell(self, look: LineState) -> None:
         with self._lock:
-            self._look, self._told_s = look, self._clock()
+            self._look, self._told_s = look, time.monotonic()
 
 
 def _folders(config: LineConfig) -> dict[str, Path]:

@@ -20,6 +20,8 @@ LAST_DAY = 65_535
 """After the epoch, as a uint16 holds it: in the year 2159."""
 INT32 = (-(1 << 31), (1 << 31) - 1)
 DEGREES = 1e-7
+GNSS_FIX = 1
+"""The status of a position that has no correction (ISO 11783-10, PTN)."""
 _POSITION = {
     "A": ("north", "i", DEGREES),
     "B": ("east", "i", DEGREES),
@@ -62,7 +64,7 @@ def header_xml(values: Sequence[LoggedValue]) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(time) + b"\n"
 
 
-def pack_records(records: Sequence[LogRecord], values: Sequence[LoggedValue], *, status: int = 1) -> bytes:
+def pack_records(records: Sequence[LogRecord], values: Sequence[LoggedValue]) -> bytes:
     """The .BIN file for `header_xml(values)`.
 
     Raises:
@@ -79,7 +81,7 @@ def pack_records(records: Sequence[LogRecord], values: Sequence[LoggedValue], *,
                 f"time log: a record is of {record.time:%Y-%m-%d}, a log holds {EPOCH:%Y-%m-%d} to "
                 f"{EPOCH + timedelta(days=LAST_DAY):%Y-%m-%d}: was the clock set that stamped it?"
             )
-        place = (round(record.lat_deg / DEGREES), round(record.lon_deg / DEGREES), status)
+        place = (round(record.lat_deg / DEGREES), round(record.lon_deg / DEGREES), GNSS_FIX)
         ms = since % timedelta(days=1) // timedelta(milliseconds=1)
         out += struct.pack("<IHiiBB", ms, since.days, *place, len(record.values))
         for value, number in record.values.items():
