@@ -8,7 +8,7 @@ others those count that are of a tuber's size: so large that a smallest tuber co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,8 @@ def main(arguments: Sequence[str]) -> None:
         groups.setdefault(f"{plan.preset}, {plan.others:g} others a tuber{crowded}", []).append(kept(given.out, plan))
     text = table(groups)
     print(text)
+    if given.belts == "fit" and (filled := filling(belt for belts in groups.values() for belt in belts)) is not None:
+        print(f"Of refused clods and stones {filled:.2f} of the visible volume is body (`CLOD_FILLED`).")
     if given.docs:
         put_table(given.docs, "foreign", text.rstrip())
 
@@ -148,12 +150,12 @@ def add(sums: LoadSums, belt: dict[str, Any]) -> None:
             )  # fmt: skip
 
 
-def filling(belts: Sequence[dict[str, Any]]) -> float:
-    """Median of true volume over visible volume, of clods and stones that were refused: `CLOD_FILLED` is set by it."""
+def filling(belts: Iterable[dict[str, Any]]) -> float | None:
+    """Median of true volume over visible volume, of clods and stones that were refused; None where none was."""
     ratios = [
         track["true_volume_ml"] / track["visible_volume_ml"]
         for belt in belts
         for track in belt["tracks"]
         if track["kind"] == "lump" and track["truly"] in ("clod", "stone")
     ]
-    return float(np.median(ratios))
+    return float(np.median(ratios)) if ratios else None
