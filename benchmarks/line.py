@@ -241,7 +241,7 @@ def told(measured: Measured, options: argparse.Namespace) -> dict[str, Any]:
 def sheet(counters: Counters, before: Counters | None) -> dict[str, float]:
     """A segmenter's books of the measured time, and how many views it weighs per tuber.
 
-    What happened while the processes started, before anybody measured, is in neither.
+    What happened while the processes started, before the measured time, is in neither.
     """
     wanted = ("frames_", "views_", "tracks_counted", *LEVELS)
     books = {name: level for name, level in counters.gauges.items() if name.startswith(wanted)}

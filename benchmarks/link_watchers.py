@@ -4,7 +4,7 @@
 
 Host `edge` runs the whole line, its cameras replaying at a fraction of real time, so that not this machine holds them
 up. A replay waits for its segmenters and for no one else, so that its ledger says whether anything changed, and a frame
-that passes the router late whether anybody waited. Host `office` is behind an emulated link; there are `tuberline
+that passes the router late whether a process waited. Host `office` is behind an emulated link; there are `tuberline
 watch` (light), `top`, and a recorder, which asks for far more than the link carries.
 """
 

@@ -127,7 +127,9 @@ class SiteLine:
         deadline = time.monotonic() + timeout_s
         while not true():
             if time.monotonic() > deadline:
-                raise TuberlineError(f"waited {timeout_s:g} s in vain for: {what}; logs are in {self.out / 'logs'}")
+                raise TuberlineError(
+                    f"waited {timeout_s:g} s for {what}, which did not come; logs are in {self.out / 'logs'}"
+                )
             for name, process in self._processes.items():
                 if (process.poll() or 0) > 0:
                     raise TuberlineError(f"{name} ended with {process.returncode}; logs are in {self.out / 'logs'}")

@@ -257,7 +257,7 @@ def markdown(report: dict[str, Any]) -> str:
         "| verdict |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
         *report["rows"],
-        *(f"| {name} | | never lived long enough | | | | | untold |" for name in report["never_settled"]),
+        *(f"| {name} | | never lived long enough | | | | | unclear |" for name in report["never_settled"]),
         "",
         f"Audit: {'balanced' if books['balanced'] else 'NOT BALANCED'}; tracks {books['tracks']}.",
     ]

@@ -42,7 +42,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """Growth per hour with its 95 % bounds; 'flat', 'grows', or 'untold' where the bounds lie on both sides of it.
+    """Growth per hour with its 95 % bounds; 'flat', 'grows', or 'unclear' where the bounds lie on both sides of it.
 
     `late`: where the whole is not flat, the same of the last halves of all lives; 'settled' where those are flat.
     """
@@ -78,9 +78,9 @@ class RoleVerdict:
 
 
 def worst(words: Iterable[str]) -> str:
-    """Of several verdicts the one that tells most against them; nothing told is 'untold'."""
-    said = set(words) or {"untold"}
-    return next(word for word in ("grows", "untold", "settled", "flat") if word in said)
+    """Of several verdicts the one that tells most against them; nothing told is 'unclear'."""
+    said = set(words) or {"unclear"}
+    return next(word for word in ("grows", "unclear", "settled", "flat") if word in said)
 
 
 def role_verdict(name: str, samples: Sequence[Sample], *, warm_up_s: float = WARM_UP_S) -> RoleVerdict | None:
@@ -161,7 +161,7 @@ def _growth(lives: Sequence[Sequence[tuple[float, float]]], measure: str) -> Gro
     residual = sum((y - slope * x) ** 2 for x, y in zip(xs, ys, strict=True))
     error = 1.96 * math.sqrt(residual / freedom / spread)
     low, high, limit = 3600 * (slope - error), 3600 * (slope + error), MEASURES[measure]
-    verdict = "grows" if low > limit else "flat" if high <= limit else "untold"
+    verdict = "grows" if low > limit else "flat" if high <= limit else "unclear"
     return Growth(round(3600 * slope, 2), round(low, 2), round(high, 2), round(measured_s, 1), verdict)
 
 

@@ -21,7 +21,7 @@ class AlarmsConfig(Section):
         None, description="file with one address a line, for those with passwords or tokens (mailto://, tgram://, ...)"
     )
     root_ca: Path | None = Field(None, description="certificate authority of this site's https and mqtts servers")
-    least: Literal["note", "warning", "trouble"] = Field("warning", description="milder ones stay on the page")
+    least: Literal["note", "warning", "trouble"] = Field("warning", description="less severe ones stay on the page")
     coverage_below: float = Field(0.95, ge=0, le=1, description="an alarm where less of the belt was looked at")
     after_s: float = Field(5.0, ge=0, le=3600, description="what passes sooner is no alarm")
     clear_s: float = Field(10.0, ge=0, le=3600, description="an alarm has ended when it was away for so long")

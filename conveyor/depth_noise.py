@@ -1,7 +1,7 @@
 """Local noise of a depth image: what is left of small windows beside the quadric through them, in disparity.
 
 A skin or a belt is smooth over 11 pixels; what departs from a quadric there is the camera's. Disparity and not depth,
-because a stereo camera errs in disparity: by the same share of a pixel near and far.
+because a stereo camera's error is one of disparity: the same share of a pixel near and far.
 """
 
 from __future__ import annotations

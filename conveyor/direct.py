@@ -87,4 +87,4 @@ class DirectLink:
         try:
             self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
         except zenoh.ZError as failure:
-            self.log.warning("the direct link left without goodbye: %s", failure)
+            self.log.warning("the direct link did not close: %s", failure)

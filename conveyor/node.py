@@ -119,7 +119,7 @@ class Node:
         try:
             self.session.close()  # type: ignore[no-untyped-call, unused-ignore]
         except zenoh.ZError as error:  # on a bad link the goodbye may not get through
-            self.log.warning("left without goodbye: %s", error)
+            self.log.warning("its session did not close: %s", error)
 
     def announce(self) -> None:
         """Show the liveliness token: this node is ready for work."""
@@ -209,7 +209,7 @@ class Node:
 
         def guard() -> None:
             if not self._left.wait(seconds):
-                self.log.error("did not stop within %.0f s %s: leaving without goodbye", seconds, since)
+                self.log.error("did not stop within %.0f s %s: ending at once", seconds, since)
                 self._end(code)
 
         threading.Thread(target=guard, name="leave", daemon=True).start()

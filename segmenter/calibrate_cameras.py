@@ -35,7 +35,7 @@ ALONG_M = 6.0
 ACROSS_M = 3.0
 """How far apart cameras of one belt may hang."""
 MOST_TRACKS = 1500
-"""Of each camera: more are no surer, and every one of them is compared with every one of another camera."""
+"""Of each camera: more make it no more certain, and every one of them is compared with every one of another camera."""
 SETTINGS = Settings(perception=PerceptionSettings(method="classical"), views_per_tuber=1)
 """A clod is as good as a tuber."""
 OVER_RODS = replace(SETTINGS, resting=RestingLevel("rods"))

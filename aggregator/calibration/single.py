@@ -20,7 +20,7 @@ MOST_ROWS = 5000
 HEAVIEST_G = 5000.0
 MISSING = ("", "-", "?")
 APART = (";", "\t", ",")
-"""What keeps columns apart, the surest first: spreadsheets write semicolons where decimals have commas."""
+"""What keeps columns apart, the most certain first: spreadsheets write semicolons where decimals have commas."""
 
 
 def read_weights(path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:

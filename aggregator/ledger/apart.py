@@ -16,7 +16,7 @@ from conveyor.common_places import Places, common_offset
 from conveyor.messages import CamerasApart, Tuber
 
 NEWEST = 160
-"""Tracks of each camera that are looked at. More are surer, and slower to show that a camera was moved."""
+"""Tracks of each camera that are looked at. More make it more certain, and slower to show that a camera was moved."""
 ALONG_M, ACROSS_M = 0.3, 2.0
 """How far cameras may disagree: what hangs beside another one may be taken to hang at its place."""
 GATE_SHARE = 0.5

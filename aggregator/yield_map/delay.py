@@ -58,7 +58,7 @@ class _Seconds:
 
 
 def delays(path: Path, crop: Crop, *, width_m: float, seed: int = 0) -> list[Delay]:
-    """What each rule finds, the surest first; a rule that has too little to go by finds nothing."""
+    """What each rule finds, the most certain first; a rule that has too little to go by finds nothing."""
     seconds = _by_seconds(path, crop)
     rng = np.random.default_rng(seed)
     found = [_by_neighbours(seconds, width_m=width_m, rng=rng), _by_starts(seconds, rng=rng)]

@@ -42,7 +42,7 @@ DRIFT_PX: Range = (-0.4, 0.4)
 EDGE_PX: Range = (0.8, 1.8)
 RAGGED_PX: Range = (0.2, 1.5)
 MASKS_PX = ((0,), (1,), (0, 0, 1), (-1, 0, 0), (-2, -1, 0, 0, 0, 1))
-"""Masks err in a recording's own way: not at all, a pixel too large, either, too small, or as in the other presets."""
+"""Masks are off in a way of each recording: not at all, too large, either, too small, or as in other presets."""
 
 SURFACES = {"flat": 0.35, "rods": 0.30, "cleats": 0.15, "sagging": 0.20}
 ROD_MM = (10.5, 12.0)

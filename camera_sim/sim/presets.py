@@ -3,8 +3,8 @@
 'exact' is no harvester's: other simulators' cameras only round, and half of its shapes are of no cultivar. Weights that
 were never shown such views read them several percent off.
 
-The linear baseline of PointRAFT (box length, width, height) errs by 23.0 g on its 859 real tubers. On tubers of the
-same seasons and refitted 20 times by tuber, it errs by 24-26 g on 'easy' and 30-33 g on 'field' (true axes: 22.5 g):
+The linear baseline of PointRAFT (box length, width, height) is off by 23.0 g on its 859 real tubers. On tubers of the
+same seasons and refitted 20 times by tuber, it is off by 24-26 g on 'easy' and 30-33 g on 'field' (true axes: 22.5 g):
 'easy' is about as hard for it as the real harvester's data, 'field' clearly harder. That compares one baseline only;
 nothing here proves that a network trained on these views transfers.
 """

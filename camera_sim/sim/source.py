@@ -144,7 +144,7 @@ class SimulatedSource:
         )
 
     def _disturbed(self, seq: int) -> tuple[CameraPose, StereoNoise]:
-        """The camera as it hangs by frame `seq`, and how it errs by then."""
+        """The camera as it hangs by frame `seq`, and what its error is by then."""
         settings, share = self._settings, min(seq / max(self._count - 1, 1), 1.0)
         camera, noise = self._camera, settings.preset.noise
         if settings.drift_by_end_px:

@@ -44,7 +44,7 @@ def decode_rvl(data: bytes) -> NDArray[np.uint16] | Refusal:
     words = np.frombuffer(data, "<u4", offset=_SIZE.size, count=(len(data) - _SIZE.size) // 4).astype(np.uint32)
     pixels = np.zeros(width * height, np.uint16)
     if not _decode(words, pixels):
-        return Refusal("truncated", f"ends or goes astray before its {width}x{height} pixels of RVL are there")
+        return Refusal("truncated", f"ends or is damaged before its {width}x{height} pixels of RVL are there")
     return pixels.reshape(height, width)
 
 

@@ -37,7 +37,7 @@ def say(text: str) -> None:
 
 
 def need_root(what: str, changes: str) -> None:
-    """Refuse anybody but root, with what it is needed for; tell root what is changed."""
+    """Refuse all but root, with what it is needed for; tell root what is changed."""
     if os.geteuid() != 0:
         raise TrialError(f"{what} needs root: {changes}. Run it with sudo, on a machine that you may change")
     say(f"{what}: {changes}")

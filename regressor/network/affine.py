@@ -8,7 +8,7 @@ unit that does change gets one row more. Of the maximum only those neighbours ar
 centroid, 1.1 of 64 for a channel in the mean.
 
 Nothing is left out: the values are those of the plain form, summed in another order. Which units change is told by
-bounds that err on the safe side.
+bounds that are rather too wide.
 """
 
 from __future__ import annotations

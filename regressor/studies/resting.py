@@ -21,7 +21,7 @@ USED_POINTS = 1500
 TRIM = 0.95
 """Share of the points, best first, that a fit is made with."""
 INDEPENDENT = 40.0
-"""So many errors of a partial cloud are independent: stereo errs alike over 10 to 20 pixels, masks have 11,000."""
+"""So many errors of a partial cloud are independent: stereo's are alike over 10 to 20 pixels, masks have 11,000."""
 NORMAL_POINTS = 24
 
 

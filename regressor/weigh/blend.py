@@ -19,7 +19,7 @@ from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.view_features import VIEW_NAMES
 
 SHARES = np.round(np.arange(0.0, 0.51, 0.05), 2)
-"""The network keeps at least half. On worlds like those of the fit the rule alone errs as little, but it leans on them
+"""The network keeps at least half. On worlds like those of the fit the rule alone is as good, but it leans on them
 more: fitted without views of cameras that only round, both read those 8 % heavy, the network alone 4 %."""
 SEEN = ("rim_lost",)
 """What is corrected for besides the weight: share of the silhouette that the camera lost. Pose was among it until rules

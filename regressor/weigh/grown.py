@@ -21,7 +21,7 @@ OPENING_PX = 5
 heavier (tuned, as all here, on recordings of `easy`, `field` and `harsh`, as they were and with frames grown by 2 px).
 """
 BACK_PX = 1
-"""The opened body gets back what lies so near: it rounds off corners and frays that are the tuber's own."""
+"""The opened body gets back what lies so near: it rounds off corners and ragged edges that are the tuber's own."""
 OUTER_PX = 8
 """Holes that lie deeper inside the outline are holes of the skin, not a gap before something grown."""
 SPOT_PX = 7

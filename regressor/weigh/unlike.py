@@ -1,6 +1,6 @@
 """How far a view looks as if a poor camera had taken it, unlike the good ones.
 
-A camera with more noise, or with more holes on skins, than a good one errs in ways that no single view shows: its
+A camera with more noise, or with more holes on skins, than a good one is off in ways that no single view shows: its
 depth scale, its drift. Its weights need wider intervals. A logistic regression on what each view tells of its camera
 says how likely that is; it is fitted to views of simulated worlds (`conveyor.camera_range.GOOD` and the others).
 """

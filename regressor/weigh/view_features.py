@@ -1,8 +1,8 @@
 """What a weight is read from beside the network: the surface, the noise on it, and how well its level is known.
 
-The same surface stands for different weights. Noise raises the top and frays the rim; over a level that is known to
-half a millimetre a low tuber is a flat one, over one known to 3 mm it may as well be a belt that was stated wrong, and
-its outline says more than its height. Rules that are told both are off by less, in every world.
+The same surface stands for different weights. Noise raises the top and makes the rim ragged; over a level that is known
+to half a millimetre a low tuber is a flat one, over one known to 3 mm it may as well be a belt that was stated wrong,
+and its outline says more than its height. Rules that are told both are off by less, in every world.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class Classifier:
         self._network = PatchNetwork(self.path)
 
     def answers(self, patch: Patch) -> Iterator[float]:
-        """Log of how much likelier a patch of at least one observation is for a tuber than for a clod or a stone: eight
-        answers, of the patch turned and mirrored, each made when it is asked for. Their mean errs less than one.
+        """Log of how much more likely a patch of at least one observation is for a tuber than for a clod or a stone:
+        eight answers, of the patch turned and mirrored, each made when it is asked for. Their mean is better than one.
         """
         channels = patch.channels()
         for mirrored, turns in SIDES:

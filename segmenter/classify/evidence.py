@@ -40,7 +40,7 @@ class PatchNoise:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the network says of a patch: how much likelier it is for a tuber than for a clod, as natural logarithms.
+    """What the network says of a patch: how much more likely it is for a tuber than for a clod, as natural logarithms.
 
     Attributes:
         answers: for the patch turned and mirrored, as many as were asked for, at least one.

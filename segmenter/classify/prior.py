@@ -1,12 +1,12 @@
-"""How much of a load is no tuber, learned from the load itself: the same patch is a clod's oftener on a cloddy belt.
+"""How much of a load is no tuber, learned from the load itself: a patch is more often a clod's on a cloddy belt.
 
-The classifier says how much likelier a patch is for a tuber than for a clod or a stone. What to believe also depends on
-the share of others on this belt, which is not known. It is estimated as that of a mixture: each track makes every
+The classifier says how much more likely a patch is for a tuber than for a clod or a stone. What to believe also depends
+on the share of others on this belt, which is not known. It is estimated as that of a mixture: each track makes every
 possible share more or less likely (Bayes). Most likely a belt is clean; until its tracks have shown that it is not,
 only strong evidence refuses one of them.
 
 A camera that is worse than those in training makes ordinary tubers look a little like clods, all of them; a cloddy belt
-has some that look very much like clods. So a mild answer says nothing of the belt, and no single track proves much.
+has some that look very much like clods. So a weak answer says nothing of the belt, and no single track proves much.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Prior:
         return float(weight @ _shares() / weight.sum())
 
     def log_odds(self, evidence: float) -> float:
-        """Log-odds of tuber against other for a body, from the log of how much likelier its patch is for a tuber."""
+        """Log-odds of tuber against other for a body, from the log of how much more likely its patch is for a tuber."""
         share = self.share
         return evidence + float(np.log((1 - share) / share))
 
@@ -80,7 +80,7 @@ class Prior:
 
 
 def _said(evidence: float) -> NDArray[np.float64]:
-    """(24,) log of how likely a body with this evidence is for each share of others; mild evidence says little."""
+    """(24,) log of how likely a body with this evidence is for each share of others; weak evidence says little."""
     clear = max(-LARGEST, evidence + MILD) if evidence < -MILD else min(max(evidence, 0.0), LARGEST)
     ratio = np.exp(-clear)
     ratio = ((1 - ODD) * ratio + ODD) / (1 - ODD + ODD * ratio)

@@ -78,7 +78,7 @@ def _noise(profile: CameraProfile, trained: CameraRange) -> Finding:
         f"{p50:.3f} px (10 to 90 %: {p10:.3f} to {p90:.3f})",
         told,
         _compare(p50, low, high),
-        "tubers look like clods and outlines fray: every tuber is flagged `camera_noise`, the load's interval widens. "
+        "tubers look like clods and outlines are ragged: each is flagged `camera_noise`, the load's interval widens. "
         "Raise the exposure or the light, clean the glass, hang the camera nearer",
     )
 

@@ -74,4 +74,4 @@ STATEMENTS: tuple[str, ...] = (
     ),
 )
 """What makes the tables and views; each may be run again. The bounds of a sum are the sums of the bounds, as if all
-loads erred together: what they share does, so the interval is too wide rather than too narrow."""
+loads were off together: what they share does, so the interval is too wide rather than too narrow."""

@@ -22,7 +22,7 @@ class _Field:
     cells: Sequence[Mapping[str, Any]] = ()
     about: Mapping[str, float] = field(default_factory=dict)
     way: Way = field(default_factory=Way)
-    untold: int = 0
+    not_told: int = 0
     why: tuple[str, str] = (NOT_COMPUTED, "")
     fixless: bool = False
 
@@ -74,9 +74,9 @@ class FieldMaps:
             found = self._fields.setdefault(line, _Field())
             if not found.way.add(lat_deg=lat_deg, lon_deg=lon_deg):
                 return
-            found.untold += 1
-            if found.untold >= TELL_EVERY or len(found.way.lon_lat) == 2:
-                found.number, found.untold = found.number + 1, 0
+            found.not_told += 1
+            if found.not_told >= TELL_EVERY or len(found.way.lon_lat) == 2:
+                found.number, found.not_told = found.number + 1, 0
 
     def number(self, line: str) -> int:
         """Of the newest map of this line."""

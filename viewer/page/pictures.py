@@ -53,7 +53,7 @@ class Pictures:
             return {camera for of, camera in self._lookers if of == line}
 
     def put(self, line: str, picture: Picture) -> None:
-        """Keep a picture, if anybody still looks."""
+        """Keep a picture, if someone still looks."""
         came_s, told = time.monotonic(), _told(line, picture)
         with self._lock:
             if (line, picture.camera) not in self._lookers:

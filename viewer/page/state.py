@@ -196,6 +196,6 @@ class LineState:
         return {name.removeprefix(head): node for name, node in sorted(self.nodes.items()) if name.startswith(head)}
 
     def camera_names(self) -> list[str]:
-        """Every camera anybody told of."""
+        """Every camera that was told of."""
         told = set(self.totals.cameras) if self.totals else set()
         return sorted(told | set(self.cameras) | set(self.role("camera")) | set(self.role("segmenter")))

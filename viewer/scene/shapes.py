@@ -27,7 +27,7 @@ def footprint_m(intrinsics: Intrinsics, belt_from_camera: NDArray[np.float64]) -
 
 
 def weight_color(weight_g: float) -> Color:
-    """Small tubers blue, middling ones green, big ones orange."""
+    """Small tubers blue, medium ones green, big ones orange."""
     stops = np.array([[90, 160, 255], [110, 220, 110], [255, 190, 60], [255, 110, 60]], float)
     at = np.clip((weight_g - 50.0) / 100.0, 0.0, 3.0)
     red, green, blue = (int(np.interp(at, range(4), stops[:, channel])) for channel in range(3))

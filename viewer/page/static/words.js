@@ -98,7 +98,7 @@ export function small(grams) {
   return unit === "lb" ? `${number(grams / 28.349523125, 1)} oz` : `${number(grams)} g`;
 }
 
-// What comes in a minute, or in an hour for who reckons in tons.
+// What comes in a minute, or in an hour for who counts in tons.
 export function rate(kgPerMin) {
   if (kgPerMin === null || kgPerMin === undefined) return null;
   return unit === "t" ? (kgPerMin * 60) / 1000 : (kgPerMin * 1000) / GRAMS[unit];
