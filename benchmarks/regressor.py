@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.options import parser_of, whole_number
-from benchmarks.regressor_backends import Clouds, backends, product_seconds
+from benchmarks.regressor_backends import VIEWS, Clouds, backends, product_seconds
 from conveyor.threads import use_threads
 
 BATCHES = (1, 8, 32)
@@ -32,6 +32,8 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--rounds", type=whole_number(1), help="rounds per batch size (15, 5 and 3)")
     parser.add_argument("--out", type=Path, help="folder for speed.json and speed.md")
     given = parser.parse_args(arguments)
+    if max(given.batches) > VIEWS:
+        parser.error(f"argument --batches: {VIEWS} clouds are weighed, a batch holds no more")
     use_threads(1)
     with tempfile.TemporaryDirectory() as scratch:
         clouds = Clouds.load(given.data, weights=given.weights, scratch=Path(scratch))
