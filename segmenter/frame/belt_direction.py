@@ -15,6 +15,8 @@ REACH_M = 0.15
 """Metres that the belt may move from frame to frame."""
 STILL_M = 0.002
 ENOUGH_M = 2.0
+LEAST_ALIKE = 2
+"""Instances that must move alike, where there are so many: one alone may be paired with another tuber."""
 LEAST_M = 0.15
 LEAST_MOVES = 8
 """Metres and moves: from there on the direction is known well, and below it is not known at all."""
@@ -36,7 +38,7 @@ class BeltDirection:
         before, self._before = self._before, (centre_m, area_m2)
         if before is None:
             return
-        move_m = common_move(*before, centre_m, area_m2)
+        move_m = common_move(*before, centre_m, area_m2, least=min(LEAST_ALIKE, len(before[0]), len(centre_m)))
         if move_m is not None and math.hypot(*move_m) > STILL_M:
             self.moves_m.append(move_m)
 

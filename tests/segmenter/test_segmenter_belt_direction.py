@@ -67,6 +67,14 @@ def test_most_say_the_move_and_one_that_came_or_went_does_not_matter() -> None:
     assert common_move(before, area, before + 0.5, area) is None
 
 
+def test_of_two_in_view_one_alone_says_no_move() -> None:
+    """One that left and one of its size that came were one move: a camera was taken to be turned by five degrees."""
+    direction = BeltDirection()
+    direction.step(np.array([[0.0, 0.0], [0.1, 0.1]]), np.array([0.002, 0.006]))
+    direction.step(np.array([[0.03, 0.05], [-0.1, -0.1]]), np.array([0.002, 0.001]))
+    assert direction.moves_m == []
+
+
 def test_a_leaning_camera_is_no_turned_one() -> None:
     pose = tilted(0.46, 3.0)
     direction = heading(Scene(scattered(30, seed=6), SMALL, pose, noise_m=0.001))
