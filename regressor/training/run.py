@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from conveyor.camera_range import CAMERAS
 from conveyor.errors import InputError
@@ -98,12 +99,12 @@ def train(
     rule = fit_volume_rule(data.view_features, data.weight_g)
     training = Training(data, validation, settings)
     if options.start is not None:
-        training.start_from(read_checkpoint(options.start)[0])
+        training.start_from(read_checkpoint(options.start)[0], where=str(options.start))
     state = options.out / STATE
     if options.resume:
-        begun = load_state(state)
-        _check_start(begun, training)
+        begun, given = load_state(state), training.start
         training.restore(begun)
+        _check_start(begun, given)
     elif state.is_file():
         raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -128,13 +129,15 @@ def train(
     return read_weights(options.out / WEIGHTS)[1]
 
 
-def _check_start(begun: dict[str, Any], training: Training) -> None:
+def _check_start(begun: dict[str, Any], now: dict[str, Tensor] | None) -> None:
     """Refuse to go on from other weights than a training was begun with: they would stand in its sidecar's command.
+
+    Both are of one network: its settings are compared before.
 
     Raises:
         InputError: the state was begun with others, with none, or with some where none are given.
     """
-    before, now = begun.get("start"), training.start
+    before = begun.get("start")
     if "start" not in begun or (before is None and now is None):
         return
     if before is None or now is None or not all(torch.equal(before[name], now[name].cpu()) for name in before):

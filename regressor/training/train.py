@@ -25,6 +25,7 @@ from regressor.network.grouping import CLOUD_POINTS, GatheredGroups, general_gro
 from regressor.network.networks import POINTNET_POINTS, Network, new_network, run_network
 from regressor.network.pointnet import PointNet
 from regressor.network.reduced import FULL, Resolution
+from regressor.network.stored import check_architecture
 from regressor.training.augment import augmented_batch
 from regressor.training.begun import differences, digest_of
 from regressor.training.cloudset import TARGET_POWER, CloudSet
@@ -192,16 +193,16 @@ class Training:
             self.model.load_state_dict(self.average)
         self.progress.frozen = True
 
-    def start_from(self, weights: dict[str, Tensor]) -> None:
+    def start_from(self, weights: dict[str, Tensor], *, where: str = "to start from") -> None:
         """Begin with the weights and batch-norm statistics of a trained network instead of random ones.
 
         Raises:
-            InputError: they are of another network.
+            InputError: they are of another network; says what differs.
         """
-        try:
-            self.model.load_state_dict(weights)
-        except RuntimeError as error:
-            raise InputError(f"the weights to start from are of another network: {error}") from error
+        expected = {name: tuple(value.shape) for name, value in self.model.state_dict().items()}
+        given = {name: value.numpy() for name, value in weights.items()}
+        check_architecture(given, expected, where=where, network=self.settings.network)
+        self.model.load_state_dict(weights)
         self.average = {name: value.clone() for name, value in self.model.state_dict().items()}
         self.start = {name: value.clone() for name, value in self.model.state_dict().items()}
 

@@ -136,6 +136,16 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
     write_pack(tmp_path / "other", tubers=10, views=2, seed=7)
     with pytest.raises(InputError, match="begun otherwise: other validation views"):
         train(replace(again, validation=tmp_path / "other"), QUICK, **SILENT)
+    # Weights that differ in a part which the other network has not ended in a KeyError.
+    begun = load_checkpoint(tmp_path / "a.safetensors")[0].state_dict()
+    flat = PointRaft(height_embedding=False).state_dict()
+    flat |= {name: value for name, value in begun.items() if name in flat and value.shape == flat[name].shape}
+    save_checkpoint(tmp_path / "flat.safetensors", flat, Sidecar(name="flat"))
+    other = replace(again, start=tmp_path / "flat.safetensors")
+    with pytest.raises(InputError, match="begun otherwise: height_embedding True, now False"):
+        train(other, replace(QUICK, height_embedding=False), **SILENT)
+    with pytest.raises(InputError, match=r"flat.safetensors are not of pointraft's .*'height_em.* is missing; .*more"):
+        train(other, QUICK, **SILENT)
 
 
 def test_a_state_that_cannot_be_read_says_how_to_go_on(packs: Path, tmp_path: Path) -> None:
