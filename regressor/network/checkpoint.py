@@ -22,19 +22,20 @@ from regressor.network.stored import State, embeds_height, load_weights, read_we
 def save_checkpoint(path: Path, state: dict[str, Tensor], sidecar: Sidecar) -> Sidecar:
     """Write `path` (.safetensors) and its sidecar (.json), each atomically; the sidecar with its hash filled in."""
     data = save_safetensors({name: value.cpu().contiguous() for name, value in state.items()}, {"format": FORMAT})
-    filled = sidecar.model_copy(update={"sha256": hashlib.sha256(data).hexdigest()})
-    text = _text(filled)
+    text = _text(sidecar.model_copy(update={"sha256": hashlib.sha256(data).hexdigest()}))
+    again = Sidecar.model_validate_json(text)
     path.parent.mkdir(parents=True, exist_ok=True)
     _replace(path, data)
     _replace(path.with_suffix(".json"), text.encode())
-    return Sidecar.model_validate_json(text)
+    return again
 
 
 def save_sidecar(path: Path, sidecar: Sidecar) -> Sidecar:
     """Write the sidecar (.json) of the weights at `path`, atomically; as it is read again. The tensors stay."""
     text = _text(sidecar)
+    again = Sidecar.model_validate_json(text)  # before the old one is gone: it must be readable
     _replace(path.with_suffix(".json"), text.encode())
-    return Sidecar.model_validate_json(text)
+    return again
 
 
 def _text(sidecar: Sidecar) -> str:

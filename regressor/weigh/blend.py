@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regressor.weigh.quadratic import QuadraticRule
+from conveyor.errors import InputError
+from regressor.weigh.quadratic import FLAT, QuadraticRule
 from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.view_features import VIEW_NAMES
 
@@ -126,7 +127,10 @@ def fit_blend(
             tubers, say) is no matter of rim or pose: each has an intercept of its own in the fit, and the rule takes
             the middle of the highest and the lowest, so that none is off by more than half of what parts them.
         found: (n, k) of `SEEN` as views show it; truth: (n, k) as it is; seen: the rules that show it from now on.
-            None corrects for the weight alone.
+            None corrects for the weight alone, and so does what is alike in all views of a world.
+
+    Raises:
+        InputError: the network's answers are nowhere near the truth.
     """
     share = best_share(network_g, volume_g, weight_g)
     ln_g, ln_truth = np.log(np.maximum(blend(network_g, volume_g, share), 1e-3)), np.log(weight_g)
@@ -137,8 +141,9 @@ def fit_blend(
     slopes = np.zeros(0)
     corrected = ln_g
     if found is not None and truth is not None:
-        slopes = STRENGTH * _solved(ln_g, weight_g, np.hstack([x, found]), np.hstack([z, truth]))[x.shape[1] :]
-        corrected = ln_g + found @ slopes
+        solved = STRENGTH * _solved(ln_g, weight_g, np.hstack([x, found]), np.hstack([z, truth]))[x.shape[1] :]
+        if solved.any():
+            slopes, corrected = solved, ln_g + found @ solved
     beta = _solved(corrected, weight_g, x, z)
     return BlendRule(
         share=share,
@@ -155,11 +160,38 @@ def _solved(
 ) -> NDArray[np.float64]:
     """beta for which errors in grams of exp(ln_g + x beta) are uncorrelated with each column of z, by Newton steps.
 
-    Totals are then right in every class of what z holds.
+    Totals are then right in every class of what z holds. Where a column of x or z says nothing, beta is 0.
     """
-    scaled = z / np.maximum(np.abs(z).max(0), 1e-9)
-    beta = np.zeros(x.shape[1])
-    for _ in range(ROUNDS):
-        grams = np.exp(ln_g + x @ beta)
-        beta = beta - np.linalg.solve(scaled.T @ (grams[:, None] * x), scaled.T @ (grams - weight_g))
-    return beta
+    telling = _telling(x, z)
+    used, scaled = x[:, telling], z[:, telling] / np.abs(z[:, telling]).max(0)
+    beta = np.zeros(used.shape[1])
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(ROUNDS):
+            grams = np.exp(ln_g + used @ beta)
+            if not np.isfinite(grams).all():
+                factor = float(np.median(np.exp(ln_g) / weight_g))
+                raise InputError(
+                    f"no blend can be fitted: the network's answers are {factor:.3g} times the truth in the median. "
+                    "Train it further, or begin with other weights"
+                )
+            beta = beta - np.linalg.solve(scaled.T @ (grams[:, None] * used), scaled.T @ (grams - weight_g))
+    solved = np.zeros(x.shape[1])
+    solved[telling] = beta
+    return solved
+
+
+def _telling(x: NDArray[np.float64], z: NDArray[np.float64]) -> list[int]:
+    """Columns that in both vary beyond what those before them say: the rim that is lost alike everywhere tells nothing,
+    and neither do weights that are all the same.
+    """
+    found: list[int] = []
+    for at in range(x.shape[1]):
+        if all(_rest(part[:, at], part[:, found]) > FLAT for part in (x, z)):
+            found.append(at)
+    return found
+
+
+def _rest(column: NDArray[np.float64], others: NDArray[np.float64]) -> float:
+    """Root mean square of what the others do not say of a column."""
+    said = others @ np.linalg.lstsq(others, column, rcond=None)[0]
+    return float(np.sqrt(np.mean(np.square(column - said))))

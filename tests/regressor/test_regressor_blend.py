@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from conveyor.errors import InputError
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import load_checkpoint, state_of
@@ -156,6 +157,32 @@ def test_the_blend_leaves_no_bias_over_true_size_and_rim() -> None:
     assert 0.8 < again[0] / np.sqrt(network[0] * volume[0]) < 1.25
     with pytest.raises(ValueError, match="colour"):
         BlendRule.from_json(rule.to_json() | {"seen": {"colour": seen[0].to_json()}})
+
+
+@pytest.mark.parametrize("alike", ["rim", "found", "weight"])
+def test_what_is_alike_in_all_views_of_a_world_says_nothing(alike: str) -> None:
+    """A pack whose rims are all whole ended the fit in 'Singular matrix'; the others are corrected for as ever."""
+    rng = np.random.default_rng(SEED)
+    features, weight, lost = _views(400, rng)
+    world = np.where(np.arange(400) % 2, "easy", "harsh")
+    of_world = np.where(world == "easy", 0.1, 0.2)
+    truth, found = (of_world if alike == which else lost for which in ("rim", "found"))
+    weight = 1500 * of_world if alike == "weight" else weight
+    network = weight * np.exp(rng.normal(0, 0.05, 400))
+    seen = (fit_quadratic(features, lost, names=VIEW_NAMES),)
+    rule = fit_blend(network, network, weight, world=world, found=found[:, None], truth=truth[:, None], seen=seen)
+    if alike == "weight":
+        assert (rule.slope, rule.seen) == (0.0, seen)
+    else:
+        assert rule == fit_blend(network, network, weight, world=world)
+        assert rule.slope != 0
+
+
+def test_a_network_that_knows_nothing_gets_no_blend() -> None:
+    """Its sidecar was written all the same, held no number, and could not be read any more."""
+    weight = np.random.default_rng(SEED).lognormal(5.0, 0.5, 400)
+    with pytest.raises(InputError, match=r"answers are 0\.0001 times the truth in the median\. Train it further"):
+        fit_blend(1e-4 * weight, weight * 1e-4, weight)
 
 
 def test_worlds_that_nothing_in_a_view_tells_apart_share_the_blame() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from conveyor.config import parse_config
 from conveyor.errors import InputError, MessageError, StorageError
 from conveyor.node import Node
-from regressor.network.checkpoint import load_checkpoint, save_checkpoint
+from regressor.network.checkpoint import load_checkpoint, save_checkpoint, save_sidecar
 from regressor.network.stored import SHIPPED
 from regressor.serve.check import check_weights, reference_clouds
 from regressor.serve.form import form_of
@@ -39,6 +39,20 @@ def scaled_weights(path: Path, factor: float) -> Path:
         state[f"{layer}.{part}"] = state[f"{layer}.{part}"] * factor
     save_checkpoint(path, state, sidecar.model_copy(update={"name": path.stem}))
     return path
+
+
+def test_a_sidecar_that_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    """The one that it was to replace was gone by then."""
+    path = scaled_weights(tmp_path / "own.safetensors", 1.0)
+    before = path.with_suffix(".json").read_bytes()
+    model, sidecar = load_checkpoint(path)
+    broken = sidecar.model_copy(update={"blend": {"share": 0.0, "intercept": float("nan"), "slopes": [], "seen": {}}})
+    with pytest.raises(ValueError, match="blend is damaged"):
+        save_sidecar(path, broken)
+    with pytest.raises(ValueError, match="blend is damaged"):
+        save_checkpoint(path, model.state_dict(), broken)
+    assert path.with_suffix(".json").read_bytes() == before
+    assert load_checkpoint(path)[1] == sidecar
 
 
 def test_a_parcel_gives_back_file_and_sidecar(tmp_path: Path) -> None:

@@ -38,7 +38,8 @@ def calibrate_blend(
     cache
         Folder of prepared clouds, to save the preparing; default: none.
     correction
-        For the weight and the rim that was lost; off fits the rule and the network's share alone.
+        For the weight and the rim that was lost, where views differ in it; off fits the rule and the network's share
+        alone.
     compute
         As for `train`.
     """
@@ -54,8 +55,13 @@ def calibrate_blend(
             weights, data, unseen, cache=cache, correction=correction, compute=wide(compute), on_work=on_work
         )
     figures = sidecar.metrics["blend"]
+    corrected = "nothing"
+    if correction and sidecar.blend_rule.seen:
+        corrected = "the weight and the rim that was lost"
+    elif correction:
+        corrected = f"the weight alone: the rim that was lost (rim_lost) is unknown, or the same in all of {unseen}"
     sys.stderr.write(
         f"{weights.with_suffix('.json')}: {100 * (1 - sidecar.volume_share):.0f} % network, "
         f"{100 * sidecar.volume_share:.0f} % volume rule; MAE {figures['mae_g']:.2f} {sidecar.unit} on the unseen "
-        "views\n"
+        f"views; corrected for {corrected}\n"
     )
