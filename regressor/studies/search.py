@@ -1,11 +1,13 @@
 """Search for a recipe with Optuna, as in the paper: learning rate, weight decay, batch size and the loss's beta.
 
 Every trial is a training of its own, judged by its validation error. Trials are kept in an SQLite file, so a search
-goes on where it was stopped; a trial that was cut off is made again.
+goes on where it was stopped; a trial that was cut off is made again. One whose training diverged is a failed trial: a
+high learning rate is tried like any other.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,11 +20,13 @@ from conveyor.extras import needed
 from regressor.training.begun import differences, digest_of
 from regressor.training.cloudset import CloudSet
 from regressor.training.recipe import TrainSettings
-from regressor.training.train import Training, predict
+from regressor.training.train import Diverged, Training
 
 STUDY = "pointraft"
 TRIALS = 25
 BATCHES = (16, 32, 64)
+FAILED = "failed"
+"""Key of a failed trial's reason: Optuna takes one that was cut off for a failed one, too."""
 SEARCHED = ("lr", "weight_decay", "batch", "beta_g")
 
 
@@ -35,10 +39,10 @@ def search(
     trials: int = TRIALS,
     on_step: Callable[[int, Training], None] = lambda number, training: None,
 ) -> list[dict[str, Any]]:
-    """All finished trials, best first: number, validation MAE in grams and settings.
+    """All trials, best first: number, validation MAE in grams and settings; last those that failed, with the reason.
 
     Args:
-        settings: everything that is not searched for. trials: finished ones in all, those of former calls included.
+        settings: everything that is not searched for. trials: how many in all, those of former calls included.
         storage: SQLite file.
 
     Raises:
@@ -52,18 +56,15 @@ def search(
         raise InputError(f"{len(data)} training views are fewer than the largest batch that is tried, {max(BATCHES)}")
 
     def mae_g(trial: Any) -> float:
-        tried = replace(settings, **suggested(trial))
-        training = Training(data, validation, tried)
-        while training.share < 1.0:
-            training.step()
-            on_step(trial.number, training)
-        predicted = predict(
-            training.finished_model(),
-            validation,
-            highest_m=tried.max_height_m,
-            points=tried.points,
-            resolution=tried.full,
-        )
+        training = Training(data, validation, replace(settings, **suggested(trial)))
+        try:
+            while training.share < 1.0:
+                training.step()
+                on_step(trial.number, training)
+            _, predicted = training.validated()
+        except Diverged as error:
+            trial.set_user_attr(FAILED, str(error))
+            raise
         return float(np.abs(predicted - validation.weight_g).mean())
 
     storage.parent.mkdir(parents=True, exist_ok=True)
@@ -76,12 +77,21 @@ def search(
         sampler=optuna.samplers.TPESampler(seed=settings.seed + _finished(storage)),
     )
     _same_search(study, data, validation, settings, storage)
-    done = [trial for trial in study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
-    if len(done) < trials:
-        study.optimize(mae_g, n_trials=trials - len(done))
-    finished = [trial for trial in study.trials if trial.state == optuna.trial.TrialState.COMPLETE]
-    rows = [{"trial": trial.number, "val_mae_g": trial.value, **trial.params} for trial in finished]
-    return sorted(rows, key=lambda row: float(row["val_mae_g"]))
+    if (missing := trials - len(_trials(study))) > 0:
+        study.optimize(mae_g, n_trials=missing, catch=(Diverged,))
+    return sorted(_trials(study), key=lambda row: math.inf if row["val_mae_g"] is None else row["val_mae_g"])
+
+
+def _trials(study: Any) -> list[dict[str, Any]]:
+    """Those that came to an end, in their order: `val_mae_g` is None of one that failed, and `failed` says why."""
+    rows = []
+    for trial in study.trials:
+        why = trial.user_attrs.get(FAILED)
+        if trial.state.name == "COMPLETE":
+            rows.append({"trial": trial.number, "val_mae_g": trial.value, **trial.params})
+        elif why is not None:
+            rows.append({"trial": trial.number, "val_mae_g": None, **trial.params, FAILED: why})
+    return rows
 
 
 def _same_search(study: Any, data: CloudSet, validation: CloudSet, settings: TrainSettings, storage: Path) -> None:

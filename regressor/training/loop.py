@@ -17,7 +17,7 @@ from torch import nn
 from conveyor.errors import InputError
 from conveyor.files import whole_output
 from regressor.network.networks import Network
-from regressor.training.train import Training, predict
+from regressor.training.train import Training
 
 NEEDED = {"settings", "model", "average", "optimiser", "rng", "torch_rng", "progress"}
 """What a state holds at least, whichever version wrote it."""
@@ -65,15 +65,7 @@ def _validate(
     *,
     final: bool,
 ) -> Network:
-    model = training.finished_model()
-    predicted = predict(
-        model,
-        training.validation,
-        highest_m=training.settings.max_height_m,
-        points=training.settings.points,
-        resolution=training.settings.full,
-        compute=None if final else training.compute,
-    )
+    model, predicted = training.validated(compute=None if final else training.compute)
     residual = torch.from_numpy(predicted - training.validation.weight_g)
     loss = float(nn.functional.smooth_l1_loss(residual, torch.zeros_like(residual), beta=training.settings.beta_g))
     mae = float(residual.abs().mean())

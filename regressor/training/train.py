@@ -36,6 +36,10 @@ CLASS_G = 50.0
 CLASSES = 10
 
 
+class Diverged(TuberlineError):
+    """A training whose loss or whose answers are no numbers any more."""
+
+
 @dataclass(slots=True)
 class Progress:
     """Where a training stands. `seconds` counts time spent training over all its sessions; `frozen`: see `_freeze`."""
@@ -89,7 +93,11 @@ class Training:
         return round(self.settings.epochs * len(self.data) / self.settings.batch)
 
     def step(self) -> float:
-        """One batch, forward and backward; its loss."""
+        """One batch, forward and backward; its loss.
+
+        Raises:
+            Diverged: it is no number.
+        """
         begun = time.perf_counter()
         share = self.share
         for group in self.optimiser.param_groups:
@@ -112,9 +120,9 @@ class Training:
         )
         loss = nn.functional.smooth_l1_loss(predicted, weights, beta=self.settings.beta_g)
         if not torch.isfinite(loss):
-            raise TuberlineError(
+            raise Diverged(
                 f"the loss of step {self.progress.step + 1} is no number: a smaller --lr (it was {self.settings.lr:g}) "
-                "or float32 helps; --resume goes on from the state that was written last"
+                "or float32 helps"
             )
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimiser.step()
@@ -182,6 +190,29 @@ class Training:
         state = self.average if self.settings.average else self.model.state_dict()
         model.load_state_dict(mean_of(state, self.start, share=self.settings.start_share) if self.start else state)
         return model.eval()
+
+    def validated(self, *, compute: torch.dtype | None = None) -> tuple[Network, NDArray[np.float64]]:
+        """(the finished model, (n,) what it says of the validation views).
+
+        Raises:
+            Diverged: one of its answers is no number.
+        """
+        model = self.finished_model()
+        settings = self.settings
+        predicted = predict(
+            model,
+            self.validation,
+            highest_m=settings.max_height_m,
+            points=settings.points,
+            resolution=settings.full,
+            compute=compute,
+        )
+        if not np.isfinite(predicted).all():
+            raise Diverged(
+                f"the network answers no number after {self.progress.step} steps: a smaller --lr (it was "
+                f"{settings.lr:g}) or float32 helps"
+            )
+        return model, predicted
 
     def _freeze(self) -> None:
         """Go on from the average, with its batch-norm statistics fixed.

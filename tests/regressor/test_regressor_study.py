@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from conveyor.errors import InputError
 from regressor.studies import drift as drifting
@@ -19,7 +20,7 @@ from regressor.studies.drift import SHIFTS, drift, write_drift
 from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, evaluate
 from regressor.studies.page import evaluation_page
 from regressor.studies.report import write_plots, write_report
-from regressor.studies.search import search
+from regressor.studies.search import SEARCHED, search
 from regressor.training.cloudset import load_cloudset
 from regressor.training.labelled import read_labelled
 from regressor.training.recipe import TrainSettings, recipe_named
@@ -89,11 +90,22 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytes
     with pytest.raises(InputError, match="validation views"):
         search(large, large, settings, storage=tmp_path / "search.db", trials=3)
 
+    def diverging(number: int, training: Training) -> None:
+        with torch.no_grad():
+            training.model.regression_head.lins[-1].bias.fill_(np.nan)  # type: ignore[operator, union-attr]
+
+    # It ended the search, and each next call was another trial of it.
+    *finished, failed = search(large, data, settings, storage=tmp_path / "search.db", trials=3, on_step=diverging)
+    assert finished == rows
+    assert (failed["trial"], failed["val_mae_g"]) == (2, None)
+    assert "is no number" in failed["failed"] or "answers no number" in failed["failed"]
+    assert set(SEARCHED) < set(failed)
+
     def stopped(number: int, training: Training) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        search(large, data, settings, storage=tmp_path / "search.db", trials=3, on_step=stopped)
+        search(large, data, settings, storage=tmp_path / "search.db", trials=4, on_step=stopped)
     assert not caplog.records, "Ctrl-C was told with a traceback"
 
 

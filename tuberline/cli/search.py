@@ -5,10 +5,13 @@ from __future__ import annotations
 import json as json_module
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tuberline.cli.numbers import Many, Seed
 from tuberline.cli.twin_told import tell_twin
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def search(
@@ -39,7 +42,7 @@ def search(
     out
         Folder of search.db (Optuna's storage), search.json and the prepared clouds.
     trials
-        Finished trials in all, with those of former calls.
+        How many in all, with those of former calls; one whose training diverges counts as a failed one.
     epochs
         Per trial.
     minutes
@@ -59,9 +62,9 @@ def search(
     """
     import torch
     from rich.console import Console
-    from rich.table import Table
 
     from conveyor.files import whole_output
+    from regressor.studies.search import FAILED
     from regressor.studies.search import search as run
     from regressor.training.recipe import recipe_named
     from regressor.training.run import RunOptions, keep_memory, load_sets
@@ -85,9 +88,21 @@ def search(
         partial.write_text(json_module.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if json:
         sys.stdout.write(json_module.dumps(rows, indent=1) + "\n")
-        return
+    else:
+        Console().print(_table(rows))
+    if failed := [row for row in rows if row["val_mae_g"] is None]:
+        sys.stderr.write(
+            f"{len(failed)} of {len(rows)} trials failed, trial {failed[0]['trial']} for one: {failed[0][FAILED]}. All "
+            f"reasons are in {out / 'search.json'}\n"
+        )
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
     table = Table("trial", "validation MAE g", "lr", "weight decay", "batch", "beta g")
     for row in rows:
         figures = (f"{row[name]:.3g}" for name in ("lr", "weight_decay", "batch", "beta_g"))
-        table.add_row(str(row["trial"]), f"{row['val_mae_g']:.2f}", *figures)
-    Console().print(table)
+        mae_g = "failed" if row["val_mae_g"] is None else f"{row['val_mae_g']:.2f}"
+        table.add_row(str(row["trial"]), mae_g, *figures)
+    return table
