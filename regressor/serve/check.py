@@ -28,6 +28,8 @@ MOST_FACTOR = 1.6
 WIDEST_INTERVAL = 4.0
 """Upper over lower bound of a reference cloud's interval: beyond it the interval says nothing."""
 USUAL_BELT_DISTANCE_M = 0.345
+NEAREST_BELT_M, FARTHEST_BELT_M = 0.12, 5.0
+"""Where the reference camera may hang: nearer, it would stand on the largest tuber; farther, no line has one."""
 _FOCAL_PX, _DEPTH_SCALE_M = 650.0, 0.0001
 
 
@@ -40,6 +42,14 @@ def check_weights(weigher: Weigher, config: LineConfig) -> tuple[CloudAnswer, ..
     """
     sidecar = weigher.sidecar
     check_belt_distances(sidecar, config)
+    trained = sidecar.belt_distance_m
+    if not trained.holds(belt_distance_m(sidecar)):
+        raise InputError(
+            f"weights {sidecar.model_id} are for cameras {trained.low:.3f} to {trained.high:.3f} m over the belt, from "
+            f"where no reference cloud can be seen: allowed is what holds some of {NEAREST_BELT_M:g} to "
+            f"{FARTHEST_BELT_M:g} m. Train them again with the distance that cameras have, or correct belt_distance_m "
+            "in their sidecar"
+        )
     answers = answers_of(weigher)
     faults = [fault for answer in answers for fault in _faults(answer)]
     if faults:
@@ -79,9 +89,10 @@ def answers_of(weigher: Weigher) -> tuple[CloudAnswer, ...]:
 
 
 def belt_distance_m(sidecar: Sidecar) -> float:
-    """Where the reference camera hangs: as usual, or in the middle of what the training saw."""
+    """Where the reference camera hangs: as usual, or in the middle of what the training saw, but where one can hang."""
     trained = sidecar.belt_distance_m
-    return USUAL_BELT_DISTANCE_M if trained.holds(USUAL_BELT_DISTANCE_M) else (trained.low + trained.high) / 2
+    wanted = USUAL_BELT_DISTANCE_M if trained.holds(USUAL_BELT_DISTANCE_M) else (trained.low + trained.high) / 2
+    return min(max(wanted, NEAREST_BELT_M), FARTHEST_BELT_M)
 
 
 def reference_clouds(belt_distance_m: float) -> Iterator[tuple[str, float, PreparedCloud]]:

@@ -16,8 +16,9 @@ from conveyor.config import parse_config
 from conveyor.errors import InputError, MessageError, StorageError
 from conveyor.node import Node
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint, save_sidecar
+from regressor.network.sidecar import Range
 from regressor.network.stored import SHIPPED
-from regressor.serve.check import check_weights, reference_clouds
+from regressor.serve.check import belt_distance_m, check_weights, reference_clouds
 from regressor.serve.form import form_of
 from regressor.serve.messages import WeightsParcel, digest_of, read_parcel, write_checkpoint
 from regressor.serve.service import WeightsService
@@ -274,3 +275,16 @@ def test_weights_for_another_camera_height_are_refused() -> None:
     posed = {"belt_from_camera": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0.8], [0, 0, 0, 1]]}
     with pytest.raises(InputError, match=r"camera 'tall': it hangs 0.800 m .* or fix cameras.tall.belt_from_"):
         check_weights(Weigher.load(), parse_config({"cameras": {"tall": posed}}, where="t"))
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.06, 0.08), (0.0, 0.05), (50.0, 60.0)])
+def test_weights_for_no_camera_that_there_is_are_refused(low: float, high: float) -> None:
+    """From 0.07 m the largest reference cloud took 27 GiB, nearer it ended in a division by zero; far away its depth
+    overflowed. A regressor that was given such weights ended with it.
+    """
+    shipped = Weigher.load()
+    sidecar = shipped.sidecar.model_copy(update={"belt_distance_m": Range(low=low, high=high)})
+    with pytest.raises(InputError, match=rf"cameras {low:.3f} to {high:.3f} m over the belt, .* of 0.12 to 5 m"):
+        check_weights(Weigher(shipped.state, sidecar), parse_config({"cameras": {}}, where="test"))
+    assert 0.12 <= belt_distance_m(sidecar) <= 5
+    assert belt_distance_m(sidecar.model_copy(update={"belt_distance_m": Range(low=0.11, high=0.13)})) == 0.12
