@@ -32,7 +32,7 @@ class ReliablePublisher:
     """Publishes messages that every present and soon returning subscriber gets, in order."""
 
     def __init__(self, node: Endpoint, topic: Topic, **parts: str) -> None:
-        self._publisher = ext.declare_advanced_publisher(
+        self._publisher: Any = ext.declare_advanced_publisher(
             node.session,
             topic.key(node.line, **parts),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -49,6 +49,10 @@ class ReliablePublisher:
     def put_encoded(self, data: bytes) -> None:
         """Send a message that is encoded already."""
         self._publisher.put(data)
+
+    def close(self) -> None:
+        """Send no more, and forget the cache."""
+        self._publisher.undeclare()
 
 
 class ReliableSubscriber(Inbox[M]):

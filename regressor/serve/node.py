@@ -29,6 +29,10 @@ from regressor.weigh.weigher import Weigher, weigh_view, weigh_views
 INBOX_VIEWS = 1024
 REMEMBERED_ANSWERS = 8192
 """As bytes, for half a kilobyte each: as objects they took 10 MB in half an hour under load."""
+ANSWERED_CAMERAS = 64
+"""Cameras whose answers are kept for who missed them, 2 MB each; beyond, the one not heard of for longest goes: the
+dispatcher sends again what it has no answer to. A view's camera is whatever its sender calls it.
+"""
 WARM_UP_ROUNDS = 3
 BATCH_WAIT_S = 0.002
 MOST_TOGETHER = 128
@@ -64,7 +68,7 @@ class _Worker:
         self._node = node
         self._service = service
         self._inbox = LatestSubscriber(node, topics.VIEW, View, capacity=INBOX_VIEWS, regressor=node.name)
-        self._answers: dict[str, ReliablePublisher] = {}
+        self._answers: OrderedDict[str, ReliablePublisher] = OrderedDict()
         self._answered: OrderedDict[tuple[str, int], bytes] = OrderedDict()
         for counter in ("views_weighed", "views_duplicate", *(f"views_refused_{reason}" for reason in REASONS)):
             node.counters.add(counter, 0)
@@ -139,6 +143,9 @@ class _Worker:
     def _publisher(self, camera: str) -> ReliablePublisher:
         if camera not in self._answers:
             self._answers[camera] = ReliablePublisher(self._node, topics.WEIGHT, camera=camera)
+        self._answers.move_to_end(camera)
+        if len(self._answers) > ANSWERED_CAMERAS:
+            self._answers.popitem(last=False)[1].close()
         return self._answers[camera]
 
 

@@ -25,7 +25,7 @@ from conveyor.messages import Counters, Weight
 from conveyor.node import Node
 from regressor.serve.form import form_of
 from regressor.serve.link import states
-from regressor.serve.node import run_regressor
+from regressor.serve.node import ANSWERED_CAMERAS, run_regressor
 from regressor.weigh.weigher import BATCHED, Weigher, weigh_view
 from tests.conftest import wait_until
 from tests.regressor.ellipsoids import ellipsoid_view
@@ -82,6 +82,22 @@ def test_views_are_answered_counted_and_the_worker_stops(node: Node, worker: sub
         return [values.get(name) for name in names] == [4, 1, 1, 1, 1]
 
     wait_until(counted, what="the worker's counters")
+    # Each name that a sender ever called its camera had a publisher with its cache, for good.
+    everyone = ReliableSubscriber(node, topics.WEIGHT, Weight, camera="*")
+    wanted = {f"c{at}" for at in range(ANSWERED_CAMERAS + 6)}
+    for camera in sorted(wanted):
+        work.put(replace(empty, camera=camera, view_id=f"{camera}/0"))
+    told: set[str] = set()
+    while not wanted <= told and (weight := everyone.get(20.0)) is not None:
+        told.add(weight.camera)
+    assert wanted <= told
+
+    def publishing() -> set[str]:
+        tokens = node.session.liveliness().get(f"{topics.WEIGHT.key(node.line, camera='*')}/@adv/pub/**")
+        return {str(reply.ok.key_expr).split("/@adv/")[0] for reply in tokens if reply.ok is not None}
+
+    wait_until(lambda: len(publishing()) == ANSWERED_CAMERAS, what="the publishers of cameras heard of last")
+    assert topics.WEIGHT.key(node.line, camera="front") not in publishing()
     # One that refuses to say what it weighs with, in whatever bytes, hid all others; these ended who looked round.
     key = topics.QUERY_MODEL.key(node.line, regressor="r0")
     node.session.declare_queryable(key, zenoh.handlers.Callback(_refuse, indirect=True))
