@@ -33,6 +33,8 @@ CALIBRATED_SD_M = 0.001
 OWN_ERROR = ("easy", "field", "exact")
 """Presets whose undersides lie on the belt plane: what is not known of it is in their belt distance."""
 UNKNOWN = "unknown"
+RESTING_MM = ("stated_resting_mm", "stated_resting_sd_mm", "resting_recording_mm", "resting_mm")
+"""Arrays of a pack whose belts have a resting level, beside `recording`, `calibrated` and `preset`."""
 NUMBERS = ("rim_lost", "shortest_deg", "longest_deg", "soil_mm")
 """What only the simulator knows of a view, as numbers; the fields of `LabelledView` of these names."""
 
@@ -138,6 +140,9 @@ def labelled_files(folder: Path, *, split: str | None = None) -> list[Path]:
     if is_potatotwin(folder) and (folder / TRUTH).is_file():
         cameras = sorted((folder / RGBD / INTRINSICS).glob("*.json"))
         return [folder / TRUTH, *cameras, *sorted((folder / RGBD).rglob("*.p[nl][gy]"))]
+    if not folder.is_dir():
+        why = "is a file: give the folder that it is in" if folder.exists() else "is not there"
+        raise InputError(f"{folder} {why}")
     raise InputError(
         f"{folder} holds no labelled views: expected views-*.npz (a view pack) or 1_rgbd/ with ground_truth.csv "
         "(a 3DPotatoTwin folder)"
@@ -187,9 +192,38 @@ def read_labelled(folder: Path, *, split: str | None = None, resting: Resting = 
 def _read_shard(path: Path, resting: Resting) -> Iterator[LabelledView]:
     views = list(read_views(path))
     more = {name: np.array([view.more[name] for view in views]) for name in (views[0].more if views else ())}
+    _check_resting(path, more)
     offset_m, sd_m = _stated_resting(more, len(views), resting)
     for at, view in enumerate(views):
-        yield _from_pack(path.parent.name, view, resting_offset_m=float(offset_m[at]), resting_sd_m=float(sd_m[at]))
+        try:
+            labelled = _from_pack(
+                path.parent.name, view, resting_offset_m=float(offset_m[at]), resting_sd_m=float(sd_m[at])
+            )
+        except (ValueError, TypeError) as error:
+            raise InputError(f"shard {path}, view {at}: {error}") from error
+        yield labelled
+
+
+def _check_resting(path: Path, more: dict[str, NDArray[Any]]) -> None:
+    """What a resting level is told by belongs together, as the simulator writes it.
+
+    Raises:
+        InputError: a part of it is missing, or is no number.
+    """
+    if RESTING_MM[0] not in more:
+        return
+    missing = [name for name in (*RESTING_MM, "recording", "calibrated", "preset") if name not in more]
+    if missing:
+        raise InputError(
+            f"shard {path} has {RESTING_MM[0]} and lacks {', '.join(missing)}: a simulated resting level is told by "
+            "all of them; leave all that name a resting level out where undersides lie on the belt"
+        )
+    for name in RESTING_MM:
+        if more[name].dtype.kind not in "fiu" or not np.isfinite(more[name]).all():
+            raise InputError(f"shard {path}: array '{name}' holds what is no number of millimetres")
+    recording = more["recording"]
+    if recording.dtype.kind not in "iu" or (recording < 0).any():
+        raise InputError(f"shard {path}: array 'recording' is {recording.dtype}; allowed are whole numbers from 0")
 
 
 def _stated_resting(data: dict[str, Any], count: int, resting: Resting) -> tuple[NDArray[np.float64], ...]:

@@ -91,7 +91,8 @@ class Seen:
                 f"refuses them: {self._example}. {CHECK}"
             )
         if not self._seen:
-            raise InputError(f"{self._where} holds no view that can be weighed; refused: {dict(refused)}")
+            told = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items())) or "none"
+            raise InputError(f"{self._where} holds no view that can be weighed; refused: {told}")
         # What is too heavy may be a view of which most is hidden; nothing makes a view too large.
         light = {view[0]: view for view in self._seen if view[1] < low * view[2]}
         if light:

@@ -76,6 +76,22 @@ def test_arrays_that_the_format_does_not_name_come_back_by_name(tmp_path: Path) 
     assert [dict(view.more) for view in read] == [{"rim": f"kind-{n}", "resting_mm": 7.0 + n} for n in range(3)]
 
 
+def test_what_tells_a_resting_level_is_told_whole(tmp_path: Path) -> None:
+    """Without a recording or a preset beside it, it ended an evaluation in a KeyError."""
+    resting = dict.fromkeys(("stated_resting_mm", "stated_resting_sd_mm", "resting_recording_mm", "resting_mm"), 1.0)
+    whole = {**resting, "recording": 3, "calibrated": False, "preset": "field"}
+    for changed, text in (
+        ({"preset": None, "recording": None}, "has stated_resting_mm and lacks recording, preset: "),
+        ({"resting_mm": np.nan}, "'resting_mm' holds what is no number of millimetres"),
+        ({"recording": -1}, "'recording' is int64; allowed are whole numbers from 0"),
+        ({"soil_mm": "thick"}, "view 0: could not convert string to float"),
+    ):
+        more = {name: value for name, value in (whole | changed).items() if value is not None}
+        _view_pack(tmp_path, [replace(_view(0), more=more)])
+        with pytest.raises(InputError, match=text):
+            list(read_labelled(tmp_path))
+
+
 def test_a_pack_without_a_version_or_optional_arrays_stays_readable(tmp_path: Path) -> None:
     """As they were written before packs had a version; the depth scale may be one number for all."""
     bare = replace(_view(0), belt_sd_m=None, volume_ml=None, length_mm=None, width_mm=None, height_mm=None)
@@ -107,6 +123,11 @@ def test_a_newer_view_pack_is_refused_by_name_and_number(tmp_path: Path) -> None
         (lambda a: a.update(notes=np.zeros(9)), r"array 'notes' has shape \(9,\); 2 rows"),
         (lambda a: a.update(crop=np.full((2, 4), np.inf)), r"view 0: cannot convert float infinity"),
         (lambda a: a.update(depth=np.array(3, np.uint16)), r"view 0: too many indices"),
+        (lambda a: a.update(depth=a["depth"] * np.nan), r"'depth' is float64; allowed are whole units of depth"),
+        (lambda a: a.update(depth=-a["depth"].astype(int)), r"'depth' is int64; allowed .* 0 to 65535"),
+        (lambda a: a.update(depth_scale_m=np.zeros(2)), r"view 0: depth_scale_m is 0; allowed are 1e-06 to 1 metres"),
+        (lambda a: a.update(belt_distance_m=np.array([0.3, np.nan])), r"view 1: belt_distance_m is nan; allowed"),
+        (lambda a: a.update(belt_sd_m=np.array([-0.001, 0.1])), r"view 0: belt_sd_m is -0.001; allowed are 0 to 0.1"),
     ],
 )
 def test_shards_that_contradict_themselves_are_refused(tmp_path: Path, change: object, text: str) -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from conveyor.errors import InputError
 from conveyor.formats.packs.files import NamedArray, read_meta, read_shard, write_meta
 from conveyor.geometry import Intrinsics
+from conveyor.stated import BELT_DISTANCE_M, BELT_SD_MM
 
 VERSION = 1
 FORMAT_NAME = "view pack"
@@ -48,6 +49,12 @@ ARRAYS = (
     NamedArray("v_centre", "(n,)", "image row of the tuber's centre, pixels", needed=False),
 )
 _KNOWN = {array.name for array in ARRAYS}
+_ALLOWED = {
+    "depth_scale_m": (1e-6, 1.0, "metres per unit of depth"),
+    "belt_distance_m": (*BELT_DISTANCE_M, "metres"),
+    "belt_sd_m": (BELT_SD_MM[0] / 1e3, BELT_SD_MM[1] / 1e3, "metres"),
+}
+"""From and to, and the unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +116,9 @@ def read_views(shard: Path) -> Iterator[PackedView]:
         rows = count + 1 if name == "depth_offset" else count
         if name != "depth" and (array.ndim == 0 or len(array) != rows):
             raise InputError(f"shard {shard}: array '{name}' has shape {array.shape}; {rows} rows are needed")
+    depth = data["depth"]
+    if depth.dtype != np.uint16 and not (depth.dtype.kind in "ui" and ((depth >= 0) & (depth < 1 << 16)).all()):
+        raise InputError(f"shard {shard}: array 'depth' is {depth.dtype}; allowed are whole units of depth, 0 to 65535")
     for i in range(count):
         try:
             yield _view(data, i)
@@ -125,6 +135,9 @@ def _view(data: dict[str, NDArray[Any]], i: int) -> PackedView:
     weight_g = float(data["weight_g"][i])
     if not 0 < weight_g < math.inf:
         raise ValueError(f"weight_g is {weight_g:g}; allowed are grams above 0")
+    for name, (low, high, unit) in _ALLOWED.items():
+        if name in data and not low <= float(data[name][i]) <= high:
+            raise ValueError(f"{name} is {float(data[name][i]):g}; allowed are {low:g} to {high:g} {unit}")
     image_width, image_height = (int(value) for value in data["image_size"][i])
     return PackedView(
         depth=crop.reshape(height, width).astype(np.uint16, copy=False),
