@@ -22,7 +22,7 @@ from regressor.studies.evaluate import (
     method_scores,
 )
 from regressor.training.begun import differences, digest_of
-from regressor.training.labelled import part_of
+from regressor.training.labelled import labelled_files, part_of
 from regressor.training.recipe import TrainSettings
 from regressor.training.run import STATE, WEIGHTS, RunOptions, load_sets, train
 from regressor.training.train import Training
@@ -65,11 +65,13 @@ def ablate(
     Weights already in `<out>/<name>` are not trained again. The table is written after every variant.
 
     Raises:
-        InputError: a name that is not known, or weights there of another recipe or other training views.
+        InputError: a name that is not known, no views in `test`, or weights there of another recipe or other training
+            views.
     """
     unknown = [name for name in names if name not in VARIANTS]
     if unknown:
         raise InputError(f"unknown ablation {', '.join(unknown)}; known: {', '.join(VARIANTS)}")
+    labelled_files(test, split=part_of(test, "test"))  # before hours of training
     options = replace(options, cache=options.cache or options.out / "cache")
     _check_finished(names, settings, options)
     table: Table = {}

@@ -108,7 +108,7 @@ def drift(
         scores = method_scores(result)
         table[name] = {"methods": {method: scores[method] for method in METHODS}, "coverage": coverage(result)}
     if not table:
-        where = f"the first {max_views} views of {data} are of" if max_views is not None else f"{data} holds"
+        where = f"the first {max_views} views of {data} are of" if most[data] == max_views else f"{data} holds"
         raise InputError(f"{where} fewer than {MIN_TUBERS} tubers: nothing can be said of a shift")
     return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table}
 

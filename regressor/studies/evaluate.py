@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.camera_flags import CAMERA_UNLIKE
+from conveyor.errors import InputError
 from conveyor.load_spread import shared_sd_share
 from conveyor.statistics import NORMAL_90
 from regressor.studies.alone import Scale
@@ -88,11 +89,23 @@ def evaluate(
     Raises:
         InputError: unreadable, or nothing to weigh.
     """
-    views = (
-        view for view in read_labelled(folder, split=split, resting=resting) if season is None or view.season == season
-    )
+    views = read_labelled(folder, split=split, resting=resting)
+    views = views if season is None else _of_season(views, season, where=folder)
     where = f"{folder}, season {season}" if season else str(folder)
     return evaluate_views(islice(views, max_views), weigher, where=where, progress=progress)
+
+
+def _of_season(views: Iterable[LabelledView], season: str, *, where: Path) -> Iterator[LabelledView]:
+    """Raises InputError: there is none of it; names those that there are."""
+    found, others = False, set()
+    for view in views:
+        if view.season == season:
+            found = True
+            yield view
+        else:
+            others.add(view.season)
+    if not found:
+        raise InputError(f"{where} holds no view of season {season}; it has views of {', '.join(sorted(others))}")
 
 
 def evaluate_views(

@@ -94,19 +94,21 @@ def train(
         InputError: data that cannot be used, a state to resume that is not there.
     """
     keep_memory()
+    state = options.out / STATE
+    if options.resume and not state.is_file():
+        raise InputError(f"{options.out} holds no training to go on with (no {STATE}): leave --resume out to begin one")
+    if not options.resume and state.is_file():
+        raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     data, validation = load_sets(options, on_prepared, keep=settings.kept_points)
     data, validation = (views.with_target(settings.target) for views in (data, validation))
     rule = fit_volume_rule(data.view_features, data.weight_g)
     training = Training(data, validation, settings)
     if options.start is not None:
         training.start_from(read_checkpoint(options.start)[0], where=str(options.start))
-    state = options.out / STATE
     if options.resume:
         begun, given = load_state(state), training.start
         training.restore(begun)
         _check_start(begun, given)
-    elif state.is_file():
-        raise InputError(f"{options.out} already holds a training: go on with --resume or give another --out")
     options.out.mkdir(parents=True, exist_ok=True)
     for name in (WEIGHTS, LATEST, STATE):
         remove_partials(options.out, name)

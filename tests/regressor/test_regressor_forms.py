@@ -17,6 +17,7 @@ from regressor.network.checkpoint import load_checkpoint, read_checkpoint, save_
 from regressor.network.fast import Form
 from regressor.network.grouped import gathered_forward
 from regressor.network.grouping import GatheredGroups, SharedGroups, group_prefix, group_sampled
+from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
 from regressor.network.sampling import farthest_points
 from regressor.network.sidecar import Sidecar, StartPolicy
@@ -208,3 +209,16 @@ def test_the_paper_s_recipe_keeps_its_best_epoch(tmp_path: Path) -> None:
         float(best["val_mae_g"]), rel=1e-3
     )
     assert (out / "latest.safetensors").is_file()
+
+
+def test_pointnet_sees_a_set_and_no_more() -> None:
+    """The order of the points, their repetition and the batch around a cloud change nothing; one more point may."""
+    torch.manual_seed(2)
+    model = PointNet().eval()
+    cloud = torch.randn(1, 300, 3) * 0.02
+    with torch.inference_mode():
+        expected = float(model(cloud))
+        assert float(model(cloud.flip(1))) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, cloud[:, :50]], dim=1))) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, torch.randn(1, 300, 3)]))[0]) == pytest.approx(expected, rel=1e-6)
+        assert float(model(torch.cat([cloud, torch.full((1, 1, 3), 0.5)], dim=1))) != expected

@@ -139,7 +139,7 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     assert measured["shifts"]["the same again"]["methods"][SHIPPED] == plain
     # Six millimetres are a tenth of a tuber's height.
     assert 5 < tall["total_bias_percent"] - plain["total_bias_percent"] < 30
-    with pytest.raises(InputError, match=r"season 1999 holds no view"):
+    with pytest.raises(InputError, match=r"holds no view of season 1999; it has views of 2026"):
         evaluate(pack, weigher, season="1999")
     result = evaluate(pack, weigher)
     write_report(result, tmp_path / "evaluation", title="x")
@@ -176,6 +176,10 @@ def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
         drift(tmp_path, {}, Weigher.load(), max_views=None)
     with pytest.raises(InputError, match=r"the first 1 views of .* are of fewer than 10 tubers"):
         drift(tmp_path, {}, Weigher.load(), max_views=1)
+    with pytest.raises(InputError, match=r"holds fewer than 10 tubers: nothing can be said"):
+        drift(tmp_path, {}, Weigher.load(), max_views=600)
+    with pytest.raises(InputError, match=r"ground_truth\.csv is a file: give the folder that it is in"):
+        evaluate(tmp_path / "ground_truth.csv", Weigher.load())
 
 
 def test_noise_is_added_to_images_alone(pack: Path, rng: np.random.Generator) -> None:

@@ -14,7 +14,6 @@ import torch
 
 from conveyor.errors import InputError, TuberlineError
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint, state_of
-from regressor.network.pointnet import PointNet
 from regressor.network.pointraft import PointRaft
 from regressor.network.reduced import Resolution, reduced_forward
 from regressor.network.sampling import farthest_points
@@ -81,19 +80,6 @@ def test_reduced_graph_equals_the_readable_network_in_evaluation(data: CloudSet)
     assert found.numpy() == pytest.approx(expected.numpy(), rel=1e-4, abs=1e-5)
 
 
-def test_pointnet_sees_a_set_and_no_more() -> None:
-    """The order of the points, their repetition and the batch around a cloud change nothing; one more point may."""
-    torch.manual_seed(2)
-    model = PointNet().eval()
-    cloud = torch.randn(1, 300, 3) * 0.02
-    with torch.inference_mode():
-        expected = float(model(cloud))
-        assert float(model(cloud.flip(1))) == pytest.approx(expected, rel=1e-6)
-        assert float(model(torch.cat([cloud, cloud[:, :50]], dim=1))) == pytest.approx(expected, rel=1e-6)
-        assert float(model(torch.cat([cloud, torch.randn(1, 300, 3)]))[0]) == pytest.approx(expected, rel=1e-6)
-        assert float(model(torch.cat([cloud, torch.full((1, 1, 3), 0.5)], dim=1))) != expected
-
-
 def test_a_resumed_training_is_the_unbroken_one(data: CloudSet, tmp_path: Path) -> None:
     unbroken = Training(data, data, QUICK)
     losses = [unbroken.step() for _ in range(4)]
@@ -150,6 +136,8 @@ def test_a_training_goes_on_from_the_weights_that_it_started_from(packs: Path, t
 
 def test_a_state_that_cannot_be_read_says_how_to_go_on(packs: Path, tmp_path: Path) -> None:
     """It said to start without --resume, and without it that --resume goes on."""
+    with pytest.raises(InputError, match=r"out holds no training to go on with .*: leave --resume out"):
+        train(replace(_options(packs, tmp_path / "out"), resume=True), QUICK, **SILENT)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "state.pt").write_bytes(b"half a state")
     with pytest.raises(InputError, match=r"cannot be read.*another --out, or take that file away to begin again"):
@@ -402,5 +390,8 @@ def test_ablations_are_trained_once_and_compared(packs: Path, tmp_path: Path) ->
     with pytest.raises(InputError, match=r"trained otherwise: other training views\. A table compares"):
         ablate(("no-height",), settings, others, test=packs / "val", max_views=4, on_step=lambda name, _: None)
     assert len(steps) == count
+    with pytest.raises(InputError, match="absent is not there"):  # it was trained before anyone looked
+        ablate(("full",), settings, options, test=packs / "absent", max_views=4, on_step=lambda name, _: None)
+    assert not (options.out / "full").exists()
     with pytest.raises(InputError, match="known: full, no-height"):
         ablate(("no-hight",), settings, options, test=packs / "val", max_views=4, on_step=lambda name, _: None)
