@@ -132,6 +132,7 @@ def test_intrinsics_of_common_layouts_are_read(name: str, tmp_path: Path) -> Non
         ('{"left": {"K": [[1,0,2],[0,1,2],[0,0,1]]}, "right": {"K": [[1,0,2],[0,1,2],[0,0,1]]}}', "2 cameras"),
         ("1 0 2\n0 1 2\n", "cannot be used; expected"),
         ('{"K": [[600, 0, 40], [0, 600, 30], [0, 0, 0]]}', "holds no camera's"),
+        ('{"fx": -600, "fy": 600, "cx": 40, "cy": 30}', r"intrinsics .*c\.json: focal lengths must be .* fx=-600"),
         (f'{{"fx": 1{"0" * 400}, "fy": 600, "cx": 40, "cy": 30}}', "holds no camera's"),
         (f'{{"K": [1{"0" * 400}, 0, 40, 0, 600, 30, 0, 0, 1]}}', "holds no camera's"),
     ],
@@ -139,7 +140,7 @@ def test_intrinsics_of_common_layouts_are_read(name: str, tmp_path: Path) -> Non
 def test_intrinsics_that_cannot_be_used_are_named(content: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=text):
-        read_pinhole(tmp_path / "c.json")
+        read_pinhole(tmp_path / "c.json").intrinsics(80, 60, where=tmp_path / "c.json")
 
 
 def small(folder: Path) -> None:

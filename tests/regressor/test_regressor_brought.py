@@ -212,6 +212,8 @@ def test_instances_that_do_not_fit_are_named(frame: tuple[Path, Path, Path]) -> 
             list(weigh_instances(depth, path, options, BY_VOLUME))
     with pytest.raises(InputError, match="--instances belong to one frame, 2 paths are given"):
         weigh([depth, depth], belt_distance_m=0.345, instances=labels)
+    with pytest.raises(InputError, match=f"--instances belong to one frame, {depth.parent} is a folder"):
+        weigh([depth.parent], belt_distance_m=0.345, instances=labels)
     with pytest.raises(InputError, match="--json or --csv, not both"):
         weigh([depth], belt_distance_m=0.345, json=True, csv=True)
 

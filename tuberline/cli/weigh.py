@@ -74,7 +74,8 @@ def weigh(
     if json and csv:
         raise InputError("give --json or --csv, not both")
     if instances is not None and (len(paths) != 1 or paths[0].is_dir()):
-        raise InputError(f"--instances belong to one frame, {len(paths)} paths are given: name one depth image")
+        given = f"{paths[0]} is a folder" if len(paths) == 1 else f"{len(paths)} paths are given"
+        raise InputError(f"--instances belong to one frame, {given}: name one depth image")
 
     def weighed(done: list[FileResult], progress: Progress) -> None:
         from regressor.weigh.files import FileOptions

@@ -48,14 +48,17 @@ class Pinhole:
         """For images of this size.
 
         Raises:
-            InputError: the file is for another size.
+            InputError: the file is for another size, or holds what no camera has.
         """
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
                 f"{where} is for images of {self.width}x{self.height}, the frames are {width}x{height}: take the "
                 "intrinsics of the size that was recorded"
             )
-        return Intrinsics(width, height, self.fx, self.fy, self.cx, self.cy)
+        try:
+            return Intrinsics(width, height, self.fx, self.fy, self.cx, self.cy)
+        except InputError as error:
+            raise InputError(f"intrinsics {where}: {error}") from error
 
 
 def read_pinhole(path: Path) -> Pinhole:
