@@ -20,6 +20,8 @@ from regressor.weigh.volume import VolumeRule
 FORMAT: Literal["tuberline-pointraft/1"] = "tuberline-pointraft/1"
 NAME = r"^[^\x00-\x1f\x7f]{1,256}$"
 """What weights may be called: it stands in each message and in the ledger (`conveyor.ranges.Model`)."""
+MOST_SHARED = (1.0, 0.2, 0.5)
+"""Of what all tubers of a load share: own, per millimetre and other (`load_shares`). More is no scale."""
 
 
 def checked_name(name: str) -> str:
@@ -109,12 +111,12 @@ class Sidecar(_Part):
     volume_share: float = Field(0.0, ge=0, lt=1)
     disagreement_factor: float = Field(1.6, gt=1)
     shared_sd_share: float = Field(0.9, ge=0, le=1)
-    shared_bias_share: float = Field(0.05, ge=0, le=1)
+    shared_bias_share: float = Field(0.05, ge=0, le=MOST_SHARED[0])
     interval: dict[str, Any] | None = None
     volume_rule: dict[str, Any] | None = None
     blend: dict[str, Any] | None = None
-    shared_level_share_per_mm: float = Field(0.0, ge=0, le=0.2)
-    shared_other_share: float = Field(0.0, ge=0, le=0.5)
+    shared_level_share_per_mm: float = Field(0.0, ge=0, le=MOST_SHARED[1])
+    shared_other_share: float = Field(0.0, ge=0, le=MOST_SHARED[2])
     worlds: tuple[str, ...] = ()
     training: dict[str, Any] = Field(default_factory=dict)
     metrics: dict[str, Any] = Field(default_factory=dict)

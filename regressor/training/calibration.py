@@ -18,7 +18,7 @@ from conveyor.camera_range import CAMERAS, GOOD
 from conveyor.errors import InputError
 from conveyor.statistics import NORMAL_90
 from regressor.network.checkpoint import load_checkpoint, save_sidecar
-from regressor.network.sidecar import Sidecar
+from regressor.network.sidecar import MOST_SHARED, Sidecar
 from regressor.studies.metrics import scores
 from regressor.training.answers import answers, asked_while_read
 from regressor.training.begun import digest_of
@@ -109,7 +109,8 @@ def calibration(
     chance = interval.unlike(data.noise_px, data.features)
     interval = replace(interval, farthest_m=round(float(data.belt_distance_m.max()) + DISTANCE_MARGIN_M, 4))
     low_g, high_g = interval.bounds_g(weight_g, terms, chance)
-    own, per_mm, other = load_shares(weight_g, data, chance)
+    # A network that has hardly begun to learn is farther off than any scale.
+    own, per_mm, other = np.minimum(load_shares(weight_g, data, chance), MOST_SHARED).tolist()
     return Calibration(
         interval=interval,
         shared_sd_share=fused_share(weight_g, low_g, high_g, data.weight_g, data.tuber, level=interval.level),

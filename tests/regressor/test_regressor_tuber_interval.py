@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from regressor.network.sidecar import Sidecar
 from regressor.training.calibration import calibration, varied
 from regressor.training.cloudset import load_cloudset
 from regressor.training.tuber_interval import CONFIDENCE, calibrate_tubers, interval_told
@@ -80,6 +82,11 @@ def test_tubers_are_what_is_independent_where_recordings_are_not_known(tmp_path:
     data = load_cloudset(tmp_path / "pack")
     found = calibration(data.weight_g * 1.01, data.weight_g * 0.99, data, rule=BlendRule(0.5))
     assert found.counted == {"tubers": 10.0, "recordings": 0.0}
+    # Weights hold no more: a training that has hardly begun to learn ended at its first validation.
+    twice = data.subset(np.tile(np.arange(len(data)), 2))
+    twice = replace(twice, tuber=np.arange(len(twice)).astype(str))
+    wild = calibration(9 * twice.weight_g, 9 * twice.weight_g, twice, rule=BlendRule(0.5))
+    assert Sidecar(name="w", **wild.sidecar_keys()).shared_bias_share == 1.0
     assert "10 are very few: weigh 40 tubers" in interval_told(10, 0)
     assert "very few" not in interval_told(40, 0)
     assert "taken for normal" in interval_told(40, 0)
