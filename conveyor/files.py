@@ -25,6 +25,7 @@ _FIXES = {
     errno.EACCES: "this user has no right to it: choose another place, or fix the rights",
     errno.EPERM: "this user has no right to it: choose another place, or fix the rights",
     errno.ENOENT: "check the name and that its folder exists",
+    errno.EEXIST: "a file lies where a folder is needed: choose another name",
     errno.ENOTDIR: "a part of that path is a file: choose another name",
     errno.EISDIR: "that is a folder: name a file",
     errno.EADDRINUSE: "another program listens there: stop it, or choose another port",

@@ -46,8 +46,8 @@ def search(
         storage: SQLite file.
 
     Raises:
-        InputError: Optuna is not installed, too few views for the largest batch that is tried, or `storage` holds a
-            search with other settings or on other views.
+        InputError: Optuna is not installed, too few views for the largest batch that is tried, or `storage` holds
+            something else, or a search with other settings or on other views.
     """
     optuna = needed("optuna", extra="train", what="a search")
     # Of a trial that ends early it warns with a traceback; who ends it is told by what is raised.
@@ -67,15 +67,7 @@ def search(
             raise
         return float(np.abs(predicted - validation.weight_g).mean())
 
-    storage.parent.mkdir(parents=True, exist_ok=True)
-    study = optuna.create_study(
-        study_name=STUDY,
-        storage=f"sqlite:///{storage}",
-        direction="minimize",
-        load_if_exists=True,
-        # Seeded by what is there, so that a search that goes on does not repeat its first draws.
-        sampler=optuna.samplers.TPESampler(seed=settings.seed + _finished(storage)),
-    )
+    study = _opened(storage, settings.seed)
     _same_search(study, data, validation, settings, storage)
     if (missing := trials - len(_trials(study))) > 0:
         study.optimize(mae_g, n_trials=missing, catch=(Diverged,))
@@ -122,12 +114,23 @@ def suggested(trial: Any) -> dict[str, Any]:
     }
 
 
-def _finished(storage: Path) -> int:
-    import optuna
+def _opened(storage: Path, seed: int) -> Any:
+    """The study in `storage`; a new one where there is none.
 
-    if not storage.is_file():
-        return 0
+    Raises:
+        InputError: that file is another one.
+    """
+    import optuna
+    from sqlalchemy.exc import SQLAlchemyError
+
+    storage.parent.mkdir(parents=True, exist_ok=True)
     try:
-        return len(optuna.load_study(study_name=STUDY, storage=f"sqlite:///{storage}").trials)
-    except KeyError:
-        return 0
+        study = optuna.create_study(
+            study_name=STUDY, storage=f"sqlite:///{storage}", direction="minimize", load_if_exists=True
+        )
+    except (SQLAlchemyError, optuna.exceptions.OptunaError, RuntimeError) as error:
+        why = str(error).splitlines()[0]
+        raise InputError(f"{storage} holds no search: {why}. Take it away, or give another --out") from error
+    # Seeded by what is there, so that a search that goes on does not repeat its first draws.
+    study.sampler = optuna.samplers.TPESampler(seed=seed + len(study.trials))
+    return study

@@ -87,6 +87,9 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytes
     with pytest.raises(InputError, match="12 training views are fewer than the largest batch that is tried, 64"):
         # Optuna told it with a traceback, and not before a trial drew that batch.
         search(data, data, settings, storage=tmp_path / "small.db", trials=1)
+    (tmp_path / "notes.db").write_text("no database")
+    with pytest.raises(InputError, match=r"notes.db holds no search: .* Take it away, or give another --out"):
+        search(large, data, settings, storage=tmp_path / "notes.db", trials=1)
     with pytest.raises(InputError, match="validation views"):
         search(large, large, settings, storage=tmp_path / "search.db", trials=3)
 

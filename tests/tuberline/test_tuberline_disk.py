@@ -243,6 +243,8 @@ def test_whole_output_moves_all_or_nothing(tmp_path: Path) -> None:
         partial.write_text("frames")
         partial.with_suffix(".truth.json").write_text("truth")
     assert {path.name for path in (tmp_path / "a").iterdir()} == {"b.mcap", "b.truth.json"}
+    with pytest.raises(InputError, match=r"c cannot be written: File exists; a file lies where a folder is needed"):
+        _write_half(tmp_path / "a" / "b.mcap" / "c", OSError("never come to"))
     for fault, said in (
         (ZeroDivisionError("a bug"), "a bug"),
         (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)), f"{tmp_path}/never cannot be written: No space.*free space"),
