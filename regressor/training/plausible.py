@@ -16,6 +16,8 @@ from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 GRAMS_PER_ML = (0.05, 20.0)
 """No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
 OFF_THE_BELT = "off_the_belt"
+OFF = (OFF_THE_BELT, "below_belt")
+"""Reasons of refusals that a wrong distance or unit gives."""
 MOST_OFF = 0.5
 """Share of a set's views that may float above or lie under their belts: a wrong distance or unit is all of them."""
 CHECK = (
@@ -55,7 +57,8 @@ class Seen:
         """`where`: they are from."""
         self._where = where
         self._seen: list[tuple[str, float, float]] = []
-        self._off: list[tuple[str, float, float]] = []
+        self._floating: list[tuple[str, float, float]] = []
+        self._off = 0
         self._example = ""
 
     def usable(self, tuber: str, weight_g: float, cloud: PreparedCloud) -> None:
@@ -64,9 +67,14 @@ class Seen:
 
     def refused(self, tuber: str, weight_g: float, refusal: RefusedCloud) -> None:
         """One more that cannot."""
+        if refusal.reason not in OFF:
+            return
+        self._off += 1
         if isinstance(refusal, OffTheBelt):
-            self._off.append((tuber, weight_g, refusal.cloud.surface.volume_ml))
+            self._floating.append((tuber, weight_g, refusal.cloud.surface.volume_ml))
             self._example = self._example or str(refusal)
+        else:
+            self._example = self._example or f"no part of '{tuber}' stands above its belt"
 
     def check(self, refused: Mapping[str, int]) -> None:
         """Refuse the set. `refused`: how many views were, by reason.
@@ -76,7 +84,7 @@ class Seen:
                 used, or tubers are too light for what is seen of them.
         """
         low, high = GRAMS_PER_ML
-        known = [view for view in [*self._seen, *self._off] if np.isfinite(view[1])]
+        known = [view for view in [*self._seen, *self._floating] if np.isfinite(view[1])]
         if known:
             weight_g, volume_ml = (float(np.median([view[at] for view in known])) for at in (1, 2))
             if not low <= weight_g / max(volume_ml, 1e-3) <= high:
@@ -84,10 +92,10 @@ class Seen:
                     f"{self._where}: a median weight of {weight_g:.3g} stands beside a median visible volume of "
                     f"{volume_ml:.3g} ml; allowed are {low:g} to {high:g} g a ml. {CHECK}"
                 )
-        off, all_views = len(self._off), len(self._off) + len(self._seen)
-        if off > MOST_OFF * all_views:
+        all_views = self._off + len(self._seen)
+        if self._off > MOST_OFF * all_views:
             raise InputError(
-                f"{self._where}: {off} of {all_views} views float above their belt or lie under it, where `weigh` "
+                f"{self._where}: {self._off} of {all_views} views float above their belt or lie under it, where `weigh` "
                 f"refuses them: {self._example}. {CHECK}"
             )
         if not self._seen:

@@ -162,6 +162,17 @@ def test_views_that_weigh_refuses_are_no_data(wrong: str, tmp_path: Path) -> Non
         evaluate(tmp_path, Weigher.load())
 
 
+def test_a_belt_above_most_tubers_is_refused(tmp_path: Path) -> None:
+    """Ten of twelve views were left out as below their belt, and the other two judged the weights."""
+    labels = write_twin(tmp_path, tubers=3)
+    table = (tmp_path / "ground_truth.csv").read_text(encoding="utf-8").splitlines()
+    table[2:] = [row.replace(",0.42", ",0.3") for row in table[2:]]
+    (tmp_path / "ground_truth.csv").write_text("\n".join(table), encoding="utf-8")
+    words = f": 2 of 3 views float above their belt or lie under it.*: no part of '{labels[1]}' stands above its belt"
+    with pytest.raises(InputError, match=words):
+        load_cloudset(tmp_path)
+
+
 def test_one_wrong_belt_distance_is_counted(tmp_path: Path) -> None:
     labels = write_twin(tmp_path, tubers=4)
     table = (tmp_path / "ground_truth.csv").read_text(encoding="utf-8").splitlines()
