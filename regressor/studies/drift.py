@@ -83,7 +83,8 @@ def drift(
     seed: int = 0,
     on_work: Work = no_work,
 ) -> dict[str, Any]:
-    """Figures of every shift of `data` and of every pack in `others`, by name, but those of fewer than 10 tubers.
+    """Figures of every shift of `data` and of every pack in `others`, by name; those of fewer than 10 tubers are left
+    out, with their numbers.
 
     Of a folder with a splits.csv its part 'test' is read.
 
@@ -91,6 +92,7 @@ def drift(
         InputError: a pack that cannot be read, or none with enough tubers.
     """
     table: dict[str, Any] = {}
+    left_out: dict[str, int] = {}
     cases: list[tuple[str, Path, Change]] = [(name, data, change) for name, change in SHIFTS.items()]
     cases += [(name, folder, SHIFTS["as it is"]) for name, folder in others.items()]
     parts = {folder: part_of(folder, "test") for _, folder, _ in cases}
@@ -99,7 +101,8 @@ def drift(
     for name, folder, change in cases:
         on_work(name, before, total)
         views = list(_shifted(folder, parts[folder], change, np.random.default_rng(seed), max_views))
-        if len({view.tuber for view in views}) < MIN_TUBERS:
+        if (tubers := len({view.tuber for view in views})) < MIN_TUBERS:
+            left_out[name] = tubers
             before += most[folder]
             continue
         said = partial(_said, on_work, name, before, total)
@@ -110,7 +113,7 @@ def drift(
     if not table:
         where = f"the first {max_views} views of {data} are of" if most[data] == max_views else f"{data} holds"
         raise InputError(f"{where} fewer than {MIN_TUBERS} tubers: nothing can be said of a shift")
-    return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table}
+    return {"model": scale.sidecar.model_id, "data": data.name, "shifts": table, "left_out": left_out}
 
 
 def _said(on_work: Work, name: str, before: int, total: int, done: int) -> None:
@@ -156,4 +159,7 @@ def markdown(measured: dict[str, Any]) -> str:
             f"| {name} | {of[0]['views']:.0f} | {errors} | {biases} | "
             f"{100 * held['views']:.1f}, {100 * held['tubers']:.1f} |"
         )
+    if left_out := measured.get("left_out"):
+        told = ", ".join(f"{name} ({tubers})" for name, tubers in left_out.items())
+        lines += ["", f"Left out, with the number of their tubers, for fewer than {MIN_TUBERS}: {told}."]
     return "\n".join(lines) + "\n"

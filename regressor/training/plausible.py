@@ -95,8 +95,8 @@ class Seen:
         all_views = self._off + len(self._seen)
         if self._off > MOST_OFF * all_views:
             raise InputError(
-                f"{self._where}: {self._off} of {all_views} views float above their belt or lie under it, where `weigh` "
-                f"refuses them: {self._example}. {CHECK}"
+                f"{self._where}: {self._off} of {all_views} views float above their belt or lie under it, where "
+                f"`weigh` refuses them: {self._example}. {CHECK}"
             )
         if not self._seen:
             told = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items())) or "none"

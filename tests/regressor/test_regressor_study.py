@@ -29,6 +29,7 @@ from regressor.training.train import Training
 from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
+from tuberline.cli.drift import drift as drift_command
 
 
 @pytest.fixture(scope="module")
@@ -138,6 +139,11 @@ def test_drift_reports_the_bias_of_the_total(pack: Path, tmp_path: Path, monkeyp
     assert done == sorted(done)
     assert {of for _, _, of in told} == {12 * (len(chosen) + 1)}
     assert list(measured["shifts"]) == ["as it is", "belt 6 mm nearer than believed", "the same again"]
+    assert measured["left_out"] == {"only Sayaka": 0}
+    assert drifting.markdown(measured).endswith("for fewer than 10: only Sayaka (0).\n"), "it left without a word"
+    for also, words in (("=x", "is NAME=FOLDER"), ("as it is=x", "has a row 'as it is' already")):
+        with pytest.raises(InputError, match=f"--also {also}: .*{words}"):
+            drift_command(data=pack, out=tmp_path / "drift", also=[also])
     plain, tall = (measured["shifts"][name]["methods"][SHIPPED] for name in chosen[:2])
     assert measured["shifts"]["the same again"]["methods"][SHIPPED] == plain
     # Six millimetres are a tenth of a tuber's height.

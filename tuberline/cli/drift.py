@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 import sys
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -49,21 +50,19 @@ def drift(
     """
     from conveyor.files import whole_output
     from conveyor.threads import use_threads
+    from regressor.studies.drift import SHIFTS, write_drift
     from regressor.studies.drift import drift as run
-    from regressor.studies.drift import write_drift
     from regressor.weigh.weigher import Weigher
     from tuberline.cli.markdown import print_markdown
     from tuberline.cli.progress import work_bar
 
     use_threads(1)
-    others = dict(text.partition("=")[::2] for text in also or [])
-    if not all(others.values()):
-        raise InputError(f"--also {' '.join(also or [])}: every further pack is NAME=FOLDER")
-    tell_twin(data, *map(Path, others.values()))
+    others = _others(also or [], SHIFTS)
+    tell_twin(data, *others.values())
     with work_bar("weighing") as on_work:
         measured = run(
             data,
-            {name: Path(folder) for name, folder in others.items()},
+            others,
             Weigher.load(weights),
             max_views=max_views,
             seed=seed,
@@ -75,3 +74,20 @@ def drift(
         sys.stdout.write(json_module.dumps(measured, indent=1) + "\n")
     else:
         print_markdown(text)
+
+
+def _others(also: Iterable[str], shifts: Container[str]) -> dict[str, Path]:
+    """Further packs by their names.
+
+    Raises:
+        InputError: one without a name or a folder, or a name that stands in the table already.
+    """
+    found: dict[str, Path] = {}
+    for text in also:
+        name, _, folder = text.partition("=")
+        if not name or not folder:
+            raise InputError(f"--also {text}: every further pack is NAME=FOLDER")
+        if name in found or name in shifts:
+            raise InputError(f"--also {text}: the table has a row '{name}' already; give it another name")
+        found[name] = Path(folder)
+    return found
