@@ -30,6 +30,7 @@ from regressor.weigh.weigher import Weigher
 from tests.regressor.ellipsoids import D405, ellipsoid_depth_m, write_pack
 from tests.regressor.twin_folder import write_parts, write_twin
 from tuberline.cli.drift import drift as drift_command
+from tuberline.cli.search import trial_table
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +105,8 @@ def test_a_search_goes_on_where_it_was(pack: Path, tmp_path: Path, caplog: pytes
     assert (failed["trial"], failed["val_mae_g"]) == (2, None)
     assert "is no number" in failed["failed"] or "answers no number" in failed["failed"]
     assert set(SEARCHED) < set(failed)
+    told = list(trial_table([*finished, failed]).columns[1].cells)
+    assert told == [*(f"{row['val_mae_g']:.2f}" for row in rows), "failed"]
 
     def stopped(number: int, training: Training) -> None:
         raise KeyboardInterrupt

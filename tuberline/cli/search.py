@@ -89,7 +89,7 @@ def search(
     if json:
         sys.stdout.write(json_module.dumps(rows, indent=1) + "\n")
     else:
-        Console().print(_table(rows))
+        Console().print(trial_table(rows))
     if failed := [row for row in rows if row["val_mae_g"] is None]:
         sys.stderr.write(
             f"{len(failed)} of {len(rows)} trials failed, trial {failed[0]['trial']} for one: {failed[0][FAILED]}. All "
@@ -97,7 +97,8 @@ def search(
         )
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def trial_table(rows: list[dict[str, Any]]) -> Table:
+    """A row for each trial that `regressor.studies.search.search` gives."""
     from rich.table import Table
 
     table = Table("trial", "validation MAE g", "lr", "weight decay", "batch", "beta g")
