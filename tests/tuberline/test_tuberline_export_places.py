@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.written_run import write_run
 from conveyor.errors import InputError, LedgerError
 from tests.tuberline.test_tuberline_export import HOW, run
+from tests.written_run import write_run
 from tuberline.api.runs import read_totals
 from tuberline.cli.export import export
 from tuberline.export.binary_files import write_parquet
