@@ -20,7 +20,6 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.stated import level_fault
 from conveyor.taken_port import check_port_free, free_port
-from conveyor.topics import check_name
 from tuberline.places import belt_in, places_in
 from tuberline.processes import line_processes, usual_regressors
 from tuberline.recorded import has_positions, lost_frames
@@ -83,7 +82,7 @@ def replay_recording(
 
     if regressors is not None and regressors < 1:
         raise InputError(f"--regressors {regressors}: at least 1 is needed to weigh anything")
-    cameras = line_names(recording, recording_cameras(recording))
+    cameras = recording_cameras(recording)
     _refuse_early(weights, contract)
     told = [open_source(recording, camera=name).description for name in cameras]
     belt: dict[str, Any] = belt_in(places) if places else {}
@@ -207,23 +206,6 @@ def recording_cameras(recording: Path) -> list[str]:
     from conveyor.formats.cameras import check_readable
 
     return check_readable(recording)
-
-
-def line_names(recording: Path, cameras: list[str]) -> list[str]:
-    """The cameras of a recording, each of which can be a line's, for its name becomes part of topics and files.
-
-    Raises:
-        InputError: one cannot; says which, and what to rename.
-    """
-    for name in cameras:
-        try:
-            check_name(name, what="camera")
-        except TuberlineError as error:
-            raise InputError(
-                f"{recording}: {error}; rename the camera's folder, and its entry in line.json where there is one "
-                "(of an .mcap file: `tuberline convert` it to a folder first)"
-            ) from error
-    return cameras
 
 
 def prepare_out(out: Path) -> None:

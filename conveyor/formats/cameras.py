@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.errors import InputError
+from conveyor.errors import ConfigError, InputError
 from conveyor.formats.detect import camera_names, open_source
 from conveyor.formats.prepared import PreparedSource
 from conveyor.formats.source import CameraDescription, Refused
 from conveyor.messages import Frame
+from conveyor.topics import check_name
 
 
 class CameraFrames:
@@ -62,15 +63,33 @@ class CameraFrames:
             raise InputError(f"{self.description.origin}: no frame can be read{first}")
 
 
+def line_names(recording: Path) -> list[str]:
+    """The cameras of a recording, each of which can be a line's, for its name becomes part of topics, ids and files.
+
+    Raises:
+        InputError: no recording, or a camera that no line can call so; says which, and what to rename.
+    """
+    names = list(camera_names(recording))
+    for name in names:
+        try:
+            check_name(name, what="camera")
+        except ConfigError as error:
+            raise InputError(
+                f"{recording}: {error}; rename the camera's folder, and its entry in line.json where there is one "
+                "(of an .mcap file: `tuberline convert` it to a folder first)"
+            ) from error
+    return names
+
+
 def check_readable(recording: Path) -> list[str]:
     """Names of a recording's cameras, each read up to its first readable frame. One that has none is among them: its
     frames are counted as lost, and the others' are worth as much as before.
 
     Raises:
         InputError: no camera has one; with what was said of the first that was refused. Or a depth scale contradicts
-            the belt distance.
+            the belt distance, or no line can call a camera so.
     """
-    names = list(camera_names(recording))
+    names = line_names(recording)
     found = [_first(open_source(recording, camera=name)) for name in names]
     if not any(isinstance(item, Frame) for item in found):
         fault = next((item.text for item in found if isinstance(item, Refused)), "")
@@ -98,9 +117,9 @@ def open_cameras(
     """Every camera of a recording of any kind, in its own order, each opened as `replay` opens it.
 
     Raises:
-        InputError: no recording of a known kind, or one that cannot be used.
+        InputError: no recording of a known kind, one that cannot be used, or a camera that no line can call so.
     """
-    names = camera_names(recording)
+    names = line_names(recording)
     sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
     counts = [source.description.frames for source in sources]
     total = None if None in counts else sum(count or 0 for count in counts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from conveyor.errors import InputError
 from conveyor.formats.potatotwin.layout import has_images
@@ -226,10 +226,14 @@ def _named_in(line: Path) -> list[str]:
     """The cameras that a line.json names."""
     raw = read_json(line)
     names = raw.get("cameras") if isinstance(raw, dict) else None
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+    if not isinstance(names, list) or not names or not _texts_apart(names):
         given = names if isinstance(raw, dict) else raw
         raise InputError(
-            f'{line} must read {{"cameras": ["<name>", ...], ...}} with the name of each camera\'s folder, got '
-            f"{str(given)[:200]!a}; correct it, or remove it: all folders with a camera.json are taken then"
+            f'{line} must read {{"cameras": ["<name>", ...], ...}}, none twice, with the name of each camera\'s '
+            f"folder, got {str(given)[:200]!a}; correct it, or remove it: all folders with a camera.json are taken then"
         )
     return names
+
+
+def _texts_apart(names: list[Any]) -> bool:
+    return all(isinstance(name, str) for name in names) and len(set(names)) == len(names)

@@ -15,7 +15,7 @@ import pytest
 import tuberline
 from conveyor.errors import InputError
 from conveyor.formats import camera_names, describe_recording
-from conveyor.formats.cameras import check_readable
+from conveyor.formats.cameras import check_readable, open_cameras
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.folder.writer import FolderWriter
 from conveyor.formats.inspection import inspect_recording
@@ -92,6 +92,7 @@ def test_a_camera_folder_may_be_the_current_one(recorded: Path, monkeypatch: pyt
         ('{"cameras": "front"}', r"with the name of each camera's folder, got 'front'"),
         ('{"cameras": []}', r"got '\[\]'; correct it, or remove it"),
         ('{"cameras": [1]}', r"got '\[1\]'"),
+        ('{"cameras": ["front", "front"]}', r"got .*'front', 'front'"),
         ("[]", r"got '\[\]'"),
         ('{"cameras":', r"is not JSON: Expecting value"),
     ],
@@ -122,6 +123,13 @@ def test_what_no_line_can_take_is_refused_and_nothing_is_made(
         replay_recording(recorded, out=tmp_path / "out")
     assert str(recorded) in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_commands_without_a_line_refuse_a_name_as_replay_does(recorded: Path) -> None:
+    """`segment` said 0 counted of a camera called so: its tracks' ids were out of range, and all were discarded."""
+    (recorded / "front").rename(recorded / "left cam")
+    with pytest.raises(InputError, match=r"camera name 'left cam' cannot be used: .*; rename the camera's folder"):
+        open_cameras(recorded)
 
 
 def test_a_setting_that_is_refused_leaves_nothing(recorded: Path, tmp_path: Path) -> None:
