@@ -31,7 +31,8 @@ def truth_file(path: Path) -> Path:
 
 
 def read_truth(path: Path) -> list[TrueTuber]:
-    """The tubers of `path`, in its order; further keys are allowed. Of a folder, those of the truth.json in it.
+    """The tubers of `path`, in its order; further keys are allowed, and null is as good as no key. Of a folder, those
+    of the truth.json in it.
 
     Raises:
         InputError: no such file, not JSON, or a key is missing or of the wrong kind; the text names it.
@@ -51,10 +52,13 @@ def _tuber(item: Any, path: Path, at: int) -> TrueTuber:
     where = f"truth {path}, tubers[{at}]"
     if not isinstance(item, dict):
         raise InputError(f"{where} is {type(item).__name__}, not an object")
-    if not isinstance(item.get("id"), str | int):
-        raise InputError(f"{where} needs 'id', a text or a whole number; got {item.get('id')!r}")
+    name = item.get("id")
+    if isinstance(name, float) and name.is_integer():
+        name = int(name)
+    if isinstance(name, bool) or not isinstance(name, str | int):
+        raise InputError(f"{where} needs 'id', a text or a whole number; got {name!r}")
     return TrueTuber(
-        name=str(item["id"]),
+        name=str(name),
         place_x_m=_number(item, "place_x_m", where),
         place_y_m=_number(item, "place_y_m", where),
         weight_g=_number(item, "weight_g", where, least=0.0),
@@ -65,9 +69,7 @@ def _tuber(item: Any, path: Path, at: int) -> TrueTuber:
 def _number(
     item: dict[str, Any], key: str, where: str, *, least: float = -LARGEST, default: float | None = None
 ) -> float:
-    value = item.get(key)
-    if value is None:
-        value = default
+    value = default if item.get(key) is None else item[key]
     if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= LARGEST:
         bound = f" of at least {least:g}" if least > -LARGEST else ""
         raise InputError(f"{where} needs '{key}', a number{bound}; got {value!r}")

@@ -71,7 +71,10 @@ def read_positions(path: Path) -> list[Place]:
     elif data.lstrip()[:1] == b"$":
         places = list(_nmea(data))
     else:
-        places = list(_table(data, path))
+        try:
+            places = list(_table(data, path))
+        except csv.Error as error:
+            raise InputError(f"track {path} is not CSV text: {error}") from error
     if not places:
         raise InputError(f"track {path} holds no position")
     return places
@@ -136,8 +139,10 @@ def _whole_rows(path: Path) -> int:
 def _table(data: bytes, path: Path) -> Iterator[Place]:
     text = data.decode("utf-8", errors="replace")
     whole = text[: text.rfind("\n") + 1] if text.startswith(",".join(COLUMNS)) else text
-    head = whole.partition("\n")[0]
-    rows = csv.DictReader(io.StringIO(whole), delimiter=max(SEPARATORS, key=head.count), restkey=_BEYOND)
+    lines = io.StringIO(whole, newline=None)
+    head = lines.readline()
+    lines.seek(0)
+    rows = csv.DictReader(lines, delimiter=max(SEPARATORS, key=head.count), restkey=_BEYOND)
     names = {name.strip().lower(): name for name in rows.fieldnames or () if name}
     found = [next((names[name] for name in known if name in names), None) for known in (_TIME, _LATITUDE, _LONGITUDE)]
     if None in found:
@@ -154,7 +159,7 @@ def _table(data: bytes, path: Path) -> Iterator[Place]:
                 raise ValueError(_TOO_MANY)
             if None in row.values():
                 raise ValueError(f"it has fewer values than the header has names: {', '.join(names)}")
-            quality = int(row[names["quality"]] or 0) if "quality" in names else 1
+            quality = int(float(row[names["quality"]] or 0)) if "quality" in names else 1
             told = _told(row) if "crc" in names else (None, None, 0)
             time_ns = _time_ns(row[time], time.strip().lower())
             place = _within(Place(time_ns, _number(row[lat]), _number(row[lon]), quality, *told))

@@ -68,7 +68,8 @@ class LoadScore:
 
 
 def load_truth(recording: Path, camera: str) -> LoadTruth | None:
-    """What crosses a camera of a recording; None where its truth.json does not say where the distractors are.
+    """What crosses a camera of a recording; None where its truth.json does not say where the distractors are. Null in
+    it is as good as no key.
 
     Raises:
         InputError: truth.json cannot be read.
@@ -78,14 +79,20 @@ def load_truth(recording: Path, camera: str) -> LoadTruth | None:
         return None
     truth = json_of(text, where=f"truth.json of {recording}")
     try:
-        others = truth.get("distractor_places", [] if truth.get("distractors", 0) == 0 else None)
-        if others is None:
+        others = truth.get("distractor_places")
+        if others is None and truth.get("distractors"):
             return None
-        tubers = [row for row in truth["tubers"] if camera in row.get("cameras", [camera])]
-        others = [row for row in others if camera in row.get("cameras", [camera])]
+        tubers = [row for row in truth["tubers"] if _seen_by(camera, row)]
+        others = [row for row in others or [] if _seen_by(camera, row)]
         return LoadTruth(_places(tubers), _places(others), tuple(str(row["kind"]) for row in others))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"truth.json of {recording} cannot be read as the truth of a recording: {error}") from error
+
+
+def _seen_by(camera: str, row: dict[str, Any]) -> bool:
+    """Where a row does not say which cameras see it, all do."""
+    cameras = row.get("cameras")
+    return cameras is None or camera in cameras
 
 
 def _places(rows: list[dict[str, Any]]) -> NDArray[np.float64]:

@@ -119,6 +119,8 @@ def test_nothing_matched_is_said_and_not_divided_by() -> None:
         ('{"tubers": [{"id": 1, "weight_g": "5", "place_x_m": 0, "place_y_m": 0}]}', "needs 'weight_g'"),
         ('{"tubers": [{"id": 1, "weight_g": -5, "place_x_m": 0, "place_y_m": 0}]}', "at least 0; got -5"),
         ('{"tubers": [{"weight_g": 5}]}', "needs 'id'"),
+        ('{"tubers": [{"id": true, "weight_g": 5}]}', "needs 'id'"),
+        ('{"tubers": [{"id": 1, "weight_g": null, "place_x_m": 0, "place_y_m": 0}]}', "needs 'weight_g'.*; got None"),
         ('{"tubers": [{"id": 1, "weight_g": NaN, "place_x_m": 0, "place_y_m": 0}]}', "needs 'weight_g'"),
     ],
 )
@@ -132,7 +134,7 @@ def test_truth_that_cannot_be_used_names_the_key(text: str, said: str, tmp_path:
 def test_further_keys_are_allowed(tmp_path: Path) -> None:
     path = tmp_path / "truth.json"
     path.write_text(
-        '{"tubers": [{"id": 1, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "kind": "x"}], "distractors": 3}'
+        '{"tubers": [{"id": 1.0, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "kind": "x"}], "distractors": 3}'
     )
     assert read_truth(path) == [TrueTuber("1", 0.0, 0.0, 5.0, 0.0)]
     path.write_text('{"tubers": [{"id": 1, "weight_g": 5, "place_x_m": 0, "place_y_m": 0, "length_mm": null}]}')

@@ -98,6 +98,45 @@ def test_what_cannot_be_read_is_one_sentence_that_names_the_file(
     assert path.name in str(refused.value)
 
 
+NULLS = {
+    "truth": dict.fromkeys(("length_mm", "width_mm", "cameras", "square_mesh_mm")),
+    "true classes": dict.fromkeys(("length_mm", "cameras")),
+    "truth of the clods": dict.fromkeys(("length_mm", "cameras")),
+    "camera": dict.fromkeys(("fps", "belt_distance_m", "belt_from_camera", "resting_offset_mm", "resting_sd_mm")),
+}
+
+
+@pytest.mark.parametrize("name", NULLS)
+def test_null_is_as_good_as_no_key(name: str, tmp_path: Path) -> None:
+    """`score` refused a truth whose maker had measured no lengths, and wrote null for each."""
+    file, text, read = READERS[name]
+    told = json.loads(text)
+    rows = told.get("tubers", [told])
+    for row in rows:
+        for key in NULLS[name]:
+            row.pop(key, None)
+    (tmp_path / file).write_text(json.dumps(told))
+    without = read(tmp_path / file)
+    for row in rows:
+        row.update(NULLS[name])
+    nothing = {"distractor_places": None, "distractors": None} if "tubers" in told else {}
+    (tmp_path / file).write_text(json.dumps(told | nothing))
+    assert read(tmp_path / file) == without
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n"])
+def test_lines_of_positions_end_as_they_like(end: str, tmp_path: Path) -> None:
+    """A file of an old Mac's line ends, or of one endless cell, ended a map with a traceback."""
+    file, text, read = READERS["positions"]
+    (tmp_path / file).write_bytes(text.encode())
+    plain = read(tmp_path / file)
+    (tmp_path / file).write_bytes(text.replace("\n", end).encode())
+    assert read(tmp_path / file) == plain
+    (tmp_path / file).write_text(text + '"' + 200_000 * "x")
+    with pytest.raises(TuberlineError, match=r"track\.csv is not CSV text: field larger"):
+        read(tmp_path / file)
+
+
 def test_an_order_of_lists_in_lists_is_refused() -> None:
     with pytest.raises(TuberlineError, match="no JSON"):
         read_order(b"[" * 4096)

@@ -98,6 +98,15 @@ def test_an_8_bit_image_and_a_wrong_size_are_refused(small_recording: Path) -> N
     assert refused[6].text.endswith("mask/000006.png is 320x90, its depth 320x180")
 
 
+def test_masks_that_are_no_frames_by_their_names_are_told(small_recording: Path) -> None:
+    """Masks saved as .PNG were left out without a word."""
+    assert not open_source(small_recording).description.notes
+    for path in (small_recording / "front" / "mask").iterdir():
+        path.rename(path.with_suffix(".PNG"))
+    (note,) = open_source(small_recording).description.notes
+    assert "as its frame's depth (000000.png), but '000000.PNG': tubers are found on depth" in note
+
+
 def test_camera_json_without_intrinsics_names_what_is_missing(small_recording: Path) -> None:
     _edit(small_recording, fx=..., cy=...)
     with pytest.raises(InputError, match=r"(?s)camera\.json cannot be used.*fx: missing.*cy: missing"):
@@ -109,6 +118,8 @@ def test_camera_json_without_intrinsics_names_what_is_missing(small_recording: P
     [
         ({"fx": -3}, r"fx: .*greater than 0 \(got -3\)"),
         ({"width": "wide"}, r"width: .*integer"),
+        ({"fx": True}, r"fx: .*true and false are no numbers"),
+        ({"depth_scale_m": None}, r"depth_scale_m: missing"),
         ({"belt_distance_m": 0}, r"belt_distance_m: "),
         ({"belt_from_camera": [[1, 0], [0, 1]]}, r"4 rows of 4 numbers"),
         ({"belt_from_camera": np.diag([1.0, 1.0, 2.0, 1.0]).tolist()}, r"no rigid transform"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from conveyor.errors import InputError
 from conveyor.formats.source import CameraDescription
@@ -22,7 +22,7 @@ COLUMNS = ["seq", "captured_ns", "travel_m"]
 
 
 class CameraFile(BaseModel):
-    """camera.json."""
+    """camera.json; null is as good as no key."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -40,11 +40,18 @@ class CameraFile(BaseModel):
     resting_offset_mm: float | None = Field(None, ge=-20, le=40)
     resting_sd_mm: float | None = Field(None, ge=0, le=20)
 
-    @field_validator("fps", mode="before")
+    @model_validator(mode="before")
     @classmethod
-    def _usual(cls, value: Any) -> Any:
-        """A rate that is not known is the usual one, as without the key."""
-        return 30.0 if value is None else value
+    def _without_nulls(cls, told: Any) -> Any:
+        return {key: value for key, value in told.items() if value is not None} if isinstance(told, dict) else told
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_value(cls, value: Any) -> Any:
+        """True would be read as 1."""
+        if isinstance(value, bool):
+            raise ValueError("true and false are no numbers")
+        return value
 
     @field_validator("belt_from_camera", mode="before")
     @classmethod

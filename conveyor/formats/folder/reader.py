@@ -46,6 +46,7 @@ class FolderSource:
                     f"frames.csv {what} at seq {', '.join(map(str, where[:5]))}{more}: it is taken to go on there at "
                     "the belt's usual speed"
                 )
+        notes += self._masks_left_out()
         self._description = replace(described, name=name, notes=tuple(notes))
         if not (folder / "depth").is_dir():
             raise InputError(f"{folder} has no folder 'depth' with the frames' 16-bit PNG files")
@@ -64,6 +65,16 @@ class FolderSource:
     def keys(self) -> list[FrameKey]:
         """From frames.csv."""
         return [FrameKey(row.seq, row.captured_ns) for row in self._rows]
+
+    def _masks_left_out(self) -> list[str]:
+        """A note where there are masks and none is a frame's by its name: tubers are found as if there were none."""
+        folder = self._folder / "mask"
+        names = (f"{row.seq:06d}.png" for row in self._rows)
+        if not folder.is_dir() or any((folder / name).is_file() for name in names):
+            return []
+        others = sorted(path.name for path in folder.glob("[!.]*"))
+        told = f"mask/ holds none that is called as its frame's depth ({self._rows[0].seq:06d}.png)"
+        return [f"{told}, but {others[0]!a}: tubers are found on depth, as without masks"] if others else []
 
     def _frame(self, row: FrameRow, run: str) -> Frame | Refused:
         path = self._folder / "depth" / f"{row.seq:06d}.png"
