@@ -13,7 +13,7 @@ from conveyor.config import BeltConfig, LineConfig
 from conveyor.delivery import KeptSubscriber, LatestSubscriber, ReliableSubscriber
 from conveyor.errors import StorageError
 from conveyor.files import free_name, told
-from conveyor.formats.beside import positions_beside
+from conveyor.formats.beside import is_taken, positions_beside
 from conveyor.formats.mcap.writer import CHUNK_BYTES, SYNC_EVERY_S, McapFrameWriter
 from conveyor.formats.positions import PositionsWriter
 from conveyor.messages import CameraInfo, Frame, Position
@@ -120,7 +120,7 @@ class _Parts:
         self._out, self._resting = out, resting
         self.left: set[tuple[str, str]] = set()
         self.done: list[Part] = []
-        self.open = _OpenPart(free_name(out), resting)
+        self.open = _OpenPart(free_name(out, is_taken), resting)
 
     def write(self, frame: Frame, *, fps: float | None) -> bool:
         """Append `frame`; returns whether a part was begun for it."""
@@ -128,7 +128,7 @@ class _Parts:
         if before != frame.run:
             self.left.add((frame.camera, before))
             self.close()
-            self.open = _OpenPart(free_name(self._out), self._resting)
+            self.open = _OpenPart(free_name(self._out, is_taken), self._resting)
         self.open.write(frame, fps=fps)
         return before != frame.run
 
@@ -159,7 +159,7 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[
     with Node("recorder", name, config=config, run=run, announce=False) as node:
         parts = _Parts(out, stated_resting(config.belt))
         if parts.open.path != out:
-            node.log.warning("%s holds a recording: going on in %s", out, parts.open.path)
+            node.log.warning("%s, or its positions, are of another recording: going on in %s", out, parts.open.path)
         if config.belt.surface == "rods":
             node.log.info(
                 "a recording does not say that its belt is a web: replay it with --places and the line's file"
@@ -172,6 +172,7 @@ def run_recorder(config: LineConfig, out: Path, *, run: str, name: str) -> list[
             with suppress(OSError):
                 if part.stat().st_size < CHUNK_BYTES:  # no chunk: on a full disk every start would leave such a file
                     part.unlink()
+                    positions_beside(part).unlink(missing_ok=True)
             raise StorageError(f"recording {told(error, part)}") from error
     return parts.done
 

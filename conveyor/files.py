@@ -10,7 +10,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -107,10 +107,10 @@ def replacing(path: Path, *, mode: int = 0o666) -> Iterator[BinaryIO]:
         raise
 
 
-def free_name(path: Path) -> Path:
-    """`path`, or where it is there already the first free one of `<name>-2.<ending>`, `<name>-3.<ending>`, ..."""
+def free_name(path: Path, taken: Callable[[Path], bool] = Path.exists) -> Path:
+    """`path`, or where that is taken the first free one of `<name>-2.<ending>`, `<name>-3.<ending>`, ..."""
     free, n = path, 1
-    while free.exists():
+    while taken(free):
         n += 1
         free = path.with_name(f"{path.stem}-{n}{path.suffix}")
     return free

@@ -9,9 +9,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from conveyor.errors import InputError
 from conveyor.formats import Refused, Source, camera_names, open_source
-from conveyor.formats.beside import recording_files
+from conveyor.formats.beside import check_new, recording_files
 from conveyor.formats.folder.writer import FolderWriter, write_line_file
 from conveyor.formats.merged import in_time
 from conveyor.formats.source import within_ranges
@@ -51,8 +50,7 @@ def convert_recording(
         InputError: `source` unusable, `target` there already, or a depth scale that contradicts the belt distance
             (give the right one).
     """
-    if target.exists():
-        raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
+    check_new(target)
     sources: list[Source] = [
         open_source(source, camera=name, belt_distance_m=belt_distance_m, depth_scale_m=depth_scale_m, part=part)
         for name in camera_names(source)

@@ -18,6 +18,7 @@ from conveyor.delivery import LatestPublisher, ReliablePublisher
 from conveyor.errors import PASSING
 from conveyor.files import free_name
 from conveyor.formats import describe_recording, open_source
+from conveyor.formats.beside import is_taken
 from conveyor.formats.conversion import convert_recording
 from conveyor.formats.mcap.recovery import recover
 from conveyor.formats.positions import read_positions
@@ -137,6 +138,8 @@ def test_a_recorder_that_is_started_again_goes_on_in_a_new_part(
                 told, _ = recorder.communicate(timeout=30)
                 assert (recorder.returncode, told) == (0, f"0 frames in {part}\n")
     assert free_name(out) == tmp_path / "line-3.mcap"
+    (tmp_path / "line-3.positions.csv").write_text("of a recording that was removed")
+    assert free_name(out, is_taken) == tmp_path / "line-4.mcap", "positions would be added to those of another drive"
 
 
 def test_a_line_that_is_started_again_begins_a_new_part(

@@ -23,6 +23,7 @@ from conveyor.formats.mcap.writer import McapFrameWriter
 from conveyor.formats.target import TargetFormat
 from conveyor.messages import Frame
 from tuberline.cli.recordings import convert, info
+from tuberline.cli.simulate import simulate
 
 
 def _hashes(folder: Path) -> dict[str, str]:
@@ -203,6 +204,18 @@ def test_recordings_are_not_overwritten(mcap: Path, small_recording: Path) -> No
         recover(mcap, mcap)
     with pytest.raises(InputError, match="exists"), McapFrameWriter(mcap):
         pass
+
+
+def test_positions_of_a_recording_that_was_removed_become_no_others(small_recording: Path, tmp_path: Path) -> None:
+    """Whoever removed line.mcap alone, and recorded again, had the tubers of the new drive where the old one went."""
+    out, left = tmp_path / "line.mcap", tmp_path / "line.positions.csv"
+    left.write_text("n,time_ns\n")
+    for write in (lambda: convert_recording(small_recording, out), lambda: recover(small_recording, out)):
+        with pytest.raises(InputError, match=r"line\.positions\.csv is of a recording that is not there any more"):
+            write()
+    with pytest.raises(InputError, match="add --force, or move it away"):
+        simulate(out=out)
+    assert not out.exists()
 
 
 def test_converting_says_what_it_could_not_read(

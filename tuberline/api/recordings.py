@@ -135,10 +135,10 @@ def simulate(
     from camera_sim.sim.record import record_scene
     from camera_sim.sim.scenes import SceneSettings
     from conveyor.files import whole_output
+    from conveyor.formats.beside import check_new
 
     target = Path(out)
-    if target.exists():
-        raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
+    check_new(target)
     if preset not in PRESETS:
         raise InputError(f"preset '{preset}' is unknown; known: {', '.join(PRESETS)}")
     check_ranges(seed=seed, tubers=tubers, fps=fps, speed_mps=speed_mps, belt_distance_m=belt_distance_m)

@@ -57,6 +57,7 @@ def import_frames(
         Say what was written as JSON.
     """
     from conveyor.files import whole_output
+    from conveyor.formats.beside import check_new
     from conveyor.formats.conversion import write_recording
     from conveyor.formats.plain.reader import PlainFrames
     from conveyor.formats.prepared import PreparedSource
@@ -71,8 +72,7 @@ def import_frames(
     if fps is None:
         raise InputError("give --fps, frames per second: the files do not say when they were taken")
     target = out or Path("recordings") / frames.resolve().stem
-    if target.exists():
-        raise InputError(f"{target} exists; recordings are not overwritten, choose another name with --out")
+    check_new(target, fix="choose another name with --out")
     found = PlainFrames(
         frames,
         intrinsics=intrinsics,

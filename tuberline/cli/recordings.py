@@ -106,11 +106,11 @@ def convert(
         Say what was written as JSON.
     """
     from conveyor.files import whole_output
+    from conveyor.formats.beside import check_new
     from conveyor.formats.conversion import convert_recording
     from tuberline.cli.progress import frames_bar
 
-    if target.exists():
-        raise InputError(f"{target} exists; recordings are not overwritten, choose another name")
+    check_new(target)
     if format != "foxglove" and (recording is not None or run is not None):
         raise InputError("--recording and --run are for --format foxglove, which shows what a run counted")
     if format == "foxglove" and part is not None:

@@ -136,10 +136,14 @@ def simulate(
 
 def _replaced(out: Path, *, force: bool) -> Path | None:
     """The recording that the new one takes the place of, on demand alone; it stays until the new one is whole."""
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+    from conveyor.formats.beside import check_new
+
+    if out.is_dir() and not any(out.iterdir()):
         return None
     if not force:
-        raise InputError(f"{out} exists; choose another name or add --force")
+        check_new(out, fix="choose another name or add --force")
+    if not out.exists():
+        return out if out.suffix == ".mcap" else None
     is_file = out.suffix == ".mcap" and out.is_file()
     if not is_file and not (out / "truth.json").is_file() and not any(out.glob("*/camera.json")):
         raise InputError(f"{out} exists and is no recording: it is not overwritten")
@@ -147,8 +151,11 @@ def _replaced(out: Path, *, force: bool) -> Path | None:
 
 
 def _remove(path: Path | None) -> None:
-    """No mix of two recordings: the former one goes when the new one is about to come."""
+    """No mix of two recordings: the former one goes, with its positions, when the new one is about to come."""
+    from conveyor.formats.beside import positions_beside
+
     if path is not None and path.is_dir():
         shutil.rmtree(path)
     elif path is not None:
-        path.unlink()
+        path.unlink(missing_ok=True)
+        positions_beside(path).unlink(missing_ok=True)

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from conveyor import __version__
 from conveyor.errors import InputError
 from conveyor.files import cause, whole_output
-from conveyor.formats.beside import positions_beside
+from conveyor.formats.beside import check_new, positions_beside
 from conveyor.formats.mcap.reader import DAMAGE
 from conveyor.formats.mcap.writer import CHUNK_BYTES
 
@@ -49,8 +49,7 @@ def recover(path: Path, out: Path, *, on_bytes: Callable[[int, int], None] = lam
     Raises:
         InputError: `path` is no MCAP file, `out` exists or cannot be written.
     """
-    if out.exists():
-        raise InputError(f"{out} exists; recover to another name with --out")
+    check_new(out, fix="recover to another name with --out")
     try:
         with path.open("rb") as source, whole_output(out) as partial:
             with partial.open("xb") as target:
