@@ -11,7 +11,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     Args:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
-            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, and those of its gauge.
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, load_torn_m, and those of
+            its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -47,6 +48,13 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
         found["encoder_behind_m"] = (
             f"camera '{camera}': the encoder came back {behind_m:.2f} m behind where the load had gone, so it counts "
             "from another zero: the load alone tells the travel until the next run. Start a new run to use it again"
+        )
+    if torn_m := gauges.get("load_torn_m"):
+        found["load_torn_m"] = (
+            f"camera '{camera}': the load jumped back {torn_m:.2f} m in all, from one frame to the next, as no belt "
+            "does: pictures are out of order, or not all of this belt. Tubers may be missing, or counted twice, and so "
+            "much belt counts as not seen. Look at the pictures (`tuberline watch`); an encoder tells travel without "
+            "them"
         )
     if gauges.get("gauge_unseen"):
         found["gauge_unseen"] = (

@@ -198,7 +198,7 @@ class BeltSegmenter:
 
     def _track(self, frame: Frame, instances: Instances, motion: BeltMotion) -> Found:
         self.coverage.earlier(motion.earlier)
-        self.coverage.step(motion.travel_m)
+        self.coverage.step(motion.travel_m, torn_m=self.follower.torn_m)
         return self.tracker.update(
             frame.seq, instances, motion.pairs, motion.travel_m,
             moved=motion.moved, travel_before_m=motion.before_m,

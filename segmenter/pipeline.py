@@ -112,6 +112,11 @@ class Segmenter:
         return self._running.follower.behind_m if self._running else 0.0
 
     @property
+    def torn_m(self) -> float:
+        """How far the load jumped back in all, as no belt does, where no encoder tells travel; metres."""
+        return self._running.follower.torn_m if self._running else 0.0
+
+    @property
     def belt(self) -> BeltGeometry | None:
         """The belt in use; None before the first."""
         return self._belts.belt

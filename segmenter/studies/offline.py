@@ -80,6 +80,7 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:
             save_picture(target, draw(frame, core.instances, core.belt, rejected=core.taken_for_distractors))
     tracks += [closed.track for closed in core.finish()]
+    levels = watch.gauges() | {"encoder_behind_m": core.encoder_behind_m, "load_torn_m": core.torn_m}
     return CameraResult(
         camera=camera.description.name,
         frames=frames,
@@ -90,5 +91,5 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         looked_at_m=core.looked_at_m,
         travelled_m=core.travelled_m,
         step_ms=1000 * elapsed_s / max(frames, 1),
-        findings=tuple(belt_findings(camera.description.name, watch.gauges()).values()),
+        findings=tuple(belt_findings(camera.description.name, levels).values()),
     )

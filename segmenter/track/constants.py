@@ -34,6 +34,13 @@ SPEEDS_KEPT = 15
 """Frames whose median is the speed: half a second. More is steadier, and slower to see a stop."""
 SPEEDS_TO_LOOK_BACK = 5
 """Speeds known before the belt that ran on unseen is added, once."""
+BACK_MPS = 1.0
+BACK_SPEEDS = 3.0
+BACK_LEAST_M = 0.03
+"""Against its way, metres per second (and so many times its speed, and metres), that no belt runs from one frame to the
+next: the pictures are out of order. Less takes a belt for torn that is turned back; more counts tubers as never there,
+on belt that it calls seen.
+"""
 TALLEST_M = 0.08
 """Metres. Only the belt on which even the tallest load is in the picture is compared: the border stands still."""
 MAX_SPEED_MPS = 3.0

@@ -3,7 +3,8 @@
 A piece of belt passes the centre row unlooked-at when, between two processed frames, the belt moved on by more than
 the view less one tuber: what lay there was whole in neither of them. After a restart what the dead process saw is gone
 with it, but for what it logged: only the view beyond the centre row can make good for that, as far as a tuber is whole
-in it. What stands high leaves the view sooner.
+in it. What stands high leaves the view sooner. Where the load jumps back as no belt does, as much belt may have passed
+unseen: what had lain there is followed no more, and what passes next was taken for belt that had passed.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ class Coverage:
     looked_at_m: float = 0.0
     travelled_m: float = 0.0
     _highest_m: float | None = None
+    _torn_m: float = 0.0
     _resumed: bool = False
 
     @property
@@ -39,8 +41,12 @@ class Coverage:
         """So much of what a dead process saw may lie beyond the centre row and be whole there."""
         return max(0.0, self.beyond_m - USUAL_TUBER_M / 2)
 
-    def step(self, travel_m: float) -> None:
-        """Take the travel of one more processed frame. Belt that runs back and forth is counted once."""
+    def step(self, travel_m: float, *, torn_m: float = 0.0) -> None:
+        """Take the travel of one more processed frame. Belt that runs back and forth is counted once. `torn_m`: how far
+        the load has jumped back in all.
+        """
+        self.travelled_m += torn_m - self._torn_m
+        self._torn_m = torn_m
         if self._highest_m is None:
             self._highest_m = travel_m
             return

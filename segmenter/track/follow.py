@@ -76,6 +76,11 @@ class BeltFollower:
         """As the estimator has it; 0 with an encoder."""
         return self._estimator.carried_ms if self.estimated else 0
 
+    @property
+    def torn_m(self) -> float:
+        """As the estimator has it; 0 while an encoder tells the travel."""
+        return self._estimator.torn_m
+
     def step(self, frame: Frame, heights: HeightMap, instances: Instances, tracker: Tracker) -> BeltMotion:
         """Travel at this frame, and the matches of tracks and instances."""
         self._before_m = self.travel_m if self._begun else None

@@ -20,6 +20,9 @@ from conveyor.kernels import kernel
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import HeightMap
 from segmenter.track.constants import (
+    BACK_LEAST_M,
+    BACK_MPS,
+    BACK_SPEEDS,
     FAR_COST,
     FAR_M,
     FIRST_MATCH,
@@ -64,6 +67,7 @@ class TravelEstimator:
         travel_m: at the newest frame.
         carried_ms: for how long no load was seen to move, so that travel was carried on by the last speed, or, before
             one was known, told later: milliseconds since the run began.
+        torn_m: how far the load jumped back in all, as no belt does: it is not known what passed meanwhile.
     """
 
     def __init__(self, belt: BeltGeometry) -> None:
@@ -82,6 +86,7 @@ class TravelEstimator:
         self._unseen_ms = 0
         self.travel_m = 0.0
         self.carried_ms = 0
+        self.torn_m = 0.0
 
     @property
     def speed_mps(self) -> float:
@@ -122,6 +127,7 @@ class TravelEstimator:
             least = self._least_match(expected_m, elapsed_s)
             shift_m = self._shift(occupied, spectrum, expected_m, reach_m, least)
             self.travel_m += expected_m if shift_m is None else shift_m
+            self.torn_m += self._jump_back_m(shift_m, elapsed_s) if plausible and shift_m is not None else 0.0
             if shift_m is None:
                 self._unseen_ms = round(1000 * max(0.0, elapsed_s))
             if shift_m is not None and plausible and elapsed_s < SPEED_WITHIN_S:
@@ -165,6 +171,12 @@ class TravelEstimator:
             heights.height_mm, heights.stride, step, np.array([a, b, c, t]), np.array([k.fx, k.fy, k.cx, k.cy]),
             rotation, m[:2, 3].copy(), self._x0, self._y0, self._shape,
         )  # fmt: skip
+
+    def _jump_back_m(self, shift_m: float, elapsed_s: float) -> float:
+        """How far the load went against its way since the last frame, where no belt can; else 0."""
+        speed_mps = self.speed_mps
+        most_m = max(BACK_LEAST_M, max(BACK_MPS, BACK_SPEEDS * abs(speed_mps)) * elapsed_s)
+        return abs(shift_m) if shift_m * speed_mps < 0 and abs(shift_m) > most_m else 0.0
 
     def _least_match(self, expected_m: float, elapsed_s: float) -> float:
         """Normalised correlation that a shift needs to be believed: more where the frames may share no belt."""

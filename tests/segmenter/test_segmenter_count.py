@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from segmenter_scene import SMALL, Body, Scene, scattered, tilted
 
+from conveyor.belt_findings import belt_findings
 from conveyor.messages import Frame
 from conveyor.reasons import FrameDrop
 from segmenter.pipeline import ClosedTrack, Segmenter, Settings
@@ -132,6 +133,26 @@ def test_travel_is_estimated_within_half_a_percent_through_stops_and_speed_chang
     assert core.travel_m == pytest.approx(travels[-1], rel=0.005)
     assert all(c.track.travel_estimated for c in closed)
     assert_each_once(closed, [b for b in bodies if -travels[-1] + 0.01 < b.place_x_m], within_m=0.010)
+
+
+@pytest.mark.parametrize(("apart", "told"), [(2, False), (8, True)])
+def test_pictures_out_of_order_cost_coverage_and_are_told(apart: int, told: bool) -> None:
+    """Two pictures in each other's place tore the travel that the load tells: none of 8 tubers, and 100 % looked at."""
+    scene = Scene(scattered(15, seed=1), noise_m=0.001)
+    frames = [scene.frame(i, i * STEP_M, encoder=False) for i in range(70)]
+    one, other = 20, 20 + apart
+    frames[one], frames[other] = (
+        replace(frames[i], depth=frames[j].depth) for i, j in ((one, other), (other, one))
+    )  # fmt: skip
+    core, closed = run(frames)
+    seen = core.looked_at_m / core.travelled_m
+    if not told:
+        assert (core.torn_m, seen, len(closed)) == (0.0, 1.0, 15)
+        return
+    assert core.torn_m == pytest.approx(2 * (apart - 1) * STEP_M, abs=0.01)
+    assert core.travelled_m - core.looked_at_m == pytest.approx(core.torn_m)
+    assert seen < 0.85
+    assert "the load jumped back" in belt_findings("front", {"load_torn_m": core.torn_m})["load_torn_m"]
 
 
 def test_a_frozen_camera_is_noticed_by_the_encoder() -> None:
