@@ -19,8 +19,10 @@ DEPTH_DRIFT_BEYOND = "depth_drift_beyond"
 RODS_UNSEEN = "rods_unseen"
 """Rods of a known pitch are its gauge, and were looked for in vain: its depth is as well known as without one."""
 
-OFF_FROM_MM, OFF_TO_MM = 3, 15
-"""How far off the belt is seen before it is told, and what is no belt any more but an alarm."""
+OFF_FROM_MM, OFF_TO_MM = 3, 20
+"""How far off the belt is seen before it is told, and what is no belt any more: one that is farther off is refused
+(`REFUSE_M` of the segmenter), or it is the ground that is seen.
+"""
 _OFF = "belt_off_"
 
 

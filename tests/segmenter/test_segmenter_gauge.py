@@ -25,6 +25,7 @@ from conveyor.messages import Frame
 from conveyor.resting import RestingLevel
 from segmenter.belt_segmenter import Settings
 from segmenter.frame.belt_keeper import BeltKeeper
+from segmenter.frame.constants import REFUSE_M
 from segmenter.frame.plane import BeltCheck
 from segmenter.frame.watch import BeltWatch
 from segmenter.gauge.estimate import LEAST_LOOKS, REFERENCE_LOOKS, Cause, read
@@ -219,7 +220,8 @@ def test_findings_name_the_cause() -> None:
 def test_a_belts_offset_without_a_cause_is_told_in_whole_millimetres() -> None:
     assert belt_off_flag(0.0024) == ()
     assert belt_off_flag(-0.0041) == ("belt_off_4mm",)
-    assert belt_off_flag(0.040) == (), "that is the ground, or an alarm"
+    assert belt_off_flag(REFUSE_M) == ("belt_off_20mm",), "as far as a belt is taken: from 16 mm on loads looked surer"
+    assert belt_off_flag(0.040) == (), "that is the ground"
     assert belt_off_mm(("cut", "belt_off_4mm")) == 4
     assert belt_off_mm(("belt_off_mm", "belt_off_xmm", DEPTH_DRIFT_BEYOND)) == 0
 
