@@ -50,11 +50,13 @@ def align(ledger_m: NDArray[np.float64], truth_m: NDArray[np.float64], *, gate_m
 
 def _fullest(differences_m: NDArray[np.float64]) -> tuple[float, int]:
     """Centre of the fullest pair of neighbouring bins, and how many differences fall into it."""
-    bins = np.floor((differences_m - differences_m.min()) / BIN_M).astype(np.int64)
-    counts = np.bincount(bins, minlength=2)
-    pairs = counts[:-1] + counts[1:]
+    bins, counts = np.unique(np.floor((differences_m - differences_m.min()) / BIN_M), return_counts=True)
+    counts_at = dict(zip(bins.tolist(), counts.tolist(), strict=True))
+    last = max(bins[-1] - 1, 0)
+    starts = [start for start in np.union1d(bins - 1, bins).tolist() if 0 <= start <= last]
+    pairs = [counts_at.get(start, 0) + counts_at.get(start + 1, 0) for start in starts]
     at = int(np.argmax(pairs))
-    return float(differences_m.min() + (at + 1) * BIN_M), int(pairs[at])
+    return float(differences_m.min() + (starts[at] + 1) * BIN_M), pairs[at]
 
 
 def _refined(
