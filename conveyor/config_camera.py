@@ -141,18 +141,23 @@ class CameraConfig(Section):
 
 
 def at_one_place(cameras: Mapping[str, CameraConfig]) -> tuple[str, ...]:
-    """Live cameras that are said, or by silence taken, to hang where another one hangs: they would see one tuber in two
-    that lie side by side. By name.
+    """Live cameras that are said, or by silence taken, to hang where another one hangs; by name."""
+    return not_apart({name: camera.place for name, camera in cameras.items() if camera.source != "recording"})
+
+
+def not_apart(places: Mapping[str, CameraPlace | None]) -> tuple[str, ...]:
+    """Cameras whose place is that of another one, None: at the belt's origin. They would see one tuber in two that lie
+    side by side. By name.
     """
     from conveyor.camera_place import CameraPlace
 
-    live = {name: camera.place or CameraPlace() for name, camera in cameras.items() if camera.source != "recording"}
-    spots = Counter((place.along_m, place.across_m) for place in live.values())
-    return tuple(sorted(name for name, place in live.items() if spots[place.along_m, place.across_m] > 1))
+    hung = {name: place or CameraPlace() for name, place in places.items()}
+    spots = Counter((place.along_m, place.across_m) for place in hung.values())
+    return tuple(sorted(name for name, place in hung.items() if spots[place.along_m, place.across_m] > 1))
 
 
 def hang_together(cameras: Sequence[str]) -> str:
-    """That live cameras are said to hang at one place."""
+    """That cameras are said to hang at one place."""
     return (
         f"cameras {', '.join(cameras)} are taken to hang at one place of the belt: give across_m or along_m of each, "
         "or its belt_from_camera; `tuberline calibrate cameras RECORDING` measures them"

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from conveyor.camera_place import CameraPlace
 from conveyor.config import load_config
-from conveyor.config_camera import PLACE
+from conveyor.config_camera import PLACE, CameraConfig, hang_together, not_apart
 from conveyor.errors import InputError
+from conveyor.formats.source import CameraDescription
 
 KEYS = ("belt_distance_m", "belt_from_camera", *PLACE)
 
@@ -41,3 +43,13 @@ def belt_in(file: Path) -> dict[str, Any]:
         ConfigError: no line's file.
     """
     return load_config(file).belt.model_dump(exclude_unset=True)
+
+
+def hung_together(told: Sequence[CameraDescription], sections: Mapping[str, CameraConfig]) -> list[str]:
+    """In words, which cameras of a recording hang at one place, by their sections or else by what it says itself."""
+    poses = {d.name: d.belt_from_camera for d in told}
+    places = {
+        name: sections[name].place or (None if pose is None else CameraPlace.of(pose)) for name, pose in poses.items()
+    }
+    together = not_apart(places)
+    return [hang_together(together)] if together else []

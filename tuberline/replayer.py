@@ -20,7 +20,7 @@ from conveyor.observer import Observer, observer_when_there
 from conveyor.processors import usable
 from conveyor.stated import level_fault
 from conveyor.taken_port import check_port_free, free_port
-from tuberline.places import belt_in, places_in
+from tuberline.places import belt_in, hung_together, places_in
 from tuberline.processes import line_processes, usual_regressors
 from tuberline.recorded import has_positions, lost_frames
 from tuberline.supervisor import Supervisor
@@ -111,6 +111,7 @@ def replay_recording(
     notes = [
         f"camera '{name}': {note}" for name, d in zip(cameras, told, strict=True) for note in described_doubtfully(d)
     ]
+    notes += hung_together(told, config.cameras)
     return _count(config, out=out, run=run, show=show, forks=forks, notes=notes)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import tuberline
+from conveyor.config_camera import CameraConfig
 from conveyor.errors import InputError
 from conveyor.formats import camera_names, describe_recording
 from conveyor.formats.cameras import check_readable, open_cameras
@@ -22,6 +23,7 @@ from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
+from tuberline.places import hung_together
 from tuberline.replayer import replay_recording
 
 K = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
@@ -166,6 +168,23 @@ def test_a_camera_that_does_not_look_down_is_refused_with_its_file(recorded: Pat
     edit(recorded, belt_from_camera=full.tolist())
     with pytest.raises(InputError, match=r"front/camera\.json: .* away from the belt: .*tuberline calibrate"):
         describe_recording(recorded)
+
+
+def test_cameras_that_are_said_to_hang_at_one_place_are_told(recorded: Path) -> None:
+    """Two poses of null: 15 of 12 tubers were counted, at each camera's own place, without a word."""
+    shutil.copytree(recorded / "front", recorded / "rear")
+    sections = {name: CameraConfig() for name in ("front", "rear")}
+
+    def told() -> list[str]:
+        return hung_together(describe_recording(recorded).cameras, sections)
+
+    assert told()[0].startswith("cameras front, rear are taken to hang at one place of the belt: give across_m")
+    pose = straight_down_belt_from_camera(0.46)
+    pose[1, 3] = 0.3
+    edit(recorded, belt_from_camera=pose.tolist())
+    assert told() == []
+    sections["rear"] = CameraConfig(across_m=0.3)
+    assert len(told()) == 1
 
 
 def test_a_pose_in_millimetres_is_told_so(recorded: Path, tmp_path: Path) -> None:
