@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from conveyor.errors import ConfigError, InputError
 from conveyor.formats.detect import camera_names, open_source
 from conveyor.formats.prepared import PreparedSource
-from conveyor.formats.source import CameraDescription, Refused
+from conveyor.formats.source import CameraDescription, FrameKey, Refused
 from conveyor.messages import Frame
 from conveyor.topics import check_name
+
+SHORTEST_STEP_NS = 100_000
+"""Between two frames; a tenth of what the fastest camera takes. Times in microseconds, or coarser, lie closer."""
+
+MOST_APART_NS = 24 * 3_600_000_000_000
+"""Between the first frames of two cameras of one recording; a clock from 1970 and one from its start are 56 years
+apart."""
 
 
 class CameraFrames:
@@ -87,14 +94,64 @@ def check_readable(recording: Path) -> list[str]:
 
     Raises:
         InputError: no camera has one; with what was said of the first that was refused. Or a depth scale contradicts
-            the belt distance, or no line can call a camera so.
+            the belt distance, no line can call a camera so, or its clock cannot tell travel, which is not given.
     """
     names = line_names(recording)
-    found = [_first(open_source(recording, camera=name)) for name in names]
+    sources = [open_source(recording, camera=name) for name in names]
+    found = [_first(source) for source in sources]
+    by_clock = {
+        name: item for name, item in zip(names, found, strict=True) if isinstance(item, Frame) and item.travel_m is None
+    }
+    for name, source in zip(names, sources, strict=True):
+        if name in by_clock:
+            _check_clock(source)
+    _check_one_clock(recording, {name: item.captured_ns for name, item in by_clock.items()})
     if not any(isinstance(item, Frame) for item in found):
         fault = next((item.text for item in found if isinstance(item, Refused)), "")
         raise InputError(f"{recording}: no frame can be read" + (f"; the first: {fault}" if fault else ""))
     return names
+
+
+def _check_clock(source: PreparedSource) -> None:
+    """Where the load has to tell travel, it does so by the clock.
+
+    Raises:
+        InputError: frames follow one another sooner than any camera takes them.
+    """
+    frames = (item for item in source.frames(run="check") if isinstance(item, Frame))
+    if not 0 < _step_ns(itertools.islice(frames, 2)) < SHORTEST_STEP_NS:
+        return
+    step_ns = _step_ns(source.keys())
+    if 0 < step_ns < SHORTEST_STEP_NS:
+        raise InputError(
+            f"{source.description.origin}: frames are captured {step_ns:g} ns apart, and their travel is not given, so "
+            "the load must tell it by the clock: give captured_ns in nanoseconds (milliseconds times 1,000,000), or "
+            "travel_m"
+        )
+
+
+def _check_one_clock(recording: Path, first_ns: Mapping[str, int]) -> None:
+    """Cameras whose travel the load tells lie side by side by the clock.
+
+    Args:
+        first_ns: when the first frame of each was captured.
+
+    Raises:
+        InputError: two of them can have no clock in common.
+    """
+    early, late = (pick(first_ns, key=lambda name: first_ns[name], default="") for pick in (min, max))
+    if early and first_ns[late] - first_ns[early] > MOST_APART_NS:
+        raise InputError(
+            f"{recording}: cameras '{early}' and '{late}' begin {(first_ns[late] - first_ns[early]) / 3.6e12:.0f} h "
+            "apart, and their travel is not given, so only a clock in common lays their tubers side by side: give "
+            "captured_ns of one clock, or travel_m"
+        )
+
+
+def _step_ns(frames: Iterable[Frame | FrameKey]) -> float:
+    """The median time from one to the next; 0 where there is one."""
+    steps = np.diff([frame.captured_ns for frame in frames])
+    return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _first(source: PreparedSource) -> Frame | Refused | None:

@@ -212,6 +212,29 @@ def test_capture_times_in_another_unit_are_warned_of(recorded: Path, per_ns: int
     assert all("3.3e-08 s apart but 30 frames a second are given: captured_ns must be in nano" in text for text in told)
 
 
+def test_capture_times_in_another_unit_need_travel(recorded: Path) -> None:
+    """The load could not have moved in so short a time: `replay` said 0 of 8 tubers, and 100 % of the belt seen."""
+    for travel in (".1", ""):
+        rows = [f"{seq},{seq * 33_000},{travel}" for seq in range(FRAMES)]
+        (recorded / "front" / "frames.csv").write_text("\n".join(["seq,captured_ns,travel_m", *rows]) + "\n")
+        if travel:
+            assert check_readable(recorded) == ["front"]
+    with pytest.raises(InputError, match=r"front: frames are captured 33000 ns apart, and their travel is not given"):
+        check_readable(recorded)
+
+
+def test_cameras_without_travel_need_a_clock_in_common(recorded: Path) -> None:
+    """One that counted from 1970 and one from its start: tubers that both saw counted twice, 15 of 12."""
+    shutil.copytree(recorded / "front", recorded / "rear")
+    for travel in ("0.1", ""):
+        rows = [f"{seq},{1_760_000_000 * 10**9 + seq * 33_000_000},{travel}" for seq in range(FRAMES)]
+        (recorded / "rear" / "frames.csv").write_text("\n".join(["seq,captured_ns,travel_m", *rows]) + "\n")
+        if travel:
+            assert check_readable(recorded) == ["front", "rear"]
+    with pytest.raises(InputError, match=r"cameras 'front' and 'rear' begin 488889 h apart, and their travel is not"):
+        check_readable(recorded)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
