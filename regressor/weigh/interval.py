@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from regressor.weigh.rule_json import number, numbers
 from regressor.weigh.unlike import CameraRule, fit_camera
-from regressor.weigh.viewscale import ScaleRule, fit_scale
+from regressor.weigh.viewscale import ScaleRule, beyond, fit_scale
 
 LEVEL = 0.9
 EDGES_G = (0.0, 50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0, np.inf)
@@ -80,9 +80,7 @@ class IntervalRule:
 
     def beyond(self, distance_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
         """What the intervals of views (n,) metres from the belt are multiplied by: 1 as far as was calibrated."""
-        farthest_m = np.inf if self.farthest_m is None else self.farthest_m
-        wider: NDArray[np.float64] = np.maximum(np.asarray(distance_m) / farthest_m, 1.0) ** FARTHER
-        return wider
+        return beyond(distance_m, self.farthest_m, FARTHER)
 
     def _reach_g(
         self, predicted_g: NDArray[np.float64], terms: NDArray[np.float64]

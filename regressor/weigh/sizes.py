@@ -25,7 +25,7 @@ from conveyor.statistics import NORMAL_90
 from regressor.weigh import completed, surface
 from regressor.weigh.prepare import PreparedCloud
 from regressor.weigh.quadratic import QuadraticRule, fit_quadratic
-from regressor.weigh.viewscale import ScaleRule, fit_scale
+from regressor.weigh.viewscale import ScaleRule, beyond, fit_scale
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "tuberline-sizes.json"
 FORMAT = "tuberline-sizes/1"
@@ -70,7 +70,7 @@ class SizeRules:
     def sizes(self, features: NDArray[np.float64], terms: NDArray[np.float64], *, distance_m: float) -> Sizes:
         """Of one view: its (21,) features, (6,) `view_terms` and distance to the belt. Axes come out sorted."""
         found, before, value_terms = {}, None, None
-        wider = 1.0 if self.farthest_m is None else max(distance_m / self.farthest_m, 1.0) ** FARTHER
+        wider = float(beyond(distance_m, self.farthest_m, FARTHER))
         for name, rule in self.rules.items():
             if value_terms is None or before is None or not rule.value.alike(before):
                 before, value_terms = rule.value, rule.value.terms(features[None])

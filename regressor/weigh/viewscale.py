@@ -36,6 +36,15 @@ CLIP_SHARE = 0.005
 MAX_RATIO = 100.0
 
 
+def beyond(distance_m: NDArray[np.float64] | float, farthest_m: float | None, power: float) -> NDArray[np.float64]:
+    """What errors of views (n,) metres from the belt are multiplied by: 1 as far as was fitted, then a power of it.
+
+    `farthest_m`: None where it was not noted; nothing grows then.
+    """
+    wider: NDArray[np.float64] = np.maximum(np.asarray(distance_m) / (farthest_m or np.inf), 1.0) ** power
+    return wider
+
+
 def view_terms(
     weight_g: NDArray[np.float64],
     network_g: NDArray[np.float64],
