@@ -266,8 +266,7 @@ class SegmenterNode:
         core = camera_run.core
         self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, told=core.told)
         levels = self._belt.gauges()
-        levels |= core.gauge.gauges()
-        levels |= {"encoder_behind_m": core.encoder_behind_m, "load_torn_m": core.torn_m}
+        levels |= core.gauge.gauges() | core.travel_gauges()
         if core.noise_px is not None:
             levels["camera_noise_px"] = core.noise_px
         for name, level in levels.items():
