@@ -11,8 +11,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     Args:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
-            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, load_torn_m, and those of
-            its gauge.
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, load_torn_m, masks_merged,
+            and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -55,6 +55,12 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             "does: pictures are out of order, or not all of this belt. Tubers may be missing, or counted twice, and so "
             "much belt counts as not seen. Look at the pictures (`tuberline watch`); an encoder tells travel without "
             "them"
+        )
+    if merged := gauges.get("masks_merged"):
+        found["masks_merged"] = (
+            f"camera '{camera}': in {merged:.0f} frames a label of the given masks lies in several places apart, so "
+            "tubers are taken for one, or do not count. Give each tuber a label of its own (1, 2, 3, ..., not 255 to "
+            "all), or have them found on depth (`replay --ignore-masks`, or ignore_masks in a line's file)"
         )
     if gauges.get("gauge_unseen"):
         found["gauge_unseen"] = (

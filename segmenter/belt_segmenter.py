@@ -17,6 +17,7 @@ from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.constants import DRIFT_M
 from segmenter.frame.heights import HeightMap, height_map
 from segmenter.frame.instances import Instances, SplitSettings, given
+from segmenter.frame.mask_watch import MaskWatch
 from segmenter.frame.noise_watch import NoiseWatch
 from segmenter.frame.sides import with_own_centres
 from segmenter.perception import Perception, PerceptionSettings
@@ -84,6 +85,7 @@ class BeltSegmenter:
         self.coverage = Coverage(high_m - low_m, beyond_m)
         self.decider = TrackDecider(settings.count, perception, belt_sd_m=settings.belt_sd_m, resting=settings.resting)
         self.noise = NoiseWatch()
+        self.masks = MaskWatch()
         self.flags: tuple[str, ...] = ()
         self.refused: Counter[str] = Counter()
         self.instances: Instances | None = None
@@ -193,6 +195,7 @@ class BeltSegmenter:
             instances = self._perception.find(heights, self.belt)
         else:
             instances = given(frame.mask, heights, self.belt)
+            self.masks.step(instances, cell_mm=heights.cell_mm)
         self.refused.update(instances.refused)
         return with_own_centres(instances, self.belt)
 

@@ -266,7 +266,7 @@ class SegmenterNode:
         core = camera_run.core
         self._belt.step(core.belt_check, core.instances, travel_m=core.travel_m, told=core.told)
         levels = self._belt.gauges()
-        levels |= core.gauge.gauges() | core.travel_gauges()
+        levels |= core.gauge.gauges() | core.gauges()
         if core.noise_px is not None:
             levels["camera_noise_px"] = core.noise_px
         for name, level in levels.items():

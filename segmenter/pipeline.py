@@ -116,9 +116,18 @@ class Segmenter:
         """How far the load jumped back in all, as no belt does, where no encoder tells travel; metres."""
         return self._running.follower.torn_m if self._running else 0.0
 
-    def travel_gauges(self) -> dict[str, float]:
-        """Levels of what encoder and load say of the travel, as `conveyor.belt_findings` takes them."""
-        return {"encoder_behind_m": self.encoder_behind_m, "load_torn_m": self.torn_m}
+    @property
+    def merged_masks(self) -> int:
+        """Frames in which a given mask's label lies in several places apart."""
+        return self._running.masks.merged if self._running else 0
+
+    def gauges(self) -> dict[str, float]:
+        """Levels of what encoder, load and given masks say, as `conveyor.belt_findings` takes them."""
+        return {
+            "encoder_behind_m": self.encoder_behind_m,
+            "load_torn_m": self.torn_m,
+            "masks_merged": self.merged_masks,
+        }
 
     @property
     def belt(self) -> BeltGeometry | None:

@@ -80,7 +80,7 @@ def _camera(camera: CameraFrames, settings: Settings, target: Path | None, targe
         if target is not None and frame.seq == target_seq and core.instances is not None and core.belt is not None:
             save_picture(target, draw(frame, core.instances, core.belt, rejected=core.taken_for_distractors))
     tracks += [closed.track for closed in core.finish()]
-    levels = watch.gauges() | core.travel_gauges()
+    levels = watch.gauges() | core.gauges()
     return CameraResult(
         camera=camera.description.name,
         frames=frames,

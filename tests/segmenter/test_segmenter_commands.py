@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,22 @@ def test_segment_counts_and_draws(recording: Path, tmp_path: Path, capsys: pytes
     image = cv2.imread(str(picture))
     assert image.shape == (SMALL.height, SMALL.width, 3)
     assert image.std() > 20
+
+
+def test_masks_of_one_label_for_all_are_told(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Masks of 0 and 255: `replay` counted 0 of 8 tubers, with all belt seen and no word."""
+    binary = shutil.copytree(recording, tmp_path / "binary")
+    for path in (binary / "front" / "mask").glob("*.png"):
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), np.where(labels > 0, 255, 0).astype(np.uint16))
+    for folder, counted, told in ((recording, 6, False), (binary, 1, True)):
+        segment(folder, masks=True, json=True)
+        (camera,) = json.loads(capsys.readouterr().out)
+        assert len(camera["tracks"]) == counted
+        findings = [text for text in camera["findings"] if "a label of the given masks lies in several places" in text]
+        assert len(findings) == len(camera["findings"]) == told
 
 
 def test_evaluate_segmentation_scores_the_masks(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
