@@ -169,14 +169,22 @@ OnFrame = Callable[[int, int | None], None]
 
 
 def open_cameras(
-    recording: Path, *, ignore_masks: bool = False, on_frame: OnFrame = lambda done, total: None
+    recording: Path,
+    *,
+    ignore_masks: bool = False,
+    follow: bool = False,
+    on_frame: OnFrame = lambda done, total: None,
 ) -> list[CameraFrames]:
     """Every camera of a recording of any kind, in its own order, each opened as `replay` opens it.
 
+    Args:
+        follow: its load is followed from frame to frame, so its clock must tell travel where that is not given.
+
     Raises:
-        InputError: no recording of a known kind, one that cannot be used, or a camera that no line can call so.
+        InputError: no recording of a known kind, one that cannot be used, or a camera that no line can call so; to
+            `follow` also what `check_readable` refuses.
     """
-    names = line_names(recording)
+    names = check_readable(recording) if follow else line_names(recording)
     sources = [open_source(recording, camera=name, ignore_masks=ignore_masks) for name in names]
     counts = [source.description.frames for source in sources]
     total = None if None in counts else sum(count or 0 for count in counts)

@@ -53,7 +53,7 @@ def segment_recording(
     """
     settings = settings or Settings()
     warm_up(settings.split.pixel_mm)
-    cameras = open_cameras(recording, ignore_masks=not masks, on_frame=on_frame)
+    cameras = open_cameras(recording, ignore_masks=not masks, follow=True, on_frame=on_frame)
     results = []
     for camera in cameras:
         target = picture

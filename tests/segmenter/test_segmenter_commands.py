@@ -13,6 +13,7 @@ from segmenter_scene import SMALL, Scene, scattered
 
 from conveyor.errors import InputError
 from tuberline.cli.calibrate_belt import calibrate_belt
+from tuberline.cli.calibrate_cameras import calibrate_cameras
 from tuberline.cli.segmentation import evaluate_segmentation, segment
 
 STEP_M = 0.0133
@@ -100,6 +101,12 @@ def test_errors_name_the_file_and_what_it_lacks(recording: Path, tmp_path: Path)
     (broken / "depth" / "000000.png").write_bytes(b"\x89PNG\r\n\x1a\n torn")
     with pytest.raises(InputError, match=r"no frame can be read; the first: .*000000\.png is truncated"):
         segment(broken)
+    microseconds = [f"{seq},{seq * 33_333}," for seq in range(40)]
+    (broken / "frames.csv").write_text("\n".join(["seq,captured_ns,travel_m", *microseconds]) + "\n")
+    shutil.copytree(recording / "front" / "depth", broken / "depth", dirs_exist_ok=True)
+    for command in (segment, calibrate_cameras):  # 0 of 6 tubers, without a word
+        with pytest.raises(InputError, match=r"frames are captured 33333 ns apart, and their travel is not given"):
+            command(broken)
     (broken / "frames.csv").write_text("number\n1\n")
     with pytest.raises(InputError, match=r"frames\.csv line 1: the header must be 'seq,captured_ns,travel_m'"):
         segment(broken)

@@ -59,7 +59,7 @@ def calibrate_cameras(
     from segmenter.calibrate_cameras import place_cameras, see_load
     from tuberline.cli.progress import work_bar
 
-    cameras = open_cameras(recording, ignore_masks=True)
+    cameras = open_cameras(recording, ignore_masks=True, follow=True)
     told = cameras[0].description.belt_from_camera
     said = CameraPlace() if told is None else CameraPlace.of(cameras[0].recorded_pose(told))
     first = CameraPlace(said.along_m if along_m is None else along_m, said.across_m if across_m is None else across_m)
