@@ -78,6 +78,7 @@ def replay_recording(
         TuberlineError: a node gave up; the text carries its last words.
     """
     from conveyor.formats import open_source
+    from conveyor.formats.detect import unnamed_cameras
     from conveyor.formats.inspection import described_doubtfully
 
     if regressors is not None and regressors < 1:
@@ -108,7 +109,8 @@ def replay_recording(
     take_positions(recording, out)
     run = run_id(recording)
     _keep(config, out=out, run=run)
-    notes = [
+    notes = unnamed_cameras(recording)
+    notes += [
         f"camera '{name}': {note}" for name, d in zip(cameras, told, strict=True) for note in described_doubtfully(d)
     ]
     notes += hung_together(told, config.cameras)

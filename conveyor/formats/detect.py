@@ -222,6 +222,19 @@ def _folders(path: Path) -> dict[str, Path]:
     return {name: path / name for name in names}
 
 
+def unnamed_cameras(path: Path) -> list[str]:
+    """For people: which camera folders of the recording at `path` are left out, for its line.json names others."""
+    line = path / "line.json"
+    if not line.is_file() or (path / "camera.json").is_file() or _folder_kind(path) != "folder":
+        return []
+    named = _named_in(line)
+    there = [folder.parent.name for folder in sorted(path.glob("*/camera.json"))]
+    out = ", ".join(f"'{name}'" for name in there if name not in named)
+    told = f"{line} names {', '.join(named)} alone, so {out} beside it is left out"
+    fix = 'name it in "cameras" there too, or remove line.json: all folders with a camera.json are taken then'
+    return [f"{told}; {fix}"] if out else []
+
+
 def _named_in(line: Path) -> list[str]:
     """The cameras that a line.json names."""
     raw = read_json(line)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.formats.beside import recording_files
-from conveyor.formats.detect import camera_names, open_unchecked, recording_kind
+from conveyor.formats.detect import camera_names, open_unchecked, recording_kind, unnamed_cameras
 from conveyor.formats.positions import POSITIONS_FILE
 from conveyor.formats.scale_check import expected_distance_m, median_depth_m, scale_fault
 from conveyor.formats.source import CameraDescription, FrameKey, RecordedSource, Refused
@@ -67,12 +67,15 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True)
 class RecordingReport:
-    """A recording of one or more cameras; `positions`: of the machine, beside the frames."""
+    """A recording of one or more cameras; `positions`: of the machine, beside the frames. `warnings`: of no camera
+    alone.
+    """
 
     path: str
     kind: str
     cameras: tuple[CameraReport, ...]
     positions: int = 0
+    warnings: tuple[str, ...] = ()
 
 
 def inspect_recording(path: Path) -> RecordingReport:
@@ -84,7 +87,8 @@ def inspect_recording(path: Path) -> RecordingReport:
     kind = recording_kind(path)
     cameras = tuple(_inspect(open_unchecked(path, kind, name)) for name in camera_names(path))
     positions = recording_files(path).get(POSITIONS_FILE, b"")
-    return RecordingReport(str(path), kind, cameras, max(positions.count(b"\n") - 1, 0))
+    told = tuple(unnamed_cameras(path))
+    return RecordingReport(str(path), kind, cameras, max(positions.count(b"\n") - 1, 0), told)
 
 
 def _inspect(source: RecordedSource) -> CameraReport:

@@ -23,6 +23,7 @@ from conveyor.formats.inspection import inspect_recording
 from conveyor.formats.source import CameraDescription
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
 from conveyor.messages import Frame
+from tuberline.cli.recordings import convert
 from tuberline.places import hung_together
 from tuberline.replayer import replay_recording
 
@@ -105,6 +106,21 @@ def test_a_line_file_that_names_no_cameras_is_refused_with_what_it_must_read(
     (recorded / "line.json").write_text(line)
     with pytest.raises(InputError, match=r"line\.json (must read .*)?" + said):
         camera_names(recorded)
+
+
+def test_cameras_that_the_line_file_does_not_name_are_told(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They were left out without a word: `replay` counted what one of two cameras saw, with all belt seen."""
+    for name in ("rear", "side"):
+        shutil.copytree(recorded / "front", recorded / name)
+    (recorded / "line.json").write_text('{"cameras": ["front", "rear", "side"]}')
+    assert inspect_recording(recorded).warnings == ()
+    (recorded / "line.json").write_text('{"cameras": ["front"]}')
+    (told,) = inspect_recording(recorded).warnings
+    assert "line.json names front alone, so 'rear', 'side' beside it is left out; name it in" in told
+    convert(recorded, tmp_path / "out.mcap")
+    assert capsys.readouterr().err == f"warning: {told}\n"
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ def print_report(report: RecordingReport) -> None:
     console.print(table)
     if report.positions:
         console.print(f"{report.positions} positions of the machine")
+    for warning in report.warnings:
+        console.print(Text(f"warning: {warning}"), soft_wrap=True)
     for camera in report.cameras:
         for warning in camera.warnings:
             console.print(Text(f"warning: camera '{camera.name}': {warning}"), soft_wrap=True)

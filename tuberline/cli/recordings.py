@@ -13,6 +13,14 @@ from tuberline.cli.numbers import BeltDistance, within
 TargetFormat = Literal["auto", "folder", "mcap", "ros2", "foxglove"]
 
 
+def tell_unnamed(recording: Path) -> None:
+    """A line on stderr where camera folders of a recording are left out."""
+    from conveyor.formats.detect import unnamed_cameras
+
+    for text in unnamed_cameras(recording):
+        sys.stderr.write(f"warning: {text}\n")
+
+
 def recover(path: Path, /, *, out: Path | None = None, json: bool = False) -> None:
     """Save what is whole of an MCAP file whose writer was killed, as a new file that every reader takes.
 
@@ -115,6 +123,7 @@ def convert(
         raise InputError("--recording and --run are for --format foxglove, which shows what a run counted")
     if format == "foxglove" and part is not None:
         raise InputError("--part is not for --format foxglove: take the run out with `tuberline convert` first")
+    tell_unnamed(source)
     with whole_output(target) as partial, frames_bar() as on_frame:
         stated: dict[str, Any] = {"belt_distance_m": belt_distance_m, "depth_scale_m": depth_scale_m}
         if format == "foxglove":
