@@ -1,4 +1,6 @@
-"""What a replay makes of a recording beside its frames: positions that are told again, frames that are not there."""
+"""What a replay makes of a recording beside its frames: positions that are told again, frames that are not there, why
+nothing was counted.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.reasons import TrackRefusal
+
+DISCARDED = "discarded_"
+"""Begins the names of what a sheet of tracks holds of those that do not count; the reason follows."""
 
 
 def lost_frames(cameras: Mapping[str, Any], *, logs: Path) -> list[str]:
@@ -16,6 +22,31 @@ def lost_frames(cameras: Mapping[str, Any], *, logs: Path) -> list[str]:
         f"said of each stands in {logs / f'camera-{name}.log'}"
         for name, sheet in cameras.items()
         if (gaps := sheet["frames"].get("gaps", 0))
+    ]
+
+
+def none_counted(summary: Mapping[str, Any]) -> list[str]:
+    """In words, by camera of a summary, why what was seen does not count, where nothing does."""
+    if summary["totals"]["count"] or summary["state"] == "nothing seen":
+        return []
+    told = []
+    for name, sheet in summary["cameras"].items():
+        tracks = {key.removeprefix(DISCARDED): n for key, n in sheet["tracks"].items() if key.startswith(DISCARDED)}
+        told += not_counted_told(
+            name, tracks, frames=sheet["frames"].get("processed", 0), travelled_m=sheet.get("travelled_m", 0.0)
+        )
+    return told
+
+
+def not_counted_told(camera: str, discarded: Mapping[str, int], *, frames: int, travelled_m: float) -> list[str]:
+    """In words, why no track of a camera counts; nothing where it had none. `discarded`: how many, by reason."""
+    if not discarded:
+        return []
+    meanings = {str(reason): reason.meaning for reason in TrackRefusal}
+    reasons = "; ".join(f"{n} {reason} ({meanings.get(reason, '')})" for reason, n in sorted(discarded.items()))
+    return [
+        f"camera '{camera}': none of {sum(discarded.values())} tracks counts, in {frames} frames over "
+        f"{travelled_m:.2f} m of belt: {reasons}"
     ]
 
 

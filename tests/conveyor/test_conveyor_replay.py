@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ from conveyor.config import LineConfig
 from conveyor.errors import InputError
 from tuberline.cli.replay import parse_speed
 from tuberline.processes import line_processes
-from tuberline.recorded import lost_frames
+from tuberline.recorded import lost_frames, none_counted
 from tuberline.replayer import fingerprint, prepare_out, replay_config
 
 
@@ -82,3 +83,16 @@ def test_frames_that_were_lost_are_told_with_their_number(tmp_path: Path) -> Non
     (told,) = lost_frames(cameras, logs=tmp_path)
     assert "camera 'left': 100 of 210 frames are missing or cannot be read" in told
     assert str(tmp_path / "camera-left.log") in told
+
+
+def test_why_nothing_counts_is_told() -> None:
+    """Of two frames, no tuber crosses between them: 0 tubers and 100 % of the belt seen, and no word."""
+    tracks = {"opened": 5, "counted": 0, "open": 0, "discarded_not_crossed": 4, "discarded_flat": 1}
+    seen = {"frames": {"processed": 2}, "tracks": tracks, "travelled_m": 0.02}
+    never = {"state": "never heard", "frames": {}, "views": {}, "tracks": {}}
+    summary: dict[str, Any] = {"state": "ended", "totals": {"count": 0}, "cameras": {"left": seen, "right": never}}
+    (told,) = none_counted(summary)
+    assert told.startswith("camera 'left': none of 5 tracks counts, in 2 frames over 0.02 m of belt: 1 flat (it is too")
+    assert "; 4 not_crossed (it did not reach the centre row before the last frame)" in told
+    assert none_counted(summary | {"totals": {"count": 1}}) == []
+    assert none_counted(summary | {"state": "nothing seen"}) == []

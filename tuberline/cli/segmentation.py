@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json as json_module
 import sys
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from conveyor.errors import InputError
 from tuberline.cli.numbers import within
 from tuberline.cli.recordings import tell_unnamed
+from tuberline.recorded import not_counted_told
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,7 +102,9 @@ def segment(
     console = Console(stderr=True)
     console.print(table)
     _warn_of_unreadable(console, results)
-    for finding in (finding for r in results for finding in r.findings):
+    uncounted = [r for r in results if not r.tracks]
+    none = [not_counted_told(r.camera, r.discarded, frames=r.frames, travelled_m=r.travelled_m) for r in uncounted]
+    for finding in itertools.chain(*(r.findings for r in results), *none):
         console.print(f"warning: {finding}", markup=False, highlight=False)
 
 
