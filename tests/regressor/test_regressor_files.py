@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -165,6 +167,8 @@ def test_broken_pairs_are_named(twin: Path) -> None:
     wrong_scale = FileOptions(belt_distance_m=0.345, depth_scale_m=0.0001)
     result = weigh_file(depth, wrong_scale, Weigher(None, Sidecar(name="none")))
     assert "--depth-scale-m" in result.error
+    result = weigh_file(depth, replace(wrong_scale, depth_scale_m=1), Weigher(None, Sidecar(name="none")))
+    assert re.search(r"the tuber lies \d{3} m away at a depth scale of 1 m a unit, and .*--depth-scale-m", result.error)
     depth.write_bytes(depth.read_bytes()[:2000])
     result = weigh_file(depth, FileOptions(belt_distance_m=0.345), Weigher(None, Sidecar(name="none")))
     assert result.weighed is None

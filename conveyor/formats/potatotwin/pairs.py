@@ -23,6 +23,10 @@ INSIDE = 255
 edge blends (alpha 1 to 254) is outside; half of such a pixel's depth is belt, and it would pull the rim down."""
 
 
+class NoDepthError(InputError):
+    """A pair that shows nothing of its tuber, though both images can be read."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pair:
     """`depth` (H, W) uint16, units of the intrinsics file; `mask` (H, W) bool; `bgr` (H, W, 3) uint8."""
@@ -67,7 +71,8 @@ def read_pair(path: Path, *, intrinsics: Intrinsics, depth_scale_m: float, max_d
     """The masked depth of a pair, cropped to its mask. As in the reference: alpha exactly 255, 0 < z < `max_depth_m`.
 
     Raises:
-        InputError: unreadable, wrong type, other size, empty mask.
+        InputError: unreadable, wrong type, other size.
+        NoDepthError: no pixel of the mask has a depth.
     """
     depth_path, rgb_path = pair_of(path)
     pair = read_images(depth_path, rgb_path, intrinsics)
@@ -76,7 +81,7 @@ def read_pair(path: Path, *, intrinsics: Intrinsics, depth_scale_m: float, max_d
     depth = pair.depth
     inside = pair.mask & (depth > 0) & (depth.astype(np.float64) * depth_scale_m < max_depth_m)
     if not inside.any():
-        raise InputError(f"{rgb_path}: no pixel has alpha {INSIDE} and a depth in 0..{max_depth_m} m")
+        raise NoDepthError(_no_depth_said(pair, depth_path, rgb_path, depth_scale_m=depth_scale_m, most_m=max_depth_m))
     rows, columns = np.nonzero(inside.any(1))[0], np.nonzero(inside.any(0))[0]
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
     crop = np.where(inside, depth, 0)[box].astype(np.uint16)
@@ -89,6 +94,21 @@ def read_pair(path: Path, *, intrinsics: Intrinsics, depth_scale_m: float, max_d
         cy=intrinsics.cy - float(rows[0]),
     )
     return MaskedDepth(crop, shifted)
+
+
+def _no_depth_said(pair: Pair, depth_path: Path, rgb_path: Path, *, depth_scale_m: float, most_m: float) -> str:
+    """What is missing: the mask, its depth, or a depth scale that puts it over the belt."""
+    if not pair.mask.any():
+        return f"{rgb_path} marks no tuber: no pixel has alpha {INSIDE}"
+    depth = pair.depth[pair.mask & (pair.depth > 0)]
+    if not len(depth):
+        return f"{depth_path} has no depth where the alpha of {rgb_path.name} is {INSIDE}"
+    return (
+        f"{depth_path}: the tuber lies {float(np.median(depth)) * depth_scale_m:.4g} m away at a depth scale of "
+        f"{depth_scale_m:g} m a unit, and depths count to {most_m:g} m: check the depth scale (--depth-scale-m: "
+        "0.001 for 1 mm units, 0.0001 for the D405's own; depth_scale of an intrinsics file is units per metre) and "
+        "the belt distance"
+    )
 
 
 def _read_rgba(path: Path) -> NDArray[np.uint8] | None:
