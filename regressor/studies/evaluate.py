@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -47,7 +47,8 @@ class Evaluation:
         predicted: method to (n,) grams. low_g, high_g: (n,) the 90 % interval as weighed.
         weight_g: (n,) truth. tuber, recording, and `groups` (name of a grouping to (n,) labels): (n,) str.
         level_sd_m: (n,) how well the resting level is known, standard deviation.
-        flags: how many views carried each. refused: views that could not be weighed, by reason.
+        flags: how many views carried each. refused: views that could not be weighed, by reason;
+            refused_first: the name of the first of them.
         unlike: (n,) whether a view was flagged as one of a camera unlike a good one.
         shared_sd_share, shared_bias_share, shared_level_share_per_mm, shared_other_share: of the weights' sidecar, for
             the intervals of fused tubers and of loads.
@@ -70,6 +71,7 @@ class Evaluation:
     shared_other_share: float
     model: str
     target: str = "weight_g"
+    refused_first: dict[str, str] = field(default_factory=dict)
 
 
 def evaluate(
@@ -135,7 +137,7 @@ def evaluate_views(
             cloud = view.prepare()
         except RefusedCloud as refusal:
             refused[refusal.reason] += 1
-            seen.refused(view.tuber, view.weight_g, refusal)
+            seen.refused(view.tuber, view.weight_g, refusal, name=view.name)
             continue
         seen.usable(view.tuber, view.weight_g, cloud)
         length, width, _ = oriented_box_m(cloud.points)
@@ -147,7 +149,8 @@ def evaluate_views(
         if progress is not None:
             progress(done)
     seen.check(refused)
-    return _collect(views, answers, np.array(alone_g), np.array(features), dict(refused), weigher)
+    result = _collect(views, answers, np.array(alone_g), np.array(features), dict(refused), weigher)
+    return replace(result, refused_first=seen.first)
 
 
 def _network_g(weigher: Scale, cloud: PreparedCloud, answer: Weighed) -> float:

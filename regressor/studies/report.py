@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from regressor.studies.evaluate import LINEAR_BOX, NETWORK, SHIPPED, Evaluation, coverage, group_scores, method_scores
+from regressor.training.plausible import refused_told
 
 COLUMNS = ("mae_g", "rmse_g", "bias_g", "r2", "tuber_mae_g", "tuber_rmse_g", "load_bias_percent")
 
@@ -24,6 +25,7 @@ def summary(result: Evaluation) -> dict[str, Any]:
         "coverage": coverage(result),
         "flags": result.flags,
         "refused": result.refused,
+        "refused_first": result.refused_first,
     }
 
 
@@ -71,7 +73,8 @@ def markdown(measured: dict[str, Any], *, title: str) -> str:
         f"90 % intervals cover {100 * held['views']:.1f} % of the views (mean width {held['mean_width_g']:.1f} g), "
         f"{100 * held['tubers']:.1f} % of the fused tubers and {100 * held['loads']:.1f} % of loads of 300 drawn "
         f"tubers (half width {held['load_half_width_percent']:.2f} %).",
-        f"Flags: {_counts(measured['flags'])}. Refused: {_counts(measured['refused'])}.",
+        f"Flags: {_counts(measured['flags'])}. Refused: "
+        f"{refused_told(measured['refused'], measured.get('refused_first', {})) or 'none'}.",
         "",
         "## As weighed, by group",
         "",

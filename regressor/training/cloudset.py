@@ -48,6 +48,9 @@ LABELS = (
     *("tuber", "cultivar", "season", "recording", "preset", "surface", "pose", "rim", "calibrated"),
 )
 
+TOLD = ("refused", "refused_first")
+"""Fields of a set that have no row for each view."""
+
 Target = Literal["weight_g", "volume_ml", "length_mm"]
 TARGET_POWER: dict[Target, int] = {"weight_g": 3, "volume_ml": 3, "length_mm": 1}
 """What a network may learn, and the power of a tuber's scale that it grows with."""
@@ -80,7 +83,7 @@ class CloudSet:
         noise_px: (n,) local noise on the skin, NaN where it is not known (`PreparedCloud.noise_px`).
         points_in_cloud: (n,) how many points the whole cloud had.
         network_g: (n,) float64, what the network said that was asked of the whole cloud; NaN where none was.
-        refused: how many views could not be prepared, by reason.
+        refused: how many views could not be prepared, by reason. refused_first: the name of the first of them.
     """
 
     points: NDArray[np.float32]
@@ -110,6 +113,7 @@ class CloudSet:
     points_in_cloud: NDArray[np.int64]
     network_g: NDArray[np.float64]
     refused: dict[str, int]
+    refused_first: dict[str, str]
 
     def __len__(self) -> int:
         return len(self.weight_g)
@@ -132,7 +136,7 @@ class CloudSet:
     def subset(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> CloudSet:
         """The chosen rows."""
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return CloudSet(**{k: v if k == "refused" else v[rows] for k, v in parts.items()})
+        return CloudSet(**{k: v if k in TOLD else v[rows] for k, v in parts.items()})
 
     def with_target(self, target: Target) -> CloudSet:
         """The set with `target` in the place of the weight; views where it is not known are refused.
@@ -210,12 +214,14 @@ def joined(sets: list[CloudSet]) -> CloudSet:
     """One set after the other; there must be one."""
     if len(sets) == 1:
         return sets[0]
-    names = [f.name for f in fields(CloudSet) if f.name != "refused"]
+    names = [f.name for f in fields(CloudSet) if f.name not in TOLD]
     refused: Counter[str] = Counter()
+    first: dict[str, str] = {}
     for part in sets:
         refused.update(part.refused)
+        first = part.refused_first | first
     columns = {name: np.concatenate([getattr(part, name) for part in sets]) for name in names}
-    return CloudSet(**columns, refused=dict(refused))
+    return CloudSet(**columns, refused=dict(refused), refused_first=first)
 
 
 def identity(data: CloudSet) -> NDArray[np.str_]:
@@ -259,7 +265,7 @@ def _prepare_all(
             cloud = view.prepare()
         except RefusedCloud as error:
             refused[error.reason] += 1
-            seen.refused(view.tuber, view.weight_g, error)
+            seen.refused(view.tuber, view.weight_g, error, name=view.name)
             continue
         seen.usable(view.tuber, view.weight_g, cloud)
         # The whole cloud is let go: its first points are what is kept of it.
@@ -278,6 +284,7 @@ def _prepare_all(
         points_in_cloud=np.array([count for *_, count in kept]),
         network_g=np.array([math.nan if grams is None else grams for grams in network_g]),
         refused=dict(refused),
+        refused_first=seen.first,
         **{name: np.array([getattr(view, name) for view in labels]) for name in LABELS},
     )
 
@@ -289,9 +296,9 @@ def _first_points(points: NDArray[np.float32], keep: int) -> NDArray[np.float32]
 
 def _write_cache(file: Path, data: CloudSet) -> None:
     """Whole, or not at all: trainings that share a cache may write the same file at the same time."""
-    arrays = {f.name: getattr(data, f.name) for f in fields(data) if f.name != "refused"}
+    columns = {f.name: getattr(data, f.name) for f in fields(data)}
     with whole_output(file) as partial:
-        np.savez(partial, refused=json.dumps(data.refused), **arrays)
+        np.savez(partial, **columns | {name: json.dumps(columns[name]) for name in TOLD})
 
 
 def _read_cache(file: Path) -> CloudSet | None:
@@ -299,7 +306,6 @@ def _read_cache(file: Path) -> CloudSet | None:
     try:
         with np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        arrays["refused"] = json.loads(str(arrays["refused"]))
-        return CloudSet(**arrays)
+        return CloudSet(**arrays | {name: json.loads(str(arrays[name])) for name in TOLD})
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         return None

@@ -50,7 +50,7 @@ class LabelledView:
     silhouette without depth, the angles of the shortest and longest axis to the vertical, and `soil_mm`, how thick
     soil sticks to tubers that weigh without it, NaN elsewhere.
     `row_share` is the tuber's place in the image along the belt, 0 (top) to 1 (bottom). Either `depth` or `cloud`
-    ((N, 3), camera frame, metres) is given.
+    ((N, 3), camera frame, metres) is given. `name` is that of its file, else of its tuber.
     """
 
     depth: NDArray[np.uint16] | None
@@ -81,6 +81,7 @@ class LabelledView:
     shortest_deg: float = math.nan
     longest_deg: float = math.nan
     soil_mm: float = math.nan
+    name: str = UNKNOWN
 
     @property
     def soil(self) -> str:
@@ -276,6 +277,7 @@ def _from_pack(pack: str, view: PackedView, *, resting_offset_m: float, resting_
         shortest_deg=float(more.get("shortest_deg", math.nan)),
         longest_deg=float(more.get("longest_deg", math.nan)),
         soil_mm=float(more.get("soil_mm", math.nan)),
+        name=f"{pack}/{view.tuber}",
     )
 
 
@@ -299,4 +301,5 @@ def _from_twin(view: TwinView, level: RestingLevel) -> LabelledView:
         row_share=view.row_share,
         resting_offset_m=level.offset_m,
         resting_sd_m=level.sd_m,
+        name=view.name,
     )

@@ -16,10 +16,11 @@ from regressor.weigh.prepare import PreparedCloud, RefusedCloud
 GRAMS_PER_ML = (0.05, 20.0)
 """No crop is so light or heavy for its visible volume; a tuber has about 1. A wrong unit is a thousand times off."""
 OFF_THE_BELT = "off_the_belt"
-OFF = (OFF_THE_BELT, "below_belt")
+OFF = (OFF_THE_BELT, "below_belt", "empty_cloud")
 """Reasons of refusals that a wrong distance or unit gives."""
 MOST_OFF = 0.5
-"""Share of a set's views that may float above or lie under their belts: a wrong distance or unit is all of them."""
+"""Share of a set's views that may float above or lie under their belts, or show nothing: with a wrong distance or unit
+all of them do."""
 CHECK = (
     "Check that weights are grams, that belt distances are metres from the camera to the belt, and the depth images' "
     "scale"
@@ -50,8 +51,21 @@ def check_place(name: str, cloud: PreparedCloud) -> None:
         raise OffTheBelt(name, cloud)
 
 
+def refused_told(refused: Mapping[str, int], first: Mapping[str, str]) -> str:
+    """In words, how many views were left out by reason, with the `first` of each that has a name; empty for none."""
+    told = []
+    for reason, count in sorted(refused.items()):
+        more = ", ..." if count > 1 else ""
+        told.append(f"{reason} {count}" + (f" ({first[reason]}{more})" if reason in first else ""))
+    return ", ".join(told)
+
+
 class Seen:
-    """What was seen of a set's views, to refuse the set where it cannot be right."""
+    """What was seen of a set's views, to refuse the set where it cannot be right.
+
+    Attributes:
+        first: the name of the first view that was refused, by reason.
+    """
 
     def __init__(self, where: str) -> None:
         """`where`: they are from."""
@@ -60,19 +74,23 @@ class Seen:
         self._floating: list[tuple[str, float, float]] = []
         self._off = 0
         self._example = ""
+        self.first: dict[str, str] = {}
 
     def usable(self, tuber: str, weight_g: float, cloud: PreparedCloud) -> None:
         """One more view that can be used; a weight that is not known is NaN."""
         self._seen.append((tuber, weight_g, cloud.surface.volume_ml))
 
-    def refused(self, tuber: str, weight_g: float, refusal: RefusedCloud) -> None:
+    def refused(self, tuber: str, weight_g: float, refusal: RefusedCloud, *, name: str) -> None:
         """One more that cannot."""
+        self.first.setdefault(refusal.reason, name)
         if refusal.reason not in OFF:
             return
         self._off += 1
         if isinstance(refusal, OffTheBelt):
             self._floating.append((tuber, weight_g, refusal.cloud.surface.volume_ml))
             self._example = self._example or str(refusal)
+        elif refusal.reason == "empty_cloud":
+            self._example = self._example or f"'{name}' shows no depth of its tuber"
         else:
             self._example = self._example or f"no part of '{tuber}' stands above its belt"
 
@@ -95,11 +113,11 @@ class Seen:
         all_views = self._off + len(self._seen)
         if self._off > MOST_OFF * all_views:
             raise InputError(
-                f"{self._where}: {self._off} of {all_views} views float above their belt or lie under it, where "
-                f"`weigh` refuses them: {self._example}. {CHECK}"
+                f"{self._where}: {self._off} of {all_views} views float above their belt or lie under it, or "
+                f"show nothing, where `weigh` refuses them: {self._example}. {CHECK}"
             )
         if not self._seen:
-            told = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items())) or "none"
+            told = refused_told(refused, self.first) or "none"
             raise InputError(f"{self._where} holds no view that can be weighed; refused: {told}")
         # What is too heavy may be a view of which most is hidden; nothing makes a view too large.
         light = {view[0]: view for view in self._seen if view[1] < low * view[2]}

@@ -31,6 +31,7 @@ from regressor.training.calibration import DISTANCE_MARGIN_M, calibration
 from regressor.training.cloudset import KEEP, CloudSet, identity, load_cloudset
 from regressor.training.labelled import part_of
 from regressor.training.loop import load_state, run_training
+from regressor.training.plausible import refused_told
 from regressor.training.recipe import TrainSettings
 from regressor.training.train import Training
 from regressor.weigh.blend import BlendRule, best_share, blend
@@ -234,6 +235,10 @@ def make_sidecar(training: Training, predicted: NDArray[np.float64], rule: Volum
             "data": digest_of(data),
             "tubers": len(np.unique(data.tuber)),
             "refused_views": data.refused,
+            "left_out": {
+                "training": refused_told(data.refused, data.refused_first),
+                "validation": refused_told(validation.refused, validation.refused_first),
+            },
             **_resting(options.data),
             "hours": round(progress.seconds / 3600, 3),
             "steps": progress.step,

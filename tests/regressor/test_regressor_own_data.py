@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
@@ -17,7 +18,7 @@ from conveyor.formats.potatotwin.layout import labels_of_split
 from regressor.network.checkpoint import load_checkpoint, save_checkpoint
 from regressor.network.stored import load_weights
 from regressor.studies.evaluate import NETWORK, VOLUME_RULE, evaluate, method_scores
-from regressor.studies.report import summary
+from regressor.studies.report import markdown, summary
 from regressor.training.begun import digest_of
 from regressor.training.calibration import recalibrate
 from regressor.training.cloudset import CloudSet, load_cloudset
@@ -160,6 +161,24 @@ def test_views_that_weigh_refuses_are_no_data(wrong: str, tmp_path: Path) -> Non
         load_cloudset(tmp_path)
     with pytest.raises(InputError, match=words):
         evaluate(tmp_path, Weigher.load())
+
+
+def test_a_pair_without_depth_is_left_out_with_its_name(tmp_path: Path) -> None:
+    """One depth image of zeros ended a training."""
+    labels = write_twin(tmp_path / "crop", tubers=4)
+    pairs = [tmp_path / "crop" / "1_rgbd" / "1_image" / label / f"{label}_depth_360.png" for label in labels]
+    told = ({"empty_cloud": 1}, {"empty_cloud": "t001_depth_360.png"})
+    cv2.imwrite(str(pairs[1]), np.zeros((720, 1280), np.uint16))
+    for _ in range(2):  # the second one is read from the cache
+        data = load_cloudset(tmp_path / "crop", cache=tmp_path / "cache")
+        assert (data.tuber.tolist(), data.refused, data.refused_first) == (["t000", "t002", "t003"], *told)
+    result = evaluate(tmp_path / "crop", Weigher.load())
+    assert (len(result.weight_g), result.refused, result.refused_first) == (3, *told)
+    assert "Refused: empty_cloud 1 (t001_depth_360.png)." in markdown(summary(result), title="crop")
+    for path in pairs[2:]:
+        cv2.imwrite(str(path), np.zeros((720, 1280), np.uint16))
+    with pytest.raises(InputError, match=r"3 of 4 views .*: 't001_depth_360.png' shows no depth of its tuber"):
+        load_cloudset(tmp_path / "crop")
 
 
 def test_a_belt_above_most_tubers_is_refused(tmp_path: Path) -> None:

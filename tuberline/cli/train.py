@@ -155,11 +155,11 @@ def _tell(weights: Path, sidecar: Sidecar) -> None:
     """What was left out, how good the weights are, and what their intervals promise."""
     from regressor.training.tuber_interval import interval_told
 
-    refused = sidecar.training["refused_views"]
-    if refused:
-        left_out = ", ".join(f"{reason} {count}" for reason, count in sorted(refused.items()))
-        sys.stderr.write(f"training views left out: {left_out}\n")
+    # Weights of a best epoch may be older than these keys.
+    for part, left_out in sidecar.training.get("left_out", {}).items():
+        if left_out:
+            sys.stderr.write(f"{part} views left out: {left_out}\n")
     told = f"MAE {sidecar.metrics['validation']['mae_g']:.1f} {sidecar.unit} per view on the validation set"
     sys.stderr.write(f"{weights}: {told}\n")
-    if counted := sidecar.metrics.get("interval"):  # weights of a best epoch may be older than that key
+    if counted := sidecar.metrics.get("interval"):
         sys.stderr.write(f"{interval_told(int(counted['tubers']), int(counted['recordings']))}\n")

@@ -30,7 +30,7 @@ from conveyor.formats.potatotwin.layout import (
     read_truth,
     weight_said,
 )
-from conveyor.formats.potatotwin.pairs import farthest_m, read_pair
+from conveyor.formats.potatotwin.pairs import NoDepthError, farthest_m, read_pair
 from conveyor.geometry import Intrinsics
 
 IMAGE_ROWS = 720
@@ -39,12 +39,15 @@ IMAGE_ROWS = 720
 
 @dataclass(frozen=True, slots=True)
 class TwinView:
-    """One frame of one tuber: a depth crop with its intrinsics (principal point of the crop), or a cloud.
+    """One frame of one tuber: a depth crop with its intrinsics (principal point of the crop), or a cloud, which is
+    empty where a pair of images shows no depth of its tuber.
 
-    `volume_ml` and `length_mm` are NaN where the table does not say; `row_share` is the tuber's image row by all rows.
+    `name` is the file's. `volume_ml` and `length_mm` are NaN where the table does not say; `row_share` is the tuber's
+    image row by all rows.
     """
 
     label: str
+    name: str
     depth: NDArray[np.uint16] | None
     cloud: NDArray[np.float64] | None
     depth_scale_m: float
@@ -137,12 +140,16 @@ def _view(folder: Path, view: ViewFile, truth: TruthRow, camera: tuple[Intrinsic
     if view.path.suffix == ".png":
         intrinsics, scale_m = camera or folder_intrinsics(folder)
         far_m = farthest_m(belt_distance_m)
-        masked = read_pair(view.path, intrinsics=intrinsics, max_depth_m=far_m, depth_scale_m=scale_m)
-        depth, crop = masked.depth, masked.intrinsics
+        try:
+            masked = read_pair(view.path, intrinsics=intrinsics, max_depth_m=far_m, depth_scale_m=scale_m)
+            depth, crop = masked.depth, masked.intrinsics
+        except NoDepthError:
+            cloud = np.empty((0, 3))
     else:
         cloud = read_ply(view.path)
     return TwinView(
         label=truth.label,
+        name=view.path.name,
         depth=depth,
         cloud=cloud,
         depth_scale_m=scale_m,
