@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from conveyor.errors import InputError
 from conveyor.extras import needed
+from conveyor.formats.numpy_files import numpy_fault
 from conveyor.formats.ply import MAX_POINTS, read_ply
 
 Points = NDArray[np.float64]
@@ -56,7 +57,8 @@ def _read_numpy(path: Path) -> Points:
     except InputError:
         raise
     except Exception as error:  # NumPy lets errors of zip, zlib, tokenizer and memory through for broken files
-        raise InputError(f"cloud {path} is not a NumPy file: {error}") from error
+        fault = numpy_fault(path, error, otherwise="lines of x, y, z are read from a file whose name ends in .xyz")
+        raise InputError(f"cloud {path} is not a NumPy file: {fault}") from error
     if loaded.ndim != 2 or loaded.shape[1] != 3 or loaded.dtype.kind not in "fiu":
         raise InputError(f"cloud {path} holds {loaded.dtype} {loaded.shape}; expected numbers of shape (N, 3)")
     return np.asarray(loaded, np.float64)

@@ -7,6 +7,7 @@ plyfile is GPL. None says in words what is wrong, none is faster.
 
 from __future__ import annotations
 
+import codecs
 import io
 from pathlib import Path
 
@@ -48,7 +49,14 @@ def read_ply(path: Path) -> NDArray[np.float64]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cloud {path} cannot be read: {error.strerror or error}") from error
-    form, count, names, kinds, body = _ply_header(data, path)
+    text = data.removeprefix(codecs.BOM_UTF8)
+    form, count, names, kinds, body = _ply_header(text, path)
+    if form != "ascii" and text != data:
+        raise InputError(
+            f"cloud {path} is {form} and begins with a byte-order mark: a program took it for text, and its points may "
+            "be damaged; export it again"
+        )
+    data = text
     columns = [names.index(axis) for axis in "xyz" if axis in names]
     if len(columns) != 3:
         raise InputError(f"cloud {path} has no x, y, z; its vertices have {', '.join(names) or 'nothing'}")

@@ -55,6 +55,13 @@ def test_ply(tmp_path: Path, form: str) -> None:
     assert read_cloud(_ply(tmp_path / "a.ply", form)) == pytest.approx(POINTS, abs=1e-7)
 
 
+def test_an_ascii_ply_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    """It was no PLY file."""
+    path = _ply(tmp_path / "a.ply", "ascii")
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_cloud(path) == pytest.approx(POINTS, abs=1e-7)
+
+
 def test_numpy_files(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", POINTS)
     np.savez(tmp_path / "b.npz", anything=POINTS, label=np.array(3))
@@ -71,7 +78,10 @@ def test_broken_cloud_files_are_named(tmp_path: Path) -> None:
         "endless.ply": (b"ply\nformat ascii 1.0\n", "end_header"),
         "huge.ply": (whole.replace(b"vertex 3", b"vertex 99999999999"), "99999999999 vertices"),
         "noxyz.ply": (whole.replace(b"float x", b"float a"), "no x, y, z"),
+        "marked.ply": (b"\xef\xbb\xbf" + whole, "is binary_little_endian and begins with a byte-order mark"),
         "cut.npy": (b"\x93NUMPY\x01\x00", "not a NumPy file"),
+        "text.npy": (b"1 2 3\n", r"it begins with b'1 2 3.*', not as np.save writes it; lines of .*ends in .xyz$"),
+        "empty.npz": (b"", "not a NumPy file: it is empty"),
         "what.txt": (b"1 2 3", "ending '.txt'"),
     }
     for name, (data, words) in cases.items():

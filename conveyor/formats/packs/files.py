@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from conveyor import __version__
 from conveyor.errors import InputError
+from conveyor.formats.numpy_files import numpy_fault
 from conveyor.formats.versions import check_version
 
 META = "meta.json"
@@ -46,7 +47,7 @@ def read_shard(path: Path, table: tuple[NamedArray, ...]) -> dict[str, NDArray[A
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"shard {path} cannot be read: {error}; make the pack again") from error
+        raise InputError(f"shard {path} cannot be read: {numpy_fault(path, error)}; make the pack again") from error
     missing = [array.name for array in table if array.needed and array.name not in data]
     if missing:
         raise InputError(f"shard {path} lacks {', '.join(missing)}; it has {', '.join(sorted(data)) or 'nothing'}")

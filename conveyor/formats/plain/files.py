@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conveyor.errors import InputError
+from conveyor.formats.numpy_files import numpy_fault
 from conveyor.formats.png16 import is_whole_png
 from conveyor.wire import MAX_ARRAY_BYTES
 
@@ -115,7 +116,7 @@ def _numpy(path: Path, wanted: str = "depth") -> NDArray[Any]:
     except InputError:
         raise
     except Exception as error:  # NumPy lets errors of zip, zlib, tokenizer and memory through for broken files
-        raise InputError(f"{path} is no whole NumPy file: {error}") from error
+        raise InputError(f"{path} is no whole NumPy file: {numpy_fault(path, error)}") from error
     return np.asarray(loaded)
 
 
