@@ -75,8 +75,11 @@ def files_within(paths: Sequence[Path]) -> list[Path]:
     none, its pairs of images.
 
     Raises:
-        InputError: a folder holds neither.
+        InputError: a folder holds neither, or a path is not there.
     """
+    if missing := [str(path) for path in paths if not path.exists()]:
+        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        raise InputError(f"not there: {', '.join(missing[:5])}{more}; nothing was weighed")
     found: list[Path] = []
     for path in paths:
         if not path.is_dir():

@@ -238,6 +238,19 @@ def test_a_table_fits_the_terminal_and_cuts_no_name(width: int, tmp_path: Path) 
     assert not any("…" in line for line in lines)
 
 
+def test_what_is_not_there_is_said_before_anything_is_weighed_or_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table with its head was printed first, and of many files the others were weighed first."""
+    results(tmp_path)
+    with pytest.raises(InputError, match=r"not there: .*/none\.ply, .*/too\.ply; nothing was weighed"):
+        weigh([tmp_path, tmp_path / "none.ply", tmp_path / "too.ply"], belt_distance_m=0.345)
+    (tmp_path / "torn.ply").write_bytes(b"ply\n")
+    with pytest.raises(InputError, match=r"torn\.ply has no end_header"):
+        weigh([tmp_path / "torn.ply"], belt_distance_m=0.345)
+    assert capsys.readouterr().out == ""
+
+
 def test_csv_has_a_row_for_each_and_every_column(tmp_path: Path) -> None:
     weighed, failed = csv.DictReader(io.StringIO(weight_csv(results(tmp_path))))
     assert tuple(weighed) == COLUMNS

@@ -40,8 +40,8 @@ def weigh(
 ) -> None:
     """Weigh single clouds (.ply, .npz, .npy, .pcd, .xyz, .las), depth and mask pairs (.png), or a frame's objects.
 
-    Exits with 2 if any file could not be weighed; the others are weighed all the same. Ctrl-C ends it with 130 and says
-    how many were weighed; those are shown, but with --json or --csv nothing is.
+    Exits with 2 if any file could not be weighed; the others are weighed all the same, but none where a path is not
+    there. Ctrl-C ends it with 130 and says how many were weighed; those are shown, but with --json or --csv nothing is.
 
     Parameters
     ----------
@@ -107,7 +107,8 @@ def _run(weighed: Callable[[list[FileResult], Progress], None], count: int, form
         weighed(results, bar)
     if stopped.is_set() and (form != "table" or not results):
         leave()
-    _show(results, form)
+    if form != "table" or any(result.weighed for result in results):
+        _show(results, form)
     if stopped.is_set():
         leave()
     failed = [result.error for result in results if result.error]
