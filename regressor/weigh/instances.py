@@ -16,10 +16,15 @@ from conveyor.formats.plain.files import read_frames, read_labels
 from conveyor.formats.plain.pinhole import read_pinhole
 from conveyor.formats.potatotwin.intrinsics import find_intrinsics
 from conveyor.geometry import Intrinsics, straight_down_belt_from_camera
+from conveyor.islands import labels_apart
 from regressor.weigh.files import FileOptions, FileResult, distance_fault
 from regressor.weigh.prepare import RefusedCloud, prepare_depth
 from regressor.weigh.weigher import Weigher
 
+APART = (
+    "it lies in several places with bare belt between them, so it is several: give each object a number of its own "
+    "(1, 2, 3, ..., not 255 to all)"
+)
 CUT = "cut"
 """Flag of an object at the frame's border: a part of it may lie outside, and its weight is then too small."""
 
@@ -43,7 +48,11 @@ def weigh_instances(frame: Path, instances: Path, options: FileOptions, weigher:
     objects = [int(label) for label in np.unique(labels) if label]
     if not objects:
         raise InputError(f"instances {instances} mark no object: every pixel is 0")
+    apart = labels_apart(labels, cell_mm=1000 * options.belt_distance_m / intrinsics.fx)
     for label in objects:
+        if label in apart:
+            yield FileResult(frame, 0, None, None, error=f"{frame}, object {label}: {APART}", object=label)
+            continue
         yield _weigh(frame, label, labels == label, depth, unit_m, intrinsics, options, weigher)
 
 

@@ -101,13 +101,6 @@ LEAST_SEEN_OF_RASTER = 0.5
 LEAST_ROWS = 3
 """Rows or columns of an instance that must end at the unseen band: one ragged cell is no cut."""
 
-# Watching given masks (`mask_watch`)
-APART_MM = 30.0
-"""Millimetres of bare belt between two pieces of one label that no stalk across a tuber hides. Less takes a leaf on a
-tuber for belt, more misses tubers close to each other."""
-LEAST_PIECE_MM2 = 350.0
-"""Of a piece that tells, as of the least tuber: a speck that was painted beside it does not."""
-
 # Watching the belt (`watch`)
 KEPT_CHECKS = 5
 LEAST_CHECKS = 2

@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from conveyor.errors import InputError
 from conveyor.formats.cameras import OnFrame, open_cameras
+from conveyor.islands import labels_apart
 from conveyor.messages import Frame
 from segmenter.frame.belt import BeltGeometry
 from segmenter.frame.heights import height_map
@@ -92,7 +93,7 @@ class SegmentationScore:
 
     `mean_step_ms` is the mean: the classifier works in some frames only. `load`: None where the truth does not say
     where the distractors are. `unreadable`: frames that the recording names but cannot give, by reason.
-
+    `masks_merged`: frames in which a given label lies in several places, and can be no tuber.
     """
 
     recording: str
@@ -115,6 +116,7 @@ class SegmentationScore:
     load: LoadScore | None
     distractors_counted_share: float | None
     tubers_rejected_share: float | None
+    masks_merged: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ def evaluate_recording(
     Raises:
         InputError: there are no masks.
     """
-    total, times, sizes = Agreement(), [], set()
+    total, times, sizes, merged = Agreement(), [], set(), 0
     load: LoadScore | None = LoadScore()
     unreadable: Counter[str] = Counter()
     for camera in open_cameras(recording, on_frame=on_frame):
@@ -155,6 +157,7 @@ def evaluate_recording(
             belt = belt or _belt(frame)
             seen = _seen(frame, belt, perception, settings)
             least_px = LEAST_AREA_MM2 / belt.footprint_mm() ** 2
+            merged += bool(labels_apart(frame.mask, cell_mm=belt.footprint_mm()))
             total.add(agreement(np.where(frame.depth > 0, frame.mask, 0), seen.labels, least_px=least_px))
             started = time.thread_time()
             closed = core.step(replace(frame, mask=None)).closed
@@ -172,7 +175,9 @@ def evaluate_recording(
             load.add(truth, np.array(counted).reshape(-1, 2), np.array(rejected).reshape(-1, 2))
     if not times:
         raise InputError(f"{recording} has no masks to compare with: simulate a recording with --masks")
-    return _summary(recording.name, settings, total, np.array(times), ", ".join(sorted(sizes)), load, dict(unreadable))
+    told = ", ".join(sorted(sizes))
+    score = _summary(recording.name, settings, total, np.array(times), told, load, dict(unreadable))
+    return replace(score, masks_merged=merged)
 
 
 def _summary(

@@ -181,6 +181,11 @@ def test_each_object_of_a_frame_is_a_row(frame: tuple[Path, Path, Path]) -> None
     assert seven.weighed.weight_g == pytest.approx(alone.weighed.weight_g, rel=0.01)
     assert twelve.weighed is None
     assert "object 12: the cloud cannot be weighed: it has fewer than 30 points" in twelve.error
+    # Masks of 0 and 255: several tubers were weighed as one.
+    cv2.imwrite(str(labels), np.where(cv2.imread(str(labels), cv2.IMREAD_UNCHANGED) > 0, 255, 0).astype(np.uint8))
+    (merged,) = weigh_instances(depth, labels, options, BY_VOLUME)
+    assert merged.weighed is None
+    assert "object 255: it lies in several places with bare belt between them" in merged.error
 
 
 def test_decimal_metres_weigh_the_same(frame: tuple[Path, Path, Path]) -> None:

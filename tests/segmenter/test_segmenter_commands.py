@@ -68,6 +68,10 @@ def test_masks_of_one_label_for_all_are_told(
         assert len(camera["tracks"]) == counted
         findings = [text for text in camera["findings"] if "a label of the given masks lies in several places" in text]
         assert len(findings) == len(camera["findings"]) == told
+        evaluate_segmentation(folder, every=4, json=True)
+        said = capsys.readouterr()
+        assert ("a label of the masks lies in several places" in said.err) == told
+        assert (json.loads(said.out)["masks_merged"] > 0) == told
 
 
 def test_evaluate_segmentation_scores_the_masks(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -150,6 +150,11 @@ def evaluate_segmentation(
     tell_unnamed(recording)
     with frames_bar() as on_frame:
         score = asdict(evaluate_recording(recording, settings=settings, every=every, on_frame=on_frame))
+    if merged := score["masks_merged"]:
+        sys.stderr.write(
+            f"warning: in {merged} of {score['frames']} frames a label of the masks lies in several places apart, and "
+            "no figure means anything there: give each tuber a label of its own (1, 2, 3, ..., not 255 to all)\n"
+        )
     if json:
         sys.stdout.write(json_module.dumps(score, indent=2) + "\n")
         return
