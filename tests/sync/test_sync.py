@@ -16,8 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from aggregator.ledger.at_rest import order_at_rest
 from aggregator.ledger.reader import read_tubers, reading
+from aggregator.ledger.writer import Ledger
 from conveyor.errors import InputError, LedgerError, LinkError
+from conveyor.messages import LoadOrder
+from tests.aggregator.loaded_story import told_with_loads
 from tests.sync.postgres import Postgres
 from tests.written_run import write_run
 from tuberline.sync import push as push_module
@@ -177,13 +181,34 @@ def test_another_ledger_of_that_name_is_noticed(empty: Postgres, ledger: Path, t
         with pytest.raises(InputError, match=f"holds another tuber {TUBERS} of run monday"):
             push(connection, ledger)
         connection.execute("UPDATE tuberline.tuber SET tuber = tuber + 1 WHERE tuber = %s", (TUBERS,))
+        connection.execute("UPDATE tuberline.run SET summary = '{}'")
         with pytest.raises(InputError, match=f"lacks tuber {TUBERS + 1} of run monday .* an older copy"):
             push(connection, ledger)
+        assert connection.execute("SELECT summary FROM tuberline.run").fetchall() == [({},)], "something was written"
         connection.execute("UPDATE tuberline.version SET version = 2")
     with pytest.raises(InputError, match="tables of version 2"):
         connect(empty.url)
     with pytest.raises(InputError, match=re.escape("takes postgresql://")):
         connect("mysql://x")
+
+
+def test_a_copy_without_the_last_ticket_is_refused(empty: Postgres, tmp_path: Path) -> None:
+    """It held every tuber, so it was taken: the loads in the database lost their ticket."""
+    whole, copy = tmp_path / "ledger.db", tmp_path / "copy.db"
+    with Ledger(whole) as written:
+        told_with_loads(written)
+    shutil.copy(whole, copy)
+    assert order_at_rest(whole, LoadOrder("t", "ticket", by="me", load="A", kg=1.0)).done
+    with connect(empty.url) as connection:
+        push(connection, whole)
+        with pytest.raises(InputError, match=f"{copy} lacks what was said last of the loads .*sync the one that has"):
+            push(connection, copy)
+        tickets = connection.execute("SELECT ticket_kg FROM tuberline.load ORDER BY place").fetchall()
+        assert tickets == [(1.0,), (None,), (None,)]
+        connection.execute("DROP TABLE tuberline.told")  # as a database of an earlier version is
+    with connect(empty.url) as connection:
+        push(connection, whole)
+        assert connection.execute("SELECT event FROM tuberline.told").fetchall() == [(4,)]
 
 
 def damaged(ledger: Path, copy: Path) -> Path:

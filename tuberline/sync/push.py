@@ -19,12 +19,13 @@ import msgpack
 from aggregator.ledger.line_tickets import tickets_beside
 from aggregator.ledger.load_totals import ReadLoads
 from aggregator.ledger.reader import LedgerView, RunRow, ledger_file, read_runs, read_summary, read_tubers, reading
+from aggregator.ledger.schema import LOAD_EVENT, checksum
 from aggregator.ledger.totals_by import labelled, together_of
 from conveyor.errors import InputError, LinkError
 from conveyor.extras import install_hint
 from conveyor.messages import Tuber
 from conveyor.messages.base import plain
-from tuberline.sync.schema import LOCK, SCHEMA, STATEMENTS, VERSION
+from tuberline.sync.schema import LOCK, NEWEST, SCHEMA, STATEMENTS, VERSION
 
 BATCH = 2000
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -76,7 +77,7 @@ def connect(url: str) -> Any:
     try:
         options = " ".join(f"-c {name}={value}" for name, value in _SERVER.items())
         connection = psycopg.connect(url, connect_timeout=CONNECT_WITHIN_S, autocommit=True, options=options, **_LINK)
-        if connection.execute(f"SELECT to_regclass('{SCHEMA}.totals_by_line')").fetchone() == (None,):
+        if connection.execute(f"SELECT to_regclass('{SCHEMA}.{NEWEST}')").fetchone() == (None,):
             with connection.transaction():
                 connection.execute("SELECT pg_advisory_xact_lock(%s)", (LOCK,))
                 for statement in STATEMENTS:
@@ -99,7 +100,7 @@ def push(connection: Any, path: Path) -> Pushed:
 
     Raises:
         LinkError: the connection was cut; what was committed is there, and the next sync goes on.
-        InputError: the database holds other tubers under this line's and run's name.
+        InputError: the database holds other tubers under this line's and run's name, or later words of its loads.
         LedgerError: the ledger cannot be trusted.
     """
     import psycopg
@@ -108,11 +109,13 @@ def push(connection: Any, path: Path) -> Pushed:
     pushed = Pushed()
     try:
         with reading(file) as view:
-            run_ids = []
-            for run in read_runs(view):
-                run_ids.append(_run(connection, view, run))
+            with connection.transaction():
+                begun = [_begun(connection, view, run) for run in read_runs(view)]
+                run_ids = [run.run_id for run in begun]
+                _refuse_older(connection, view, run_ids)
+            for run in begun:
                 pushed.runs += 1
-                pushed.tubers += _tubers(connection, view, run, run_ids[-1])
+                pushed.tubers += _tubers(connection, view, run)
             if run_ids:
                 pushed.loads = _loads(connection, view, run_ids)
     except psycopg.OperationalError as error:
@@ -122,11 +125,21 @@ def push(connection: Any, path: Path) -> Pushed:
     return pushed
 
 
-def _run(connection: Any, view: LedgerView, run: RunRow) -> int:
-    row = connection.execute(
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """A run of the ledger, its id in the database, and the newest of its tubers that is there."""
+
+    run: RunRow
+    run_id: int
+    newest: int
+
+
+def _begun(connection: Any, view: LedgerView, run: RunRow) -> _Begun:
+    (run_id,) = connection.execute(
         f"""INSERT INTO {SCHEMA}.run (line, run, started_ns, started_at, cameras, version, summary)
         VALUES (%s, %s, %s, %s, %s, %s, %s)
-        ON CONFLICT (line, run, started_ns) DO UPDATE SET summary = excluded.summary RETURNING id""",
+        ON CONFLICT (line, run, started_ns) DO UPDATE SET summary = coalesce(excluded.summary, run.summary)
+        RETURNING id""",
         (
             run.line,
             run.run,
@@ -137,33 +150,60 @@ def _run(connection: Any, view: LedgerView, run: RunRow) -> int:
             read_summary(view, run.run),
         ),
     ).fetchone()
-    return int(row[0])
+    return _Begun(run, run_id, _newest(connection, view, run, run_id))
 
 
-def _tubers(connection: Any, view: LedgerView, run: RunRow, run_id: int) -> int:
+def _newest(connection: Any, view: LedgerView, run: RunRow, run_id: int) -> int:
+    """The number of the newest tuber in the database; 0 where none is there."""
     newest = connection.execute(
         f"SELECT tuber, crc FROM {SCHEMA}.tuber WHERE run_id = %s ORDER BY tuber DESC LIMIT 1", (run_id,)
     ).fetchone()
-    since = 0
-    if newest is not None:
-        same = next(read_tubers(view, run.run, since=newest[0] - 1, limit=1), None)
-        if same is None:
-            raise InputError(
-                f"ledger {view.path} lacks tuber {newest[0]} of run {run.run} of line {run.line}, which the database "
-                "holds: it is an older copy of another ledger, or damaged; sync the one that has it"
-            )
-        if same.tuber_id != newest[0] or _crc(same) != newest[1]:
-            raise InputError(
-                f"the database holds another tuber {newest[0]} of run {run.run} of line {run.line}: it was synced from "
-                f"another ledger; delete that run there (DELETE FROM {SCHEMA}.run WHERE id = {run_id}) and sync again"
-            )
-        since = newest[0]
+    if newest is None:
+        return 0
+    number, crc = newest
+    same = next(read_tubers(view, run.run, since=number - 1, limit=1), None)
+    if same is None:
+        raise InputError(
+            f"ledger {view.path} lacks tuber {number} of run {run.run} of line {run.line}, which the database "
+            "holds: it is an older copy of another ledger, or damaged; sync the one that has it"
+        )
+    if same.tuber_id != number or _crc(same) != crc:
+        raise InputError(
+            f"the database holds another tuber {number} of run {run.run} of line {run.line}: it was synced from "
+            f"another ledger; {_afresh(run_id)}"
+        )
+    return int(number)
+
+
+def _refuse_older(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> None:
+    """A copy of a ledger may have all of its tubers, and lack what was said of its loads since: a ticket, a note."""
+    found = connection.execute(
+        f"SELECT event, crc, ledger FROM {SCHEMA}.told WHERE ledger = ANY(%s) ORDER BY event DESC LIMIT 1",
+        (list(run_ids),),
+    ).fetchone()
+    if found is None:
+        return
+    event, crc, run_id = found
+    same = view.row(LOAD_EVENT, "WHERE n = ?", (event,))
+    if same is None or checksum(same) != crc:
+        raise InputError(
+            f"ledger {view.path} lacks what was said last of the loads in the database (event {event}: a start, an "
+            "end, a ticket or a note): it is a copy of another ledger; sync the one that has it, which `tuberline load "
+            f"show` lists, or, if that is gone, {_afresh(run_id)}"
+        )
+
+
+def _afresh(run_id: int) -> str:
+    return f"delete that run there (DELETE FROM {SCHEMA}.run WHERE id = {run_id}) and sync again"
+
+
+def _tubers(connection: Any, view: LedgerView, run: _Begun) -> int:
     count = 0
-    for batch in batched_tubers(view, run, since):
+    for batch in batched_tubers(view, run.run, run.newest):
         copying = f"COPY {SCHEMA}.tuber ({COLUMNS}) FROM STDIN"
         with connection.transaction(), connection.cursor() as cursor, cursor.copy(copying) as copy:
             for tuber in batch:
-                copy.write_row(_row(run_id, tuber))
+                copy.write_row(_row(run.run_id, tuber))
         count += len(batch)
     return count
 
@@ -208,6 +248,9 @@ def _loads(connection: Any, view: LedgerView, run_ids: Sequence[int]) -> int:
     with connection.transaction(), connection.cursor() as cursor:
         cursor.execute(f"DELETE FROM {SCHEMA}.load WHERE ledger = ANY(%s)", (list(run_ids),))
         cursor.executemany(f"INSERT INTO {SCHEMA}.load VALUES ({', '.join(['%s'] * 14)})", rows)
+        cursor.execute(f"DELETE FROM {SCHEMA}.told WHERE ledger = ANY(%s)", (list(run_ids),))
+        if (newest := view.row(LOAD_EVENT, "ORDER BY n DESC")) is not None:
+            cursor.execute(f"INSERT INTO {SCHEMA}.told VALUES (%s, %s, %s)", (run_ids[0], newest[0], checksum(newest)))
     return len(rows)
 
 

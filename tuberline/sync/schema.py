@@ -4,6 +4,8 @@ from __future__ import annotations
 
 SCHEMA = "tuberline"
 VERSION = 1
+NEWEST = "told"
+"""The table that came last: the newest event of loads (start, note, ticket) that a ledger held when it was synced."""
 LOCK = 0x54554252
 """'TUBR': two machines that sync for the first time at once make the tables one after the other."""
 
@@ -59,6 +61,10 @@ STATEMENTS: tuple[str, ...] = (
         coverage double precision,
         ticket_kg double precision,
         PRIMARY KEY (ledger, place))""",
+    f"""CREATE TABLE IF NOT EXISTS {SCHEMA}.told (
+        ledger bigint PRIMARY KEY REFERENCES {SCHEMA}.run (id) ON DELETE CASCADE,
+        event integer NOT NULL,
+        crc bigint NOT NULL)""",
     *(
         f"""CREATE OR REPLACE VIEW {SCHEMA}.totals_by_{by} AS
         SELECT {told} AS {by}, count(*) AS loads, sum(tubers) AS tubers,
@@ -73,5 +79,6 @@ STATEMENTS: tuple[str, ...] = (
         )
     ),
 )
-"""What makes the tables and views; each may be run again. The bounds of a sum are the sums of the bounds, as if all
-loads were off together: what they share does, so the interval is too wide rather than too narrow."""
+"""What makes the tables and views; each may be run again, and all are where `NEWEST` lacks. The bounds of a sum are
+the sums of the bounds, as if all loads were off together: what they share does, so the interval is too wide rather than
+too narrow."""
