@@ -66,6 +66,7 @@ def test_a_running_segmenter_is_believed() -> None:
         ("belt_backwards", {}, "the belt runs against the direction"),
         ("belt_turned", {"belt_turned_deg": 11.0}, "the load moves +11.0 degrees aside"),
         ("encoder_off", {"encoder_told_m": 1.0, "encoder_seen_m": 2.0}, "the load moved 2.00 m while the encoder told"),
+        ("load_torn_m", {}, "the load jumped back 1.00 m"),
     ],
 )
 def test_a_load_that_moves_another_way_is_a_fault(level: str, more: dict[str, float], said: str) -> None:

@@ -107,6 +107,7 @@ def test_a_camera_that_is_not_the_one_that_was_calibrated() -> None:
             {"encoder_off": 1.0, "encoder_told_m": 1.14, "encoder_seen_m": 2.27},
             "the load moved 2.27 m while the encoder told 1.14 m",
         ),
+        ({"load_torn_m": 0.37}, "Under camera left the load jumped back 0.37 m, as no belt does"),
     ],
 )
 def test_a_load_that_moves_otherwise_than_pose_or_encoder_say(gauges: dict[str, float], said: str) -> None:

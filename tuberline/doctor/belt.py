@@ -18,6 +18,7 @@ OTHER_WAY = {
     "belt_turned": "turn the camera, or `tuberline calibrate cameras RECORDING` and its turned_deg",
     "encoder_off": "look at the encoder's cable and its metres a pulse",
     "encoder_behind_m": "begin a new run, and look at the encoder's power and cable",
+    "load_torn_m": "look at the camera's pictures (`tuberline watch`), or connect an encoder",
 }
 """Levels of a load that moves otherwise than pose or encoder say, and what to do."""
 UNSEEN = 'correct the gauge in [belt] of the line\'s file, or keep it in view; gauge = "none" where there is none'

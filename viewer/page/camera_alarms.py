@@ -67,6 +67,8 @@ def _belt_way(segmenter: NodeState) -> Iterator[Found]:
     if segmenter.level("encoder_off"):
         told, seen = segmenter.level("encoder_told_m") or 0.0, segmenter.level("encoder_seen_m") or 0.0
         yield "encoder", True, "alarm.camera.encoder", "todo.camera.encoder", {"told": told, "seen": seen}
+    if torn_m := segmenter.level("load_torn_m"):
+        yield "torn", True, "alarm.camera.torn", "todo.camera.torn", {"m": torn_m}
 
 
 def _encoder(source: NodeState | None, segmenter: NodeState) -> Iterator[Found]:
