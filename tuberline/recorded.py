@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from conveyor.errors import InputError
+from conveyor.messages import CamerasApart
 from conveyor.reasons import TrackRefusal
 
 DISCARDED = "discarded_"
@@ -48,6 +49,16 @@ def not_counted_told(camera: str, discarded: Mapping[str, int], *, frames: int, 
         f"camera '{camera}': none of {sum(discarded.values())} tracks counts, in {frames} frames over "
         f"{travelled_m:.2f} m of belt: {reasons}"
     ]
+
+
+def other_zeros(out: Path, *, run: str, totals: Mapping[str, Any]) -> list[str]:
+    """In words, which cameras of a run that was counted into `out` count their travel from another zero."""
+    from aggregator.ledger.reader import ledger_file, reading
+    from aggregator.ledger.zeros import zeros_told
+
+    apart = [CamerasApart(**told) for told in totals.get("apart", ())]
+    with reading(ledger_file(out)) as view:
+        return zeros_told(view, run, list(totals["cameras"]), apart)
 
 
 def has_positions(out: Path, *, run: str) -> tuple[bool, list[str]]:

@@ -22,7 +22,7 @@ from conveyor.stated import level_fault
 from conveyor.taken_port import check_port_free, free_port
 from tuberline.places import belt_in, hung_together, places_in
 from tuberline.processes import line_processes, usual_regressors
-from tuberline.recorded import has_positions, lost_frames, none_counted
+from tuberline.recorded import has_positions, lost_frames, none_counted, other_zeros
 from tuberline.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -189,6 +189,7 @@ def _count(
         findings = [*notes, *unusable, *_wait_until_counted(supervisor, config, show=show)]
     summary = _summary(out)
     findings += lost_frames(summary["cameras"], logs=out / "logs") + none_counted(summary)
+    findings += other_zeros(out, run=run, totals=summary["totals"])
     restarts = {name: n for name, n in supervisor.restarts.items() if n}
     if restarts:
         summary["restarts"] = restarts

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 from aggregator.ledger.apart import cameras_apart
+from aggregator.ledger.reader import reading
 from aggregator.ledger.writer import Ledger
+from aggregator.ledger.zeros import zeros_told
 from conveyor.apart import apart_in_words, apart_told
 from conveyor.messages import CamerasApart, Track
 from tests.aggregator.belt_story import Story, tell
@@ -28,6 +30,7 @@ def moved(story: Story, camera: str, *, along_mm: float = 0.0, across_mm: float 
 
 
 def counted(path: Path, story: Story) -> tuple[Aggregator, tuple[CamerasApart, ...]]:
+    path.mkdir(exist_ok=True)
     with Ledger(path / "ledger.db") as ledger:
         line = Aggregator(ledger, story)
         line.commit_one_by_one()
@@ -84,6 +87,36 @@ def test_one_camera_and_cameras_that_share_no_tuber_are_silent(tmp_path: Path) -
     }
     logs = {name: [e for e in log if e.track or e.mark] for name, log in parted.items()}
     logs = {name: [replace(e, n=n) for n, e in enumerate(log, start=1)] for name, log in logs.items()}
-    (tmp_path / "b").mkdir()
     _, found = counted(tmp_path / "b", replace(story, logs=logs))
     assert found == ()
+
+
+def test_travel_that_counts_from_another_zero_is_told(tmp_path: Path) -> None:
+    """15 of 12 tubers counted, 18 % of the belt seen, and nothing said why."""
+
+    def told(name: str, *, zero_m: float, clock_s: float = 0.0, **more: bool) -> list[str]:
+        story = tell(28, n=70, length_m=5.0, noise_mm=1.5, split=0.0, **more)
+        log = [
+            replace(
+                e,
+                track=e.track and replace(e.track, crossed_x_m=e.track.crossed_x_m - zero_m),
+                mark=e.mark
+                and replace(
+                    e.mark,
+                    captured_ns=e.mark.captured_ns + round(clock_s * 1e9),
+                    travel_m=e.mark.travel_m + zero_m,
+                    complete_place_x_m=e.mark.complete_place_x_m - zero_m,
+                ),
+            )
+            for e in story.logs["cam1"]
+        ]
+        _, found = counted(tmp_path / name, replace(story, logs={**story.logs, "cam1": log}))
+        with reading(tmp_path / name / "ledger.db") as view:
+            return zeros_told(view, story.run, story.names, found)
+
+    (text,) = told("shifted", zero_m=5.0)
+    assert "camera 'cam1' tells 5.00 m more travel than camera 'cam0' at the same time" in text
+    assert "Give travel_m of both from one zero" in text
+    assert told("same", zero_m=0.0) == told("no encoder", zero_m=5.0, estimated=True) == []
+    assert told("no common time", zero_m=5.0, clock_s=3600.0) == []
+    assert told("clocks that differ", zero_m=0.0, clock_s=2.0) == [], "the tubers that both see lie at one place"
