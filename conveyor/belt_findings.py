@@ -11,8 +11,8 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
     Args:
         camera: its name.
         gauges: levels of its segmenter: belt_alarm, belt_drift_mm, belt_tilt_off_deg, belt_backwards, belt_turned,
-            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_behind_m, load_torn_m, masks_merged,
-            and those of its gauge.
+            belt_turned_deg, encoder_off, encoder_told_m, encoder_seen_m, encoder_coarse_m, encoder_behind_m,
+            load_torn_m, masks_merged, and those of its gauge.
     """
     found = {}
     if gauges.get("belt_alarm"):
@@ -43,6 +43,12 @@ def belt_findings(camera: str, gauges: Mapping[str, float]) -> dict[str, str]:
             f"camera '{camera}': the load moved {seen_m:.2f} m while the encoder told {told_m:.2f} m: tubers are "
             f"counted several times or not at all. Correct the encoder: {_factor(told_m, seen_m)}its cable (travel_m "
             "of a recording is in metres); or leave it out, and travel is taken from the frames"
+        )
+    if coarse_m := gauges.get("encoder_coarse_m"):
+        found["encoder_coarse_m"] = (
+            f"camera '{camera}': travel is told in steps of {1000 * coarse_m:.0f} mm, and stands still between them "
+            "while the load moves: from 40 mm on tubers count twice. Give travel_m of each frame to a millimetre; or "
+            "leave it out, and travel is taken from the frames"
         )
     if behind_m := gauges.get("encoder_behind_m"):
         found["encoder_behind_m"] = (

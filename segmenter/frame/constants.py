@@ -133,3 +133,6 @@ counts half of the tubers twice; how cameras were turned was found to 0.6 degree
 SHIFT_OFF, SHIFT_OFF_SHARE = 0.12, 0.6
 """Share of the way seen by which the way told must differ, over all moves kept and in so many of them. On simulated
 belts an encoder that is 10 % off changes places and no count, one that is 20 % off counts half of the tubers twice."""
+COARSE_M, COARSE_STOOD = 0.03, 0.2
+"""Metres of the steps in which travel is told, and share of the moves in which it stood still while the load moved. On
+simulated belts travel in steps of 35 mm counts right, in steps of 40 mm and more one tuber in 24 counts twice."""

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from segmenter.frame.belt_direction import common_move
 from segmenter.frame.constants import (
+    COARSE_M,
+    COARSE_STOOD,
     LEAST_STEP_M,
     SHIFT_ASIDE_M,
     SHIFT_KEPT,
@@ -74,8 +76,21 @@ class MotionWatch:
         pairs = [(told_m, _length_m(x_m, y_m)) for told_m, x_m, y_m in self._moves if told_m is not None]
         if len(pairs) < SHIFT_LEAST or max(abs(self.told_m), abs(self.seen_m)) < SHIFT_LEAST_M:
             return False
+        if abs(self.told_m - self.seen_m) <= self.coarse_m:
+            return False
         each = np.array([_differ(told_m, seen_m) for told_m, seen_m in pairs])
         return _differ(self.told_m, self.seen_m) and float(each.mean()) >= SHIFT_OFF_SHARE
+
+    @property
+    def coarse_m(self) -> float:
+        """The steps in which the travel is told, metres, where it stands still between them while the load moves, and
+        they are too long for that; else 0.
+        """
+        told_m = np.array([abs(told_m) for told_m, _, _ in self._moves if told_m is not None])
+        if len(told_m) < SHIFT_LEAST or float((told_m == 0).mean()) < COARSE_STOOD or not told_m.any():
+            return 0.0
+        step_m = float(np.median(told_m[told_m > 0]))
+        return step_m if step_m >= COARSE_M else 0.0
 
     @property
     def backwards(self) -> bool:

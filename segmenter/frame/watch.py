@@ -27,7 +27,8 @@ class BeltWatch:
     """Levels of one camera: 'belt_drift_mm' and 'belt_tilt_off_deg' (seen against given), 'belt_alarm', 1 where either
     is too much, 'belt_backwards', 1 where tubers move against the belt's x, 'belt_turned', 1 where they move aside, by
     'belt_turned_deg', and 'encoder_off', 1 where they move 'encoder_seen_m' while the encoder tells 'encoder_told_m'.
-    'encoder_scale' is how many metres they move for each that it tells.
+    'encoder_scale' is how many metres they move for each that it tells, 'encoder_coarse_m' the steps in which it tells
+    them where those are too long.
     """
 
     def __init__(self) -> None:
@@ -60,6 +61,7 @@ class BeltWatch:
         # The tubers move another way than encoder or pose say, and not just against it.
         encoder_off, turned = (off and not backwards for off in (self._motion.encoder_off, self._motion.turned))
         levels = {"belt_backwards": float(backwards), "encoder_off": float(encoder_off), "belt_turned": float(turned)}
+        levels["encoder_coarse_m"] = 0.0 if encoder_off else self._motion.coarse_m
         if encoder_off:
             levels |= {"encoder_told_m": self._motion.told_m, "encoder_seen_m": self._motion.seen_m}
         if (scale := self._motion.scale) is not None:

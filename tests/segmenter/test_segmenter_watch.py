@@ -145,6 +145,17 @@ def test_an_encoder_that_is_off_by_less_than_a_count_shows_is_no_finding(share: 
     assert levels["encoder_off"] == 0
 
 
+@pytest.mark.parametrize(("coarse_mm", "told"), [(20, False), (50, True), (90, True)])
+def test_travel_that_is_told_in_coarse_steps_is_said_with_the_step(coarse_mm: int, told: bool) -> None:
+    """Rounded to 50 mm, 27 of 24 tubers were counted, and nothing was said."""
+    coarse_m = coarse_mm / 1000
+    travels = (round(i * STEP_M / coarse_m) * coarse_m for i in range(60))
+    _, levels = watched(replace(scene().frame(i, i * STEP_M), travel_m=told_m) for i, told_m in enumerate(travels))
+    found = belt_findings("front", levels)
+    assert list(found) == ["encoder_coarse_m"] * told
+    assert not told or f"travel is told in steps of {coarse_mm} mm" in found["encoder_coarse_m"]
+
+
 def test_a_fast_belt_that_runs_the_other_way_is_said_too() -> None:
     """Of steps longer than 30 mm nothing was said."""
     frames = (scene().frame(i, 0.6 - i * 0.04) for i in range(28))
