@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from conveyor.errors import InputError
 from conveyor.ranges import Range
@@ -20,6 +20,14 @@ TYPICAL_BELT_SD_M = 0.002
 """How well a belt's height is known where nothing says it, standard deviation: measured once, worn and soiled since."""
 EARTH_M_PER_DEG = 111_320.0
 """Metres of a degree of latitude; of longitude, times the cosine of the latitude."""
+
+
+def beside_deg(lon_deg: ArrayLike, middle_deg: float) -> NDArray[np.float64]:
+    """Longitudes within 180 degrees of `middle_deg`, so that a field on the 180th meridian is drawn in one piece: some
+    of them are beyond 180 there.
+    """
+    lon = np.asarray(lon_deg, np.float64)
+    return lon + 360.0 * np.round((middle_deg - lon) / 360.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from conveyor.geometry import EARTH_M_PER_DEG
+from conveyor.geometry import EARTH_M_PER_DEG, beside_deg
 
 MOST_PLACES = 4000
 STEP_M = 1.0
@@ -14,7 +14,7 @@ JUMP_M, AGREEING = 30.0, 5
 
 class Way:
     """Places in degrees, oldest first: steps of less than `STEP_M` and wild places are left out, an old way keeps every
-    second one.
+    second one. Longitudes go on beyond 180 where the machine crosses that meridian.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,8 @@ class Way:
 
     def add(self, *, lat_deg: float, lon_deg: float) -> bool:
         """Where the machine is now; False where that is no step."""
-        place = (lon_deg, lat_deg)
+        middle_deg = self.lon_lat[-1][0] if self.lon_lat else lon_deg
+        place = (float(beside_deg(lon_deg, middle_deg)), lat_deg)
         step_m = _metres(self.lon_lat[-1], place) if self.lon_lat else STEP_M
         if step_m > JUMP_M and not self._stays(place):
             return False

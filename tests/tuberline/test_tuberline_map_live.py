@@ -28,12 +28,15 @@ from tests.viewer.page_states import loaded_state
 from tests.viewer.test_viewer_page_browser import js, text, until
 from tests.viewer.test_viewer_page_server import ask
 from tests.written_run import write_run
+from tuberline.export.cells import cells_table
 from tuberline.maps.field import Settings, field_map
 from tuberline.maps.live import LiveMap, features, live_map, newest_run
 from viewer.page.board import Board
 from viewer.page.maps import FieldMaps
 from viewer.page.server import PageServer
 from viewer.page.snapshot import snapshot
+from viewer.scene.field_scene import FieldScene
+from viewer.scene.primitives import Moment, YieldCells
 from viewer.way import AGREEING, MOST_PLACES, Way
 
 pytest.importorskip("pyproj")
@@ -72,6 +75,34 @@ def test_the_live_map_is_the_map_of_its_run(run: Path) -> None:
     east_m = (lons.max() - lons.min()) * np.cos(np.radians(lats.mean())) * 111_320
     assert east_m <= WORLD.size_m[0] + 3 * found.cells.cell_m, "degrees, longitude first"
     live_map(run, replace(SETTINGS, delay_s=None), newest_run(run))  # not found yet: then it is assumed
+
+
+def test_a_field_on_the_180th_meridian_is_drawn_in_one_piece(run: Path, tmp_path: Path) -> None:
+    """Cells went around the Earth, Rerun had them at Greenwich, and the way lost four places at each crossing."""
+    shutil.copy(run / "ledger.db", tmp_path)
+    day, way = read_positions(run / POSITIONS_FILE), Way()
+    middle_deg = float(np.quantile([p.lon_deg for p in day], 0.4))
+    with PositionsWriter(tmp_path / POSITIONS_FILE) as file:
+        for p in day:
+            lon_deg = (p.lon_deg - middle_deg) % 360 - 180
+            file.write((p.time_ns, p.time_ns, p.lat_deg, lon_deg, p.quality, p.hdop, p.satellites))
+            way.add(lat_deg=p.lat_deg, lon_deg=lon_deg)
+    before, found = (live_map(folder, SETTINGS, newest_run(folder)) for folder in (run, tmp_path))
+    widths = [np.ptp(it.squares()[..., 0], axis=1) for it in (before, found)]
+    assert widths[1] == pytest.approx(widths[0], rel=0.01)
+    assert np.ptp(found.squares()[..., 0]) == pytest.approx(np.ptp(before.squares()[..., 0]), rel=0.01)
+    areas = cells_table([tmp_path], found).polygons
+    assert areas is not None
+    assert {len(parts) for parts in areas} == {1, 2}
+    assert all(-180 <= lon <= 180 for parts in areas for ring in parts for lon, _ in ring)
+    plain = Way()
+    for p in day:
+        plain.add(lat_deg=p.lat_deg, lon_deg=p.lon_deg)
+    assert len(way.lon_lat) == len(plain.lon_lat)
+    cells, about = features(found)
+    (drawn, _) = FieldScene().on_cells(cells, about, Moment(0, 0))
+    assert isinstance(drawn.primitive, YieldCells)
+    assert np.all(180 - np.abs(drawn.primitive.lat_lon_deg[:, 1]) < 0.001)
 
 
 def why_none(folder: Path) -> str:
@@ -221,10 +252,16 @@ def test_a_browser_draws_the_field_without_anything_from_elsewhere(run: Path, br
         for n in range(2):
             maps.add_place("north", lat_deg=first[1] + n * 2e-5, lon_deg=first[0])
         until(lambda: told() or "The machine's way so far." in text(browser), what="its way")
+        js(browser, BESIDE)
+        until(lambda: js(browser, "window.beside") == [180.0001, 180], what="a field on the 180th meridian")
         assert "No yields" not in text(browser), "no cells were computed yet, so nothing is known to be missing"
         until(lambda: told() or js(browser, drawn) == 0, what="no cells of the run before")
 
 
+BESIDE = """import("./map.js").then(({ inOnePiece }) => {
+    const square = { geometry: { coordinates: [[[-179.9999, 1]]] } };
+    const found = inOnePiece({ way: [[179.9999, 1], [-180, 1]], cells: { features: [square] } });
+    window.beside = [found.cells.features[0].geometry.coordinates[0][0][0], found.way[1][0]]; })"""
 LOSE_THE_MAP = """{ const whole = window.fetch; let left = 2; window.fetch = (...asked) => {
     if (!left || !String(asked[0]).startsWith("map.json")) return whole(...asked);
     left -= 1;

@@ -29,16 +29,12 @@ def cells_table(runs: Sequence[Path], field: FieldMap) -> Table:
     cells = field.cells
     known = np.isfinite(cells.t_ha)
     centres = cells.centres_m()[known]
-    half = cells.cell_m / 2
-    corners = centres[:, None] + np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
-    lat, lon = field.plane.to_degrees(corners.reshape(-1, 2))
-    rings = np.stack([lon, lat], axis=1).reshape(-1, 5, 2)
     middle_lat, middle_lon = field.plane.to_degrees(centres)
     columns = (cells.t_ha, cells.low_t_ha, cells.high_t_ha, cells.kg, cells.area_m2, cells.count)
     values = [middle_lat, middle_lon, *(column[known] for column in columns)]
     rows = list(zip(*(column.tolist() for column in values), strict=True))
     told = {**about(runs), "mean_t_ha": cells.mean_t_ha, "shared_percent": cells.shared_percent}
-    polygons = [cut_at_180([(float(x), float(y)) for x, y in ring]) for ring in rings]
+    polygons = [cut_at_180([(float(x), float(y)) for x, y in ring]) for ring in field.squares()]
     return Table("cells", CELL_COLUMNS, rows, told, polygons)
 
 
@@ -47,7 +43,7 @@ def cut_at_180(ring: Ring) -> list[Ring]:
     program takes it the other way, around the Earth.
     """
     lons = [lon for lon, _ in ring]
-    if max(lons) - min(lons) <= 180:
+    if max(lons) - min(lons) <= 180 and min(lons) >= -180 and max(lons) <= 180:
         return [ring]
     eastward = [(lon % 360, lat) for lon, lat in ring]
     west, east = (_part(eastward, side) for side in (-1, 1))

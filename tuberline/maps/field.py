@@ -35,6 +35,7 @@ from aggregator.yield_map.track import FieldPlane, Track, believed, plane_of
 from aggregator.yield_map.track import Path as Way
 from conveyor.errors import InputError
 from conveyor.formats.positions import POSITIONS_FILE, read_positions
+from conveyor.geometry import beside_deg
 from conveyor.messages import Tuber
 from conveyor.statistics import NORMAL_90
 
@@ -102,6 +103,14 @@ class FieldMap(FieldPlaces):
     """The map and what it was made of."""
 
     cells: YieldMap
+
+    def squares(self) -> NDArray[np.float64]:
+        """(N, 5, 2) corners of the known cells, counter-clockwise and closed: longitude, in one piece, and latitude."""
+        cells = self.cells
+        square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * cells.cell_m / 2
+        corners = cells.centres_m()[np.isfinite(cells.t_ha)][:, None] + square
+        lat, lon = self.plane.to_degrees(corners.reshape(-1, 2))
+        return np.stack([beside_deg(lon, self.plane.lon_deg), lat], axis=1).reshape(-1, 5, 2)
 
     def as_dict(self) -> dict[str, Any]:
         """What `tuberline map --json` prints: the cells, and how they came about."""

@@ -114,15 +114,11 @@ def live_map(out: Path, settings: Settings, run: str) -> FieldMap:
 def features(field: FieldMap, *, most: int = MOST_CELLS) -> tuple[list[dict[str, Any]], dict[str, float]]:
     """The known cells as GeoJSON features with `t_ha`, `low_t_ha`, `high_t_ha`, `tubers`, and the map's range and mean.
 
-    Of more than `most` cells the first ones are left out.
+    Of more than `most` cells the first ones are left out. To be drawn, a field on the 180th meridian is in one piece.
     """
     cells = field.cells
     known = np.isfinite(cells.t_ha)
-    half_m = cells.cell_m / 2
-    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half_m
-    corners = cells.centres_m()[known][:, None] + square
-    lat, lon = field.plane.to_degrees(corners.reshape(-1, 2))
-    rings = np.round(np.stack([lon, lat], axis=1), 7).reshape(-1, 5, 2).tolist()
+    rings = np.round(field.squares(), 7).tolist()
     columns = {"t_ha": cells.t_ha, "low_t_ha": cells.low_t_ha, "high_t_ha": cells.high_t_ha, "tubers": cells.count}
     rows = zip(*(np.round(column[known], 1).tolist() for column in columns.values()), strict=True)
     made = [

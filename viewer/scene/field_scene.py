@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conveyor.geometry import EARTH_M_PER_DEG
+from conveyor.geometry import EARTH_M_PER_DEG, beside_deg
 from conveyor.messages import Position
 from viewer.scene.primitives import Color, Entry, Ground, Moment, Page, YieldCells
 from viewer.way import Way
@@ -56,7 +56,7 @@ class FieldScene:
         """The machine's place, and now and then its way; [] without a fix, or where it stands."""
         if position.quality <= 0 or not self._way.add(lat_deg=position.lat_deg, lon_deg=position.lon_deg):
             return []
-        here = Ground(np.array([[position.lat_deg, position.lon_deg]]), HERE_COLOR)
+        here = Ground(np.array(self._way.lon_lat[-1:])[:, ::-1], HERE_COLOR)
         entries = [Entry("/field/machine", here, moment)]
         places = len(self._way.lon_lat)
         due = places - self._drawn >= max(WAY_EVERY, WAY_GROWTH * self._drawn)
@@ -70,8 +70,10 @@ class FieldScene:
         """The yield, cell by cell, and what its colours mean."""
         corners = np.array([cell["geometry"]["coordinates"][0][:4] for cell in cells])  # (N, 4, 2) lon, lat
         side_m = float(np.median(np.ptp(corners[:, :, 1], axis=1)) * EARTH_M_PER_DEG)
+        lon, lat = corners.mean(axis=1).T
+        middle_deg = self._way.lon_lat[0][0] if self.known else float(lon[0])
         drawn = YieldCells(
-            lat_lon_deg=corners.mean(axis=1)[:, ::-1],
+            lat_lon_deg=np.stack([lat, beside_deg(lon, middle_deg)], axis=1),
             t_ha=_column(cells, "t_ha"),
             low_t_ha=_column(cells, "low_t_ha"),
             high_t_ha=_column(cells, "high_t_ha"),

@@ -84,7 +84,8 @@ export class FieldMap {
     return map;
   }
 
-  fill({ cells, way, about }) {
+  fill(found) {
+    const { cells, way, about } = inOnePiece(found);
     const [low, high] = [about.low ?? 0, Math.max(about.high ?? 1, (about.low ?? 0) + 0.1)];
     const steps = COLOURS.flatMap((colour, n) => [low + ((high - low) * n) / (COLOURS.length - 1), colour]);
     this.map.setPaintProperty("cells", "fill-color", ["interpolate", ["linear"], ["get", "t_ha"], ...steps]);
@@ -102,6 +103,14 @@ export class FieldMap {
 // Why there are no cells; a cause that the page has no words for is said as it was told.
 function reason({ why, said }) {
   return why || said ? t("map.no_cells", { why: why ? t(`map.none.${why}`) : said }) : "";
+}
+
+// Cells and way beside each other where they lie on the 180th meridian: else the map would show the whole Earth.
+export function inOnePiece({ cells, way, about }) {
+  const middle = first({ way, cells })[0];
+  const beside = ([lon, lat]) => [lon + 360 * Math.round((middle - lon) / 360), lat];
+  const features = cells.features.map((cell) => ({ ...cell, geometry: { ...cell.geometry, coordinates: cell.geometry.coordinates.map((ring) => ring.map(beside)) } }));
+  return { cells: { ...cells, features }, way: way.map(beside), about };
 }
 
 function first({ way, cells }) {
