@@ -128,6 +128,28 @@ def test_a_disk_that_is_full_at_the_start_keeps_no_message_back(known: bool, sma
         assert drained(box, "a") == [f"box-{n}-begin" for n in ((1, 2, 3) if known else (2, 3))]
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_disk_that_is_read_only_at_the_start_keeps_no_message_back(
+    known: bool, small: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A disk that the kernel made read-only is what alarms are for: `tuberline alarms` ended with 75 on it."""
+    if known:
+        with Outbox(small / "alarms", channels=["a"], keep=10) as box:
+            put(box, 1)
+    subprocess.run(["mount", "-o", "remount,ro", small], check=True)
+    with Outbox(small / "alarms", channels=["a"], keep=10) as box:
+        assert "its disk is read-only; they are sent all the same" in caplog.text
+        put(box, 2)
+        assert (head := box.head("a")) is not None
+        assert head[1].id == ("box-1-begin" if known else "box-2-begin")
+        subprocess.run(["mount", "-o", "remount,rw", small], check=True)
+        put(box, 3)
+        with pytest.raises(TakenError):
+            Outbox(small / "alarms", channels=["a"], keep=10).__enter__()
+    with Outbox(small / "alarms", channels=["a"], keep=10) as box:
+        assert drained(box, "a") == [f"box-{n}-begin" for n in ((1, 2, 3) if known else (2, 3))]
+
+
 def test_a_damaged_file_is_set_aside(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / FILE).write_bytes(b"no database at all, but long enough to be taken for one" * 100)
     with Outbox(tmp_path, channels=["a"], keep=10) as box:

@@ -1,7 +1,7 @@
 """What is still to be sent, per channel and in order, and which alarms were begun: bounded, and kept across restarts.
 
-Memory holds it, a small SQLite file holds the same. Where the disk takes nothing (it may be full: that is an alarm)
-messages leave all the same, and the file is written again as soon as it can be.
+Memory holds it, a small SQLite file holds the same. Where the disk takes nothing (it may be full, or read-only: that is
+an alarm) messages leave all the same, and the file is written again as soon as it can be.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import os
 import sqlite3
 import threading
 import time
@@ -18,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from conveyor.config import LineConfig
-from conveyor.errors import StorageError, TakenError
+from conveyor.errors import StorageError, TakenError, TuberlineError
 from tuberline.alarms.machine import Active, AlarmMachine, Timing
 from tuberline.alarms.message import AlarmMessage
 
@@ -44,7 +45,7 @@ class Outbox:
 
     Raises:
         TakenError: another process has it.
-        StorageError: the folder cannot be written.
+        StorageError: the folder cannot be written, though its disk can.
     """
 
     def __init__(self, folder: Path, *, channels: Sequence[str], keep: int) -> None:
@@ -58,16 +59,20 @@ class Outbox:
         self._number, self._n = 0, 0
         self._prefix = uuid.uuid4().hex[:12]
         self._whole = True
+        self._read_only = _on_read_only_disk(folder)
         self._db: sqlite3.Connection
 
     def __enter__(self) -> Outbox:
-        self._db = _opened(self._folder)
+        if self._read_only:
+            log.error("alarms cannot be kept in %s: its disk is read-only; they are sent all the same", self._folder)
+        self._db = _read_only(self._folder / FILE) if self._read_only else _opened(self._folder)
         try:
             self._read()
         except (ValueError, TypeError, KeyError) as error:
-            self._db.close()
-            _set_aside(self._folder / FILE, error)
-            self._db = _opened(self._folder)
+            if not self._read_only:
+                self._db.close()
+                _set_aside(self._folder / FILE, error)
+                self._db = _opened(self._folder)
             self._forget()
         with contextlib.suppress(sqlite3.Error):  # no room: it is tried again with the first message
             self._whole = False
@@ -153,13 +158,15 @@ class Outbox:
     def _save(self, changes: Sequence[Change]) -> None:
         """Write `changes`, or everything where the last write failed."""
         try:
+            if self._read_only and not _on_read_only_disk(self._folder):
+                self._db, self._read_only = _opened(self._folder), False
             if not self._whole:
                 self._write_anew()
                 return
             with self._db:
                 for statement, values in changes:
                     self._db.execute(statement, values)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, TuberlineError) as error:
             if self._whole:
                 log.error("alarms cannot be kept in %s: %s; they are sent all the same", self._folder / FILE, error)
             self._whole = False
@@ -218,6 +225,8 @@ def is_in_use(folder: Path) -> bool | None:
     try:
         if not path.is_file():
             return False
+        if _on_read_only_disk(folder):  # no process can lock it
+            return None
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=0.2)) as db:
             db.execute("SELECT count(*) FROM facts").fetchone()
     except sqlite3.OperationalError as error:
@@ -252,6 +261,24 @@ def _opened(folder: Path) -> sqlite3.Connection:
     except OSError as error:
         text = f"{folder} cannot be written: {error.strerror or error}; name another folder in alarms.state_dir"
         raise StorageError(text) from error
+
+
+def _on_read_only_disk(folder: Path) -> bool:
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    return bool(os.statvfs(there).f_flag & os.ST_RDONLY)
+
+
+def _read_only(path: Path) -> sqlite3.Connection:
+    """What is there and sound, to be read alone."""
+    if path.is_file():
+        db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
+        with contextlib.suppress(sqlite3.DatabaseError):
+            if db.execute("PRAGMA quick_check").fetchone() == ("ok",):
+                return db
+        db.close()
+    db = sqlite3.connect(":memory:", check_same_thread=False)
+    db.execute("PRAGMA query_only = ON")
+    return db
 
 
 def _set_aside(path: Path, error: Exception) -> None:
