@@ -98,12 +98,14 @@ def drift(
     parts = {folder: part_of(folder, "test") for _, folder, _ in cases}
     most = {folder: min(count_labelled(folder, split=part), max_views or MANY) for folder, part in parts.items()}
     total, before = sum(most[folder] for _, folder, _ in cases), 0
-    for name, folder, change in cases:
+    for name, folder, change in cases if max_views is None or max_views >= MIN_TUBERS else ():
         on_work(name, before, total)
         views = list(_shifted(folder, parts[folder], change, np.random.default_rng(seed), max_views))
         if (tubers := len({view.tuber for view in views})) < MIN_TUBERS:
             left_out[name] = tubers
             before += most[folder]
+            if not table and not others and most[folder] < (max_views or MANY):
+                break  # all of them are read, and every other shift is of these or of fewer
             continue
         said = partial(_said, on_work, name, before, total)
         before += most[folder]

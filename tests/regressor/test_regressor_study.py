@@ -177,6 +177,7 @@ def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
     labels = write_twin(tmp_path, tubers=14)
     write_parts(tmp_path, {"train": labels[:3], "val": labels[3:4], "test": labels[4:]})
     seen: set[int | None] = set()
+    said: list[str] = []
     measured = drift(
         tmp_path, {"again": tmp_path}, Weigher.load(), max_views=None, on_work=lambda words, done, of: seen.add(of)
     )
@@ -185,7 +186,8 @@ def test_drift_reads_the_test_part_alone(tmp_path: Path) -> None:
     assert seen == {10 * (len(SHIFTS) + 1)}
     write_parts(tmp_path, {"train": labels[:5], "test": labels[5:]})
     with pytest.raises(InputError, match=r"holds fewer than 10 tubers: nothing can be said"):
-        drift(tmp_path, {}, Weigher.load(), max_views=None)
+        drift(tmp_path, {}, Weigher.load(), max_views=None, on_work=lambda words, done, of: said.append(words))
+    assert said == ["as it is"], "each shift was read to find that"
     with pytest.raises(InputError, match=r"the first 1 views of .* are of fewer than 10 tubers"):
         drift(tmp_path, {}, Weigher.load(), max_views=1)
     with pytest.raises(InputError, match=r"holds fewer than 10 tubers: nothing can be said"):
